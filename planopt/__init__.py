@@ -1,0 +1,1 @@
+"""planopt: motion plans for robots that must stay in radio contact."""

@@ -1,0 +1,1 @@
+"""How received power varies in space."""

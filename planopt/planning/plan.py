@@ -1,0 +1,136 @@
+"""What a planner returns: a trajectory, why the solver stopped, and what the point is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Termination(StrEnum):
+    """Why the search for a plan stopped. Says nothing about what the plan is worth."""
+
+    CONVERGED = "converged"
+    ACCEPTABLE = "acceptable"
+    LATTICE_ONLY = "lattice_only"
+    ITERATION_LIMIT = "iteration_limit"
+    TIME_LIMIT = "time_limit"
+    INFEASIBLE = "infeasible"
+    NUMERICAL_FAILURE = "numerical_failure"
+    NO_PATH = "no_path"
+    STOPPED = "stopped"
+
+
+class Verdict(StrEnum):
+    """What an independent check says of the plan.
+
+    ``verified``: every constraint holds, the connectivity bound at every step where it is
+    possible. ``feasible_unverified``: not rejected, but a part of the proof is missing.
+    ``violated``: a constraint does not hold. ``none``: there is no plan.
+    """
+
+    VERIFIED = "verified"
+    FEASIBLE_UNVERIFIED = "feasible_unverified"
+    VIOLATED = "violated"
+    NONE = "none"
+
+
+class Rung(StrEnum):
+    """Which rung of the failure ladder a released plan came from (design 4.9)."""
+
+    PLAN = "plan"
+    COLD_RETRY = "cold_retry"
+    LATTICE = "lattice"
+    RELAXED = "relaxed"
+    SHIFTED = "shifted"
+    STOP = "stop"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What the verifier computed, by code that shares nothing with the solver.
+
+    Attributes
+    ----------
+    min_clearance_m
+        Least distance between the swept path and any obstacle, exact; infinite without obstacles.
+    min_connectivity
+        Least probability of connection over the planned steps, from the posterior named below.
+    dynamics_defect
+        Largest violation of the motion model and the input set, in metres.
+    kkt_residual
+        Unscaled KKT residual of the polished point; None where nothing was polished.
+    posterior
+        ``exact`` or ``neighbours:512``.
+    relaxed_steps
+        Steps (1 is the first) at which the bound is not met.
+    relaxation_db
+        By how many dB at each of them the bound is missed.
+    best_margin_db
+        At each of them, the best margin (dB, negative) found over every place that the robot
+        could reach by then: the proof that the bound could not be met.
+    reasons
+        Why the verdict is not ``verified``; empty if it is.
+    """
+
+    min_clearance_m: float
+    min_connectivity: float
+    dynamics_defect: float
+    kkt_residual: float | None
+    posterior: str
+    relaxed_steps: tuple[int, ...] = ()
+    relaxation_db: tuple[float, ...] = ()
+    best_margin_db: tuple[float, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One robot's plan over N steps.
+
+    Attributes
+    ----------
+    robot
+        Its name.
+    t_s
+        ``(N + 1,)`` times from now on.
+    positions_m
+        ``(N + 1, 2)`` now and after each step; the way between is straight.
+    mean_dbm, deviation_db, connectivity
+        ``(N + 1,)`` predicted power, its deviation and P(connected) at those places, from the
+        exact posterior (today's deviation: theory 4.1).
+    objective
+        Cost in seconds, cost to go included (sense: min).
+    lattice_objective
+        The same cost of the lattice path that the polish started from.
+    termination, verdict, rung, certificate
+        See their types.
+    wall_s, solve_s, iterations
+        Time of the whole step, of the solver in it, and solver iterations.
+    multipliers
+        Named constraint multipliers of the solver, for reports.
+    message
+        In words, for people: why there is no better plan; empty if all is well.
+    """
+
+    robot: str
+    t_s: NDArray[np.float64]
+    positions_m: NDArray[np.float64]
+    mean_dbm: NDArray[np.float64]
+    deviation_db: NDArray[np.float64]
+    connectivity: NDArray[np.float64]
+    objective: float
+    lattice_objective: float
+    termination: Termination
+    verdict: Verdict
+    rung: Rung
+    certificate: Certificate
+    wall_s: float
+    solve_s: float
+    iterations: int
+    multipliers: dict[str, NDArray[np.float64]] = field(
+        default_factory=dict[str, NDArray[np.float64]]
+    )
+    message: str = ""

@@ -1,0 +1,1 @@
+"""Problem files: schema, load and save."""

@@ -1,0 +1,39 @@
+"""Where robots may be: a rectangle less the obstacles in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import shapely
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """One forbidden area.
+
+    Attributes
+    ----------
+    name
+        What messages call it.
+    polygon
+        A simple polygon in metres, holes allowed, convex or not.
+    """
+
+    name: str
+    polygon: shapely.Polygon
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The workspace W and its obstacles O (seed, section III-A).
+
+    Attributes
+    ----------
+    bounds_m
+        ``(x_min, y_min, x_max, y_max)`` in metres.
+    obstacles
+        The forbidden areas, in the order of the problem file.
+    """
+
+    bounds_m: tuple[float, float, float, float]
+    obstacles: tuple[Obstacle, ...]

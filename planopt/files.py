@@ -46,7 +46,11 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write `text` to `path` as UTF-8, whole or not at all."""
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8") and None)
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    write_whole(path, write)
 
 
 def writable_folder(path: Path) -> Path:
@@ -63,6 +67,7 @@ def writable_folder(path: Path) -> Path:
             pass
     except OSError as error:
         raise OutputError(
-            f"{path}: not a folder that can be written: {error.strerror or error} (choose another --out)"
+            f"{path}: not a folder that can be written: {error.strerror or error} "
+            "(choose another --out)"
         ) from error
     return path

@@ -220,6 +220,19 @@ class PlannerSettings:
 
 
 @dataclass(frozen=True)
+class ReportSettings:
+    """What is drawn.
+
+    Attributes
+    ----------
+    figures
+        Whether pictures are drawn beside the results.
+    """
+
+    figures: bool = True
+
+
+@dataclass(frozen=True)
 class Problem:
     """Everything that defines one planning problem.
 
@@ -233,6 +246,8 @@ class Problem:
         The tables of the problem file.
     file
         Where it was read from, for messages; None if made in Python.
+    report
+        The table of that name.
     """
 
     name: str
@@ -245,6 +260,7 @@ class Problem:
     constraints: Constraints
     planner: PlannerSettings
     file: Path | None = None
+    report: ReportSettings = ReportSettings()
 
     @property
     def step_length_m(self) -> float:

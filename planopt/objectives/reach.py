@@ -1,0 +1,44 @@
+"""Reach a goal in least time and effort: the cost of a path and of the way beyond it.
+
+The continuous cost is the integral of ``1 + w v^2`` dt until arrival, in seconds, with v the speed
+and w the effort weight. In discrete time a step of length l and duration h that starts short of the
+goal costs ``h + w l^2 / h``; standing at the goal costs nothing. A way of length D beyond the
+horizon costs at least ``D min_v (1 + w v^2) / v`` over the speeds allowed: the cost rate below.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
+    """Least cost of one metre of way, in s/m: min over 0 < v <= v_max of (1 + w v^2) / v.
+
+    The minimum lies at ``v = 1 / sqrt(w)`` where that speed is allowed.
+    """
+    best = speed_max_m_s
+    if effort_weight_s2_m2 > 0.0:
+        best = min(best, effort_weight_s2_m2**-0.5)
+    return (1.0 + effort_weight_s2_m2 * best**2) / best
+
+
+def step_cost_s(
+    length_m: NDArray[np.float64], step_s: float, effort_weight_s2_m2: float
+) -> NDArray[np.float64]:
+    """Cost of steps of these lengths that start short of the goal, in seconds."""
+    return step_s + effort_weight_s2_m2 * length_m**2 / step_s
+
+
+def path_cost_s(
+    positions_m: NDArray[np.float64],
+    goal_m: NDArray[np.float64],
+    goal_radius_m: float,
+    step_s: float,
+    effort_weight_s2_m2: float,
+) -> float:
+    """Cost of a path (n + 1, 2) up to its end or its arrival, cost to go not included."""
+    lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+    short_of_goal = np.linalg.norm(positions_m[:-1] - goal_m, axis=1) > goal_radius_m
+    costs = np.where(short_of_goal, step_cost_s(lengths, step_s, effort_weight_s2_m2), 0.0)
+    return float(costs.sum())

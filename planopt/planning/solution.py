@@ -1,0 +1,36 @@
+"""The answer to one planning problem: the plan and everything needed to judge it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from planopt.channel.belief import Belief
+from planopt.planning.plan import Plan
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True)
+class Solution:
+    """One solved problem.
+
+    Attributes
+    ----------
+    problem
+        As solved (overrides applied).
+    seed
+        Of the truth's fading and of the measured places.
+    belief
+        What the plan was made from.
+    plan
+        The plan.
+    """
+
+    problem: Problem
+    seed: int
+    belief: Belief
+    plan: Plan
+
+
+def exit_code(solution: Solution) -> int:
+    """0 verified, 3 solved but not verified, 4 no plan."""
+    return {"verified": 0, "none": 4}.get(solution.plan.verdict.value, 3)

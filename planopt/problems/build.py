@@ -1,0 +1,145 @@
+"""From the validated tables of a problem file to the plain data that the rest works with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planopt.channel.parameters import Station
+from planopt.errors import InputError
+from planopt.problems.problem import (
+    ChannelSetup,
+    Constraints,
+    LoggedMeasurements,
+    ModelTruth,
+    PlannerSettings,
+    Problem,
+    RadioStation,
+    RasterTruth,
+    ReachObjective,
+    ReportSettings,
+    Robot,
+    SampledMeasurements,
+)
+from planopt.problems.schema import ObstacleTable, ProblemFile
+from planopt.problems.schema_channel import (
+    ChannelTable,
+    ColumnsTable,
+    MeasurementsTable,
+    ModelTruthTable,
+    RasterTruthTable,
+)
+from planopt.world.readers import obstacle_from_ring, obstacle_from_wkt, read_obstacles
+from planopt.world.workspace import Obstacle, Workspace
+
+
+def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
+    """The problem that `tables` describe.
+
+    Parameters
+    ----------
+    tables
+        The validated tables.
+    folder
+        Relative file names start here.
+    file
+        Where the tables came from, for messages.
+
+    Raises
+    ------
+    InputError
+        An obstacle cannot be read or is no valid polygon.
+    """
+    return Problem(
+        name=tables.problem.name,
+        description=tables.problem.description,
+        workspace=Workspace(
+            tables.world.bounds_m,
+            tuple(
+                obstacle
+                for index, table in enumerate(tables.world.obstacles)
+                for obstacle in _obstacles(table, index, folder)
+            ),
+        ),
+        channel=_channel(tables.channel, folder),
+        robots=tuple(
+            Robot(table.name, table.start_m, table.goal_m, table.speed_max_m_s)
+            for table in tables.robots
+        ),
+        stations=tuple(
+            RadioStation(
+                table.name,
+                Station(table.position_m, table.height_m),
+                table.transmit_power_dbm,
+                table.threshold_dbm,
+            )
+            for table in tables.stations
+        ),
+        objective=ReachObjective(
+            tables.objective.effort_weight_s2_m2, tables.objective.cost_to_go
+        ),
+        constraints=Constraints(
+            tables.constraints.p_min,
+            tables.constraints.clearance_m,
+            tables.constraints.goal_radius_m,
+        ),
+        planner=PlannerSettings(
+            tables.planner.name,
+            tables.planner.horizon,
+            tables.planner.step_s,
+            tables.planner.neighbours,
+            tables.planner.max_steps,
+        ),
+        file=file,
+        report=ReportSettings(tables.report.figures),
+    )
+
+
+def _obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
+    """The obstacles of one entry; errors carry its key."""
+    key = f"world.obstacles[{index}]"
+    name = table.name or f"obstacle {index}"
+    try:
+        if table.file is not None:
+            return read_obstacles(folder / table.file)
+        if table.wkt is not None:
+            return obstacle_from_wkt(name, table.wkt)
+        return (obstacle_from_ring(name, table.polygon or [], table.holes),)
+    except InputError as error:
+        raise InputError(
+            error.message,
+            file=error.file,
+            key=error.key or key,
+            row=error.row,
+            remedy=error.remedy,
+        ) from error
+
+
+def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
+    """The channel's truth, first measurements and fit."""
+    return ChannelSetup(
+        truth=None if table.truth is None else _truth(table.truth, folder),
+        measurements=_measurements(table.measurements, folder),
+        fit_method=table.fit.method,
+        measure_spacing_m=table.measurements.spacing_m,
+    )
+
+
+def _truth(table: RasterTruthTable | ModelTruthTable, folder: Path) -> RasterTruth | ModelTruth:
+    if isinstance(table, RasterTruthTable):
+        return RasterTruth(folder / table.file, table.variable, table.floor_db, table.rician_k)
+    return ModelTruth(**table.model_dump(exclude={"kind"}))
+
+
+def _measurements(
+    table: MeasurementsTable, folder: Path
+) -> SampledMeasurements | LoggedMeasurements:
+    if table.file is None:
+        # The schema lets exactly one of file and count be absent.
+        return SampledMeasurements(table.count or 0)
+    columns = table.columns or ColumnsTable()
+    return LoggedMeasurements(
+        folder / table.file,
+        (columns.x, columns.y, columns.power),
+        table.censored_column,
+        table.floor_dbm,
+    )

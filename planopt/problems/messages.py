@@ -1,0 +1,185 @@
+"""Validation errors in the words of the problem file.
+
+pydantic reports every fault with the path of its own model tree. A user gets one: the key as it
+is written in the file, the value that stands there, what is allowed, and the nearest known key
+if the key itself is wrong.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import reprlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from planopt.errors import InputError
+
+KeyPath = tuple[str | int, ...]
+
+_ALLOWED = {
+    "bool_type": "should be true or false",
+    "float_type": "should be a number",
+    "int_type": "should be a whole number",
+    "list_type": "should be an array",
+    "model_type": "should be a table",
+    "string_type": "should be text",
+    "tuple_type": "should be an array",
+}
+_RANGE_TYPES = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+
+
+def input_error(
+    error: ValidationError,
+    model: type[BaseModel],
+    *,
+    file: Path | str | None = None,
+    table: str | None = None,
+) -> InputError:
+    """One clear error for a failed validation.
+
+    Parameters
+    ----------
+    error
+        What pydantic raised.
+    model
+        The model that was validated.
+    file
+        The file that the data came from.
+    table
+        Key of `model` in the problem file, None for the whole file.
+
+    Returns
+    -------
+    InputError
+        For an unknown key if there is one, since a key with a slip in it is often missed as well;
+        otherwise for the first fault.
+    """
+    faults = error.errors(include_url=False)
+    fault = min(faults, key=lambda item: item["type"] != "extra_forbidden")
+    path, fields, field = _resolve(fault["loc"], model)
+    remedy = None if field is None else field.description
+    match fault["type"]:
+        case "extra_forbidden":
+            message = "is not a known key"
+            remedy = nearest(str(path[-1]), list(fields))
+        case "missing" if isinstance(path[-1], int):
+            # A short array: pydantic calls its absent numbers missing.
+            path = path[:-1]
+            message = f"is {shown(fault['input'])}, should have more numbers"
+        case "missing":
+            message = "is missing"
+        case "union_tag_not_found" | "union_tag_invalid":
+            path = (*path, "kind")
+            message = _kind_message(fault)
+        case "one_of":
+            message = fault["msg"]
+        case _:
+            message = f"is {shown(fault['input'])}, {_allowed(fault, field)}"
+    prefix: KeyPath = () if table is None else (table,)
+    return InputError(message, file=file, key=key_text(prefix + path), remedy=remedy)
+
+
+def key_text(path: KeyPath) -> str | None:
+    """``robots[0].start_m`` for ``("robots", 0, "start_m")``; None for the empty path."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
+    return text.removeprefix(".") or None
+
+
+def shown(value: object) -> str:
+    """`value` as short as a message needs it."""
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, bool):
+        return str(value).lower()
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python refuses to print integers of thousands of digits
+        return "a huge number"
+
+
+def nearest(word: str, known: Sequence[str]) -> str:
+    """What to write instead of the unknown `word`."""
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"did you mean {close[0]}?" if close else f"known: {', '.join(sorted(known))}"
+
+
+def _kind_message(fault: ErrorDetails) -> str:
+    """A table whose ``kind`` selects none of its alternatives."""
+    context = fault.get("ctx", {})
+    if "tag" not in context:
+        return "is missing"
+    return f"is {shown(context['tag'])}, should be one of {context['expected_tags']}"
+
+
+def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
+    """What is allowed instead of the value."""
+    kind = fault["type"]
+    bounds = _range(field) if kind in _RANGE_TYPES and field is not None else ""
+    wording = re.sub(r"^\w+ should", "should", fault["msg"]).split(" after validation")[0]
+    return bounds or _ALLOWED.get(kind, wording)
+
+
+def _range(field: FieldInfo) -> str:
+    """Both ends of what `field` allows."""
+    words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
+    parts = [
+        f"{word} {getattr(bound, name):g}"
+        for bound in field.metadata
+        for name, word in words.items()
+        if hasattr(bound, name)
+    ]
+    return f"should be {' and '.join(parts)}" if parts else ""
+
+
+def _resolve(
+    location: KeyPath, model: type[BaseModel]
+) -> tuple[KeyPath, dict[str, FieldInfo], FieldInfo | None]:
+    """Follow pydantic's path into the models.
+
+    Returns
+    -------
+    path
+        The path without the tags that pydantic inserts for alternatives of a table.
+    fields
+        Keys of the table that the last key belongs to.
+    field
+        The last key's definition; None if it is not known.
+    """
+    path: list[str | int] = []
+    fields: dict[str, FieldInfo] = {}
+    field: FieldInfo | None = None
+    tables: list[type[BaseModel]] = [model]
+    for part in location:
+        if len(tables) > 1:
+            tables = [table for table in tables if part in _kinds(table)]
+        else:
+            path.append(part)
+            if isinstance(part, str):
+                fields = _fields(tables[0]) if tables else {}
+                field = fields.get(part)
+                tables = [] if field is None else _tables(field.annotation)
+    return tuple(path), fields, field
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Fields of `model` by the key that the file uses."""
+    return {info.alias or name: info for name, info in model.model_fields.items()}
+
+
+def _kinds(model: type[BaseModel]) -> tuple[object, ...]:
+    """Values of ``kind`` that select `model` among alternatives."""
+    info = model.model_fields.get("kind")
+    return () if info is None else get_args(info.annotation)
+
+
+def _tables(annotation: Any) -> list[type[BaseModel]]:
+    """Every table that `annotation` mentions."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [table for inner in get_args(annotation) for table in _tables(inner)]

@@ -1,0 +1,204 @@
+"""The tables of a problem file: every key with its type, range, default and meaning.
+
+This is the definition that ``planopt schema`` prints and that every problem is validated against,
+whether it comes from TOML, from a saved plan or from an override. What needs geometry or two
+tables at once (a start inside an obstacle) is in :mod:`planopt.problems.checks`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from planopt.problems.problem import (
+    MAX_HORIZON,
+    MIN_HORIZON,
+    CostToGo,
+    PlannerName,
+    ReportSettings,
+)
+from planopt.problems.schema_channel import ChannelTable
+from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
+
+
+class ProblemTable(Table):
+    """``[problem]``: what the problem is called and what it asks."""
+
+    schema_version: Literal[1] = Field(
+        alias="schema", description="Version of this schema; it is 1."
+    )
+    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
+    task: Literal["reach"] = Field(
+        default="reach", description="What the robot must do: reach its goal."
+    )
+    description: str = Field(default="", description="One sentence for people.")
+
+
+class ObstacleTable(Table):
+    """One entry of ``obstacles``: exactly one of ``file``, ``polygon`` and ``wkt``."""
+
+    name: str | None = Field(
+        default=None,
+        min_length=1,
+        description="What messages call it, for polygon and wkt; a file's obstacles have names.",
+    )
+    file: FileName | None = Field(
+        default=None,
+        description="GeoJSON (.geojson), WKT (.wkt) or building file (.json), in metres, "
+        "relative to the problem file.",
+    )
+    polygon: list[Pair] | None = Field(
+        default=None, min_length=3, description="Outer ring, a list of [x, y] in metres."
+    )
+    holes: list[Annotated[list[Pair], Field(min_length=3)]] = Field(
+        default=[], description="Rings of holes in polygon, each a list of [x, y] in metres."
+    )
+    wkt: str | None = Field(
+        default=None, min_length=1, description="A POLYGON or MULTIPOLYGON in metres."
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> ObstacleTable:
+        given = [key for key in ("file", "polygon", "wkt") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise PydanticCustomError(
+                "one_of",
+                "needs exactly one of file, polygon and wkt, has {given}",
+                {"given": " and ".join(given) or "none"},
+            )
+        if self.holes and self.polygon is None:
+            raise PydanticCustomError("one_of", "has holes, which go only with polygon")
+        if self.name is not None and self.file is not None:
+            raise PydanticCustomError(
+                "one_of", "has a name, which goes only with polygon and wkt, beside file"
+            )
+        return self
+
+
+class WorldTable(Table):
+    """``[world]``: where robots may be."""
+
+    bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
+    obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
+
+
+class RobotTable(Table):
+    """``[[robots]]``: one robot and where it must go."""
+
+    name: Name = Field(default="robot", description="What outputs call it.")
+    start_m: Pair = Field(description="Start [x, y] in metres.")
+    goal_m: Pair = Field(description="Goal [x, y] in metres.")
+    speed_max_m_s: float = Field(gt=0, le=1000, description="Largest speed in m/s.")
+
+
+class StationTable(Table):
+    """``[[stations]]``: a fixed station and its radio."""
+
+    name: Name = Field(default="station", description="What outputs call it.")
+    position_m: Pair = Field(description="Place [x, y] in metres; it may be outside the bounds.")
+    height_m: Metres = Field(
+        default=0.0, description="Height of its antenna above the robots' antennas, in metres."
+    )
+    transmit_power_dbm: Decibels = Field(
+        description="Transmit power in dBm; received power is this plus the path gain."
+    )
+    threshold_dbm: Decibels = Field(
+        description="Received power in dBm from which on a robot is connected."
+    )
+
+
+class ObjectiveTable(Table):
+    """``[objective]``: time plus effort, and what the way beyond the horizon costs."""
+
+    effort_weight_s2_m2: float = Field(
+        default=0.1,
+        ge=0,
+        le=1e6,
+        description="Weight of speed squared in the cost rate 1 + weight * speed^2, in s^2/m^2.",
+    )
+    cost_to_go: CostToGo = Field(
+        default="connected",
+        description="Beyond the horizon: geodesic (shortest way round the obstacles) or connected "
+        "(shortest way that keeps the predicted bound).",
+    )
+
+
+class ConstraintsTable(Table):
+    """``[constraints]``: what every plan must keep."""
+
+    p_min: float = Field(
+        gt=0,
+        lt=1,
+        description="Least probability of connection at every step where that is possible.",
+    )
+    clearance_m: float = Field(
+        default=1.0,
+        ge=0,
+        le=1e4,
+        description="Least distance in metres of the swept path from every obstacle.",
+    )
+    goal_radius_m: float = Field(
+        default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
+    )
+
+
+class PlannerTable(Table):
+    """``[planner]``: how plans are found."""
+
+    name: PlannerName = Field(
+        default="auto", description="auto (lattice, polish, verify) or lattice (no polish)."
+    )
+    horizon: int = Field(
+        default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead, the seed's N."
+    )
+    step_s: float = Field(gt=0, le=1e4, description="Duration of a step in seconds.")
+    neighbours: int = Field(
+        default=48,
+        ge=4,
+        le=512,
+        description="Measurements that the solver conditions each stage on (a number).",
+    )
+    max_steps: int = Field(
+        default=400,
+        ge=1,
+        le=100_000,
+        description="A closed loop that has not arrived after this many steps ends.",
+    )
+
+
+class ReportTable(Table):
+    """``[report]``: what is drawn."""
+
+    figures: bool = Field(
+        default=ReportSettings().figures, description="Draw the pictures (true or false)."
+    )
+
+
+class ProblemFile(Table):
+    """A planopt problem file (TOML)."""
+
+    problem: ProblemTable
+    world: WorldTable
+    channel: ChannelTable
+    robots: list[RobotTable] = Field(
+        min_length=1, max_length=1, description="The robots; this version plans for exactly one."
+    )
+    stations: list[StationTable] = Field(
+        min_length=1,
+        max_length=1,
+        description="The fixed stations; this version plans with exactly one.",
+    )
+    objective: ObjectiveTable = Field(default_factory=ObjectiveTable)
+    constraints: ConstraintsTable
+    planner: PlannerTable
+    report: ReportTable = Field(default_factory=ReportTable)
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of problem files (draft 2020-12), as ``planopt schema`` prints it."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **ProblemFile.model_json_schema(),
+    }

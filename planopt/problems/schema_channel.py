@@ -1,0 +1,125 @@
+"""The table ``[channel]`` of a problem file: truth, first measurements and fit."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from planopt.problems.problem import FitMethod
+from planopt.problems.tables import Decibels, FileName, Table
+
+
+class RasterTruthTable(Table):
+    """``[channel.truth]`` with ``kind = "raster"``: a map of path gains."""
+
+    kind: Literal["raster"] = Field(description="A map of path gains from a file.")
+    file: FileName = Field(
+        description="npz with x, y (cell centres in metres) and the variable on [iy, ix], "
+        "relative to the problem file."
+    )
+    variable: str = Field(
+        default="path_gain_db", min_length=1, description="Name of the path gain in dB."
+    )
+    floor_db: Decibels = Field(
+        description="The receiver's floor as a path gain in dB: what is below is clipped and "
+        "censored."
+    )
+    rician_k: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Rician K factor (linear ratio) of small-scale fading; left out: no fading.",
+    )
+
+
+class ModelTruthTable(Table):
+    """``[channel.truth]`` with ``kind = "model"``: drawn from the channel model."""
+
+    kind: Literal["model"] = Field(description="Drawn from the channel model, by the seed.")
+    k_pl_db: Decibels = Field(description="K_PL as a path gain at one metre, in dB.")
+    n_pl: float = Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")
+    shadow_std_db: float = Field(ge=0, le=100, description="xi, deviation of shadowing in dB.")
+    decorrelation_m: float = Field(
+        gt=0, le=1e6, description="beta, decorrelation distance of shadowing in metres."
+    )
+    multipath_std_db: float = Field(ge=0, le=100, description="omega, deviation of multipath in dB.")
+    cell_m: float = Field(gt=0, le=1e6, description="Cell side of the drawn map in metres.")
+    floor_db: Decibels | None = Field(
+        default=None,
+        description="The receiver's floor as a path gain in dB; left out: no floor.",
+    )
+
+
+class ColumnsTable(Table):
+    """``columns`` of a log: what its columns are called."""
+
+    x: str = Field(default="x_m", min_length=1, description="Column of x in metres.")
+    y: str = Field(default="y_m", min_length=1, description="Column of y in metres.")
+    power: str = Field(
+        default="power_dbm", min_length=1, description="Column of received power in dBm."
+    )
+
+
+class MeasurementsTable(Table):
+    """``[channel.measurements]``: exactly one of ``count`` and ``file``."""
+
+    count: int | None = Field(
+        default=None,
+        ge=1,
+        le=100_000,
+        description="Number of first measurements, taken from the truth at seeded free places.",
+    )
+    file: FileName | None = Field(
+        default=None, description="CSV log of first measurements, relative to the problem file."
+    )
+    columns: ColumnsTable | None = Field(
+        default=None, description="Column names of the log, if not x_m, y_m and power_dbm."
+    )
+    censored_column: str | None = Field(
+        default=None, min_length=1, description="Column of the log that marks censored rows."
+    )
+    floor_dbm: Decibels | None = Field(
+        default=None, description="Powers in the log at or below this many dBm are censored."
+    )
+    spacing_m: float = Field(
+        default=2.0,
+        ge=0,
+        le=1e6,
+        description="On the way a robot measures only at this distance in metres from every "
+        "earlier measurement.",
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> MeasurementsTable:
+        if (self.count is None) == (self.file is None):
+            raise PydanticCustomError(
+                "one_of",
+                "needs exactly one of count and file, has {given}",
+                {"given": "none" if self.count is None else "count and file"},
+            )
+        for key in ("columns", "censored_column", "floor_dbm"):
+            if self.file is None and getattr(self, key) is not None:
+                raise PydanticCustomError(
+                    "one_of", "has {given}, which goes only with file", {"given": key}
+                )
+        return self
+
+
+class FitTable(Table):
+    """``[channel.fit]``: how parameters are estimated."""
+
+    method: FitMethod = Field(
+        default="reml", description="seed, capped, convex, nls or reml (Lemma 1 and better)."
+    )
+
+
+class ChannelTable(Table):
+    """``[channel]``: how power varies and what is known of it."""
+
+    truth: Annotated[RasterTruthTable | ModelTruthTable, Field(discriminator="kind")] | None = (
+        Field(default=None, description="The true channel, for simulation; may be left out.")
+    )
+    measurements: MeasurementsTable
+    fit: FitTable = Field(default_factory=FitTable)

@@ -1,0 +1,74 @@
+"""A paired comparison of horizons, planners and costs to go over the same seeds: its data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from planopt.planning.run import Run
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True)
+class Row:
+    """One metric of one setting over all seeds.
+
+    Attributes
+    ----------
+    horizon, planner, cost_to_go
+        The setting.
+    seeds
+        How many runs.
+    stalled
+        How many of them did not reach the goal.
+    metric
+        Its name (`goal_time_s`, `true_connected_share`, ...).
+    mean, ci_low, ci_high
+        Mean over the runs for which the metric exists and its 95 % Student interval; None if
+        there is none. With one run the interval is None.
+    count
+        How many runs the mean is over: `goal_time_s` exists only where the goal was reached.
+    paired_ratio
+        Geometric mean over seeds of this metric divided by that of the reference setting (the
+        first), where both exist and are positive; None otherwise.
+    verified_rate
+        Share of released steps that were verified, over all runs.
+    p50_step_s, p95_step_s
+        Median and 95 % quantile of the planning time of a step, over all runs.
+    """
+
+    horizon: int
+    planner: str
+    cost_to_go: str
+    seeds: int
+    stalled: int
+    metric: str
+    mean: float | None
+    ci_low: float | None
+    ci_high: float | None
+    count: int
+    paired_ratio: float | None
+    verified_rate: float
+    p50_step_s: float
+    p95_step_s: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All runs of a comparison and the table made of them.
+
+    Attributes
+    ----------
+    problem
+        As given; horizon, planner and cost to go are those of each run.
+    runs
+        In the order setting by setting, seed by seed.
+    rows
+        The table.
+    wall_s
+        Time it took.
+    """
+
+    problem: Problem
+    runs: tuple[Run, ...]
+    rows: tuple[Row, ...]
+    wall_s: float

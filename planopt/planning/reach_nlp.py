@@ -167,14 +167,10 @@ def build_reach_nlp(horizon: int, lines: int) -> ReachNlp:
     plain = g_sx.numel()
     m_sx, dm, hm = ca.SX.sym("m", n), ca.SX.sym("dm", 2 * n), ca.SX.sym("hm", 3 * n)
     lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + n)
-    margin_rows = ca.horzcat(
-        ca.diagcat(*[dm[2 * k : 2 * k + 2].T for k in range(n)]), ca.SX.eye(n)
-    )
+    margin_rows = ca.horzcat(ca.diagcat(*[dm[2 * k : 2 * k + 2].T for k in range(n)]), ca.SX.eye(n))
     blocks = [
         lam[plain + k]
-        * ca.vertcat(
-            ca.horzcat(hm[3 * k], hm[3 * k + 1]), ca.horzcat(hm[3 * k + 1], hm[3 * k + 2])
-        )
+        * ca.vertcat(ca.horzcat(hm[3 * k], hm[3 * k + 1]), ca.horzcat(hm[3 * k + 1], hm[3 * k + 2]))
         for k in range(n)
     ]
     lagrangian = lam_f * f_sx + ca.dot(lam[:plain], g_sx)

@@ -28,7 +28,8 @@ from planopt.problems.schema_channel import (
     ModelTruthTable,
     RasterTruthTable,
 )
-from planopt.world.readers import obstacle_from_ring, obstacle_from_wkt, read_obstacles
+from planopt.world.footprints import footprint
+from planopt.world.readers import obstacle_from_wkt, read_obstacles
 from planopt.world.workspace import Obstacle, Workspace
 
 
@@ -74,9 +75,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             )
             for table in tables.stations
         ),
-        objective=ReachObjective(
-            tables.objective.effort_weight_s2_m2, tables.objective.cost_to_go
-        ),
+        objective=ReachObjective(tables.objective.effort_weight_s2_m2, tables.objective.cost_to_go),
         constraints=Constraints(
             tables.constraints.p_min,
             tables.constraints.clearance_m,
@@ -97,13 +96,13 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
 def _obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
     """The obstacles of one entry; errors carry its key."""
     key = f"world.obstacles[{index}]"
-    name = table.name or f"obstacle {index}"
+    name = f"obstacle {index}" if table.name is None else table.name
     try:
         if table.file is not None:
             return read_obstacles(folder / table.file)
         if table.wkt is not None:
-            return obstacle_from_wkt(name, table.wkt)
-        return (obstacle_from_ring(name, table.polygon or [], table.holes),)
+            return (obstacle_from_wkt(name, table.wkt),)
+        return (footprint(name, table.polygon, table.holes),)
     except InputError as error:
         raise InputError(
             error.message,

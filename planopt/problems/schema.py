@@ -22,6 +22,8 @@ from planopt.problems.problem import (
 from planopt.problems.schema_channel import ChannelTable
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
 
+SCHEMA_VERSION = 1
+
 
 class ProblemTable(Table):
     """``[problem]``: what the problem is called and what it asks."""
@@ -41,7 +43,6 @@ class ObstacleTable(Table):
 
     name: str | None = Field(
         default=None,
-        min_length=1,
         description="What messages call it, for polygon and wkt; a file's obstacles have names.",
     )
     file: FileName | None = Field(
@@ -55,9 +56,7 @@ class ObstacleTable(Table):
     holes: list[Annotated[list[Pair], Field(min_length=3)]] = Field(
         default=[], description="Rings of holes in polygon, each a list of [x, y] in metres."
     )
-    wkt: str | None = Field(
-        default=None, min_length=1, description="A POLYGON or MULTIPOLYGON in metres."
-    )
+    wkt: str | None = Field(default=None, min_length=1, description="A POLYGON in metres.")
 
     @model_validator(mode="after")
     def _one_source(self) -> ObstacleTable:

@@ -44,7 +44,9 @@ class ModelTruthTable(Table):
     decorrelation_m: float = Field(
         gt=0, le=1e6, description="beta, decorrelation distance of shadowing in metres."
     )
-    multipath_std_db: float = Field(ge=0, le=100, description="omega, deviation of multipath in dB.")
+    multipath_std_db: float = Field(
+        ge=0, le=100, description="omega, deviation of multipath in dB."
+    )
     cell_m: float = Field(gt=0, le=1e6, description="Cell side of the drawn map in metres.")
     floor_db: Decibels | None = Field(
         default=None,

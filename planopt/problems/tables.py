@@ -10,10 +10,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, Strict
 
-#: Larger coordinates are slips, and their squares would lose the metre.
-MAX_COORDINATE_M = 1e7
+from planopt.world.footprints import LARGEST_COORDINATE_M
 
-Metres = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+Metres = Annotated[float, Field(ge=-LARGEST_COORDINATE_M, le=LARGEST_COORDINATE_M)]
 Decibels = Annotated[float, Field(ge=-500, le=500)]
 
 # TOML and JSON have arrays only, so the tuple itself is not strict; the numbers in it are.
@@ -21,7 +20,8 @@ Pair = Annotated[tuple[Metres, Metres], Strict(False)]
 Quad = Annotated[tuple[Metres, Metres, Metres, Metres], Strict(False)]
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)]
-FileName = Annotated[str, Field(min_length=1)]
+# No operating system takes a NUL in a file name; Python raises a ValueError for it.
+FileName = Annotated[str, Field(pattern=r"^[^\x00]+$")]
 
 
 class Table(BaseModel):

@@ -1,0 +1,143 @@
+"""An estimate of xi, beta and omega, the bounds all methods share, and what stands in for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+FALLBACK_TOTAL_VARIANCE_DB2 = 45.0
+"""alpha = xi^2 + omega^2 where it cannot be estimated: xi = 6 dB, omega = 3 dB."""
+
+FALLBACK_CORRELATED_SHARE = 0.8
+"""xi^2 / alpha where the two cannot be told apart."""
+
+MIN_VARIANCE_DB2 = 0.01
+"""Least xi^2 and omega^2."""
+
+MIN_NUGGET_SHARE = 0.01
+"""Least omega^2 as a share of alpha: from few measurements the likelihood often puts it at 0,
+which makes kriging interpolate noise."""
+
+MAX_SHADOW_RATIO = 25.0
+"""Largest xi^2 as a multiple of the residual variance; the line absorbs part of slow shadowing, so
+xi^2 may exceed that variance."""
+
+
+@dataclass(frozen=True)
+class CovarianceBounds:
+    """Closed ranges of xi^2 (dB^2), omega^2 (dB^2) and beta (m) within which is searched."""
+
+    shadow_db2: tuple[float, float]
+    multipath_db2: tuple[float, float]
+    decorrelation_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class CovarianceFit:
+    """xi^2, omega^2 and beta.
+
+    Attributes
+    ----------
+    shadow_variance_db2, multipath_variance_db2, decorrelation_m
+        xi^2, omega^2, beta.
+    standard_errors
+        Of xi (dB), omega (dB) and beta (m); ``math.inf`` where unknown.
+    warnings
+        Why a parameter is not determined by the measurements; empty when all are.
+    """
+
+    shadow_variance_db2: float
+    multipath_variance_db2: float
+    decorrelation_m: float
+    standard_errors: tuple[float, float, float]
+    warnings: tuple[str, ...]
+
+
+def covariance_bounds(
+    residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]
+) -> CovarianceBounds:
+    """Bounds from the variance alpha-hat left by the least-squares line, and from the positions."""
+    floor = max(MIN_VARIANCE_DB2, MIN_NUGGET_SHARE * residual_variance_db2)
+    high = max(MAX_SHADOW_RATIO * residual_variance_db2, 100.0 * MIN_VARIANCE_DB2)
+    return CovarianceBounds((MIN_VARIANCE_DB2, high), (floor, high), decorrelation_bounds_m)
+
+
+def fallback_fit(
+    total_variance_db2: float, decorrelation_bounds_m: tuple[float, float], reason: str
+) -> CovarianceFit:
+    """A covariance that stands in where none can be estimated.
+
+    `FALLBACK_CORRELATED_SHARE` of `total_variance_db2` is shadowing, and beta is a quarter of the
+    extent (the upper bound).
+    """
+    low, high = decorrelation_bounds_m
+    total = max(total_variance_db2, 2.0 * MIN_VARIANCE_DB2)
+    return CovarianceFit(
+        FALLBACK_CORRELATED_SHARE * total,
+        (1.0 - FALLBACK_CORRELATED_SHARE) * total,
+        max(high / 4.0, low),
+        (math.inf, math.inf, math.inf),
+        (f"xi, beta and omega are assumed, not estimated: {reason}",),
+    )
+
+
+def from_correlation(
+    shadow_variance_db2: float,
+    rate_per_m: float,
+    errors: tuple[float, float],
+    residual_variance_db2: float,
+    count: int,
+    bounds: CovarianceBounds,
+) -> CovarianceFit:
+    """Lemma 1's last step: omega^2 = alpha - xi^2, everything brought within `bounds`.
+
+    Parameters
+    ----------
+    shadow_variance_db2, rate_per_m
+        xi^2 and 1 / beta as fitted to the empirical correlation; the rate may be negative.
+    errors
+        Standard errors of the two, ``inf`` where unknown.
+    residual_variance_db2, count
+        alpha-hat and the number of measurements behind it; its standard error is
+        alpha sqrt(2 / count), as for independent values.
+    bounds
+        Where a value is moved to its bound, a warning says so and its error becomes unknown.
+    """
+    warnings: list[str] = []
+    shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
+    shadow_error = errors[0] / (2.0 * math.sqrt(shadow))
+    if shadow != shadow_variance_db2:
+        warnings.append(at_bound("xi", math.sqrt(shadow), "dB"))
+        shadow_error = math.inf
+    low, high = bounds.decorrelation_m
+    rate = float(np.clip(rate_per_m, 1.0 / high, 1.0 / low))
+    beta_error = errors[1] / rate**2
+    # Solvers return their bounds only up to a tolerance.
+    if rate <= (1.0 + 1e-6) / high or rate >= (1.0 - 1e-6) / low:
+        warnings.append(at_bound("beta", 1.0 / rate, "m"))
+        beta_error = math.inf
+    left = residual_variance_db2 - shadow
+    multipath = max(left, bounds.multipath_db2[0])
+    multipath_error = math.hypot(residual_variance_db2 * math.sqrt(2.0 / count), errors[0]) / (
+        2.0 * math.sqrt(multipath)
+    )
+    if left < multipath:
+        warnings.append(
+            f"omega^2 = alpha - xi^2 came out as {left:.3g} dB^2; "
+            f"omega is set to {math.sqrt(multipath):.3g} dB"
+        )
+        multipath_error = math.inf
+    return CovarianceFit(
+        shadow,
+        multipath,
+        float(np.clip(1.0 / rate, low, high)),
+        (shadow_error, multipath_error, beta_error),
+        tuple(warnings),
+    )
+
+
+def at_bound(name: str, value: float, unit: str) -> str:
+    """The warning that a parameter is at the end of its range."""
+    return f"{name} is at a bound of its range ({value:.3g} {unit}): it is not determined"

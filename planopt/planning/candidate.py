@@ -1,0 +1,175 @@
+"""A candidate path and its judge: cost by the objective, verdict by the verifier."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.connectivity import connection_probability
+from planopt.objectives.reach import cost_rate_s_m, path_cost_s
+from planopt.planning.pivot import Pivot
+from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
+from planopt.planning.scene import Scene
+from planopt.planning.tolerances import (
+    CLEARANCE_TOLERANCE_M,
+    DYNAMICS_TOLERANCE_M,
+    STANDSTILL_M,
+)
+from planopt.planning.verify import certified_prediction, verify
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A path that may be released.
+
+    Attributes
+    ----------
+    path_m
+        ``(N, 2)``.
+    objective, lattice_objective
+        Its cost and that of the lattice path of the same step, in seconds.
+    rung, termination
+        Where it comes from.
+    certificate, verdict
+        What the verifier says; None and ``feasible_unverified`` before it was asked.
+    solve_s, iterations, multipliers, kkt_residual
+        Of the solver.
+    """
+
+    path_m: NDArray[np.float64]
+    objective: float
+    lattice_objective: float
+    rung: Rung
+    termination: Termination
+    certificate: Certificate | None = None
+    verdict: Verdict = Verdict.FEASIBLE_UNVERIFIED
+    solve_s: float = 0.0
+    iterations: int = 0
+    kkt_residual: float | None = None
+    multipliers: dict[str, NDArray[np.float64]] = field(
+        default_factory=dict[str, NDArray[np.float64]]
+    )
+    sound: bool = False
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether some step misses the connectivity bound."""
+        return self.certificate is not None and bool(self.certificate.relaxed_steps)
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Everything a candidate of one step is judged by.
+
+    Attributes
+    ----------
+    problem, scene, belief
+        The problem, its geometry, and what is believed of the channel.
+    position_m
+        ``(2,)`` where the robot is.
+    pivot
+        The way beyond the horizon; None if there is none to be had.
+    """
+
+    problem: Problem
+    scene: Scene
+    belief: Belief
+    position_m: NDArray[np.float64]
+    pivot: Pivot | None = None
+
+    @property
+    def rate_s_m(self) -> float:
+        """Cost of a metre beyond the horizon."""
+        return cost_rate_s_m(
+            self.problem.objective.effort_weight_s2_m2, self.problem.robots[0].speed_max_m_s
+        )
+
+    def objective(self, path_m: NDArray[np.float64]) -> float:
+        """Cost of a path (N, 2) in seconds, cost to go by the step's pivot included."""
+        problem = self.problem
+        cost = path_cost_s(
+            np.vstack([self.position_m, path_m]),
+            np.asarray(problem.robots[0].goal_m),
+            problem.constraints.goal_radius_m,
+            problem.planner.step_s,
+            problem.objective.effort_weight_s2_m2,
+        )
+        if self.pivot is None:
+            return cost
+        to_pivot = float(np.linalg.norm(path_m[-1] - self.pivot.position_m))
+        return cost + self.rate_s_m * (to_pivot + self.pivot.cost_m)
+
+    def candidate(
+        self, path_m: NDArray[np.float64], rung: Rung, termination: Termination
+    ) -> Candidate:
+        """Make a candidate of a path, not yet verified."""
+        cost = self.objective(path_m)
+        return Candidate(path_m, cost, cost, rung, termination)
+
+    def judged(self, candidate: Candidate) -> Candidate:
+        """Ask the verifier."""
+        certificate, verdict = verify(
+            self.problem,
+            self.scene.index,
+            self.belief.posterior,
+            self.position_m,
+            np.vstack([self.position_m, candidate.path_m]),
+            candidate.kkt_residual,
+        )
+        sound = (
+            certificate.min_clearance_m
+            >= self.problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
+            and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
+        )
+        return replace(candidate, certificate=certificate, verdict=verdict, sound=sound)
+
+    def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
+        """Write a judged candidate out as a plan."""
+        if chosen.certificate is None:
+            raise AssertionError("only judged candidates are released")
+        positions = np.vstack([self.position_m, chosen.path_m])
+        power = certified_prediction(self.belief.posterior, positions)[0]
+        radio = self.problem.stations[0]
+        return Plan(
+            robot=self.problem.robots[0].name,
+            t_s=self.problem.planner.step_s * np.arange(len(positions)),
+            positions_m=positions,
+            mean_dbm=power.mean_db,
+            deviation_db=power.deviation_db,
+            connectivity=connection_probability(
+                power.mean_db, power.deviation_db, radio.threshold_dbm
+            ),
+            objective=chosen.objective,
+            lattice_objective=chosen.lattice_objective,
+            termination=chosen.termination,
+            verdict=chosen.verdict,
+            rung=chosen.rung,
+            certificate=chosen.certificate,
+            wall_s=wall_s,
+            solve_s=chosen.solve_s,
+            iterations=chosen.iterations,
+            multipliers=chosen.multipliers,
+            message=_in_words(chosen, self.position_m),
+        )
+
+
+def _in_words(chosen: Candidate, position_m: NDArray[np.float64]) -> str:
+    """Say what keeps the plan from being all that was asked."""
+    if chosen.certificate is None:
+        return ""
+    certificate = chosen.certificate
+    parts = list(certificate.reasons)
+    if certificate.relaxed_steps and not parts:
+        worst = max(certificate.relaxation_db)
+        parts.append(
+            f"the connectivity bound cannot be met from here at steps "
+            f"{', '.join(map(str, certificate.relaxed_steps))}; "
+            f"it is missed by up to {worst:.2f} dB"
+        )
+    if np.linalg.norm(chosen.path_m - position_m, axis=1).max() <= STANDSTILL_M:
+        parts.append("the plan stands still")
+    return "; ".join(parts)

@@ -1,0 +1,68 @@
+"""Unscaled first-order residual of the reach programme, from closed forms in NumPy.
+
+Nothing here comes from CasADi: gradients are written out again, so that a wrong derivative in the
+programme shows as a residual. Sign convention: with rows g between bounds and variables x between
+bounds, ``grad f + J' lambda_g + lambda_x = 0``, multipliers positive at an active upper bound and
+negative at an active lower bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Lower and upper bounds of rows or variables."""
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+
+def kkt_residual(
+    gradient: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    row_bounds: Bounds,
+    row_multipliers: NDArray[np.float64],
+    variables: NDArray[np.float64],
+    variable_bounds: Bounds,
+    variable_multipliers: NDArray[np.float64],
+) -> float:
+    """Largest of stationarity, primal violation, wrong sign and complementarity, unscaled.
+
+    Parameters
+    ----------
+    gradient, jacobian
+        Of the objective ``(n,)`` and of the rows ``(m, n)`` at the point.
+    rows, row_bounds, row_multipliers
+        Values ``(m,)``, their bounds, their multipliers.
+    variables, variable_bounds, variable_multipliers
+        The same for the variables; fixed ones (equal bounds) are left out of stationarity, because
+        their multiplier is free.
+    """
+    free = variable_bounds.lower < variable_bounds.upper
+    stationarity = gradient + jacobian.T @ row_multipliers + variable_multipliers
+    parts = [np.abs(stationarity[free])]
+    for value, bounds, multiplier in (
+        (rows, row_bounds, row_multipliers),
+        (variables[free], _take(variable_bounds, free), variable_multipliers[free]),
+    ):
+        below, above = value - bounds.lower, bounds.upper - value
+        parts += [np.maximum(-below, 0.0), np.maximum(-above, 0.0)]
+        # A multiplier may only push against the bound that it touches.
+        parts += [np.maximum(multiplier, 0.0) * _gap(above)]
+        parts += [np.maximum(-multiplier, 0.0) * _gap(below)]
+    return float(max((part.max(initial=0.0) for part in parts), default=0.0))
+
+
+def _take(bounds: Bounds, which: NDArray[np.bool_]) -> Bounds:
+    return Bounds(bounds.lower[which], bounds.upper[which])
+
+
+def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance to a bound; a missing bound counts as one unit away, so that 0 * inf is no NaN."""
+    return np.where(np.isfinite(distance), np.abs(distance), 1.0)

@@ -1,0 +1,66 @@
+"""The way beyond the horizon as one visible point: cost to go that a solver can differentiate.
+
+Round obstacles the shortest way from q is straight up to some corner: its length is the distance to
+any visible point of the way plus the length from there. The farthest visible point is the pivot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.global_search import GlobalStart
+from planopt.planning.road_map import way_from
+from planopt.planning.scene import Scene
+from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.world.clearance import swept_clearance_m
+
+LOOKAHEAD_STEPS = 5
+"""How far along the way a pivot is sought, in longest steps."""
+
+
+@dataclass(frozen=True)
+class Pivot:
+    """The point, and the weighted length of the way from it to the goal."""
+
+    position_m: NDArray[np.float64]
+    cost_m: float
+
+
+def find_pivot(
+    scene: Scene,
+    start: GlobalStart,
+    node_margin_db: NDArray[np.float64] | None,
+    step_length_m: float,
+    clearance: float,
+) -> Pivot:
+    """Farthest point of the way from the start path's end that is seen from there.
+
+    Parameters
+    ----------
+    scene, start
+        Where, and the start path with its cost to go.
+    node_margin_db
+        Margins of all nodes if the way must keep the bound: then no place seen lies beyond a
+        change between within and below it. None if it need not.
+    step_length_m, clearance
+        Longest step, and the clearance that a line of sight must keep.
+    """
+    end = int(start.nodes[-1])
+    way = way_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
+    if node_margin_db is not None:
+        within = node_margin_db[way] >= MARGIN_PAD_DB
+        changed = np.nonzero(within != within[0])[0]
+        way = way[: changed[0]] if changed.size else way
+    places = scene.road_map.nodes_m[way]
+    chosen = 0
+    if len(way) > 1:
+        # Fan of segments from the end to each place, as one path end, p1, end, p2, ...
+        fan = np.empty((2 * (len(way) - 1) + 1, 2))
+        fan[0::2] = places[0]
+        fan[1::2] = places[1:]
+        seen = swept_clearance_m(scene.index, fan)[0::2] >= clearance
+        chosen = int(np.argmin(seen)) if not seen.all() else len(seen)
+    return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]))

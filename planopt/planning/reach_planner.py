@@ -1,0 +1,138 @@
+"""One receding-horizon step: global start, polish, guard, proof, and the ladder if one fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.global_search import GlobalStart, find_start
+from planopt.planning.node_margins import NodeMargins
+from planopt.planning.pivot import find_pivot
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.reach_nlp import ReachNlp, build_reach_nlp
+from planopt.planning.refine import Refiner
+from planopt.planning.scene import Scene
+from planopt.planning.tolerances import STANDSTILL_M
+from planopt.problems.problem import Problem
+
+LINES_PER_SEGMENT = 4
+"""Nearest convex pieces that each segment is kept from; the verifier looks at all."""
+
+
+class ReachPlanner:
+    """Plans for one problem; keeps what can be reused from step to step.
+
+    Parameters
+    ----------
+    problem
+        What to solve; its planner settings say how.
+    scene
+        Its geometry.
+    """
+
+    def __init__(self, problem: Problem, scene: Scene) -> None:
+        self.problem = problem
+        self.scene = scene
+        radio = problem.stations[0]
+        self._margins = NodeMargins(scene.road_map, radio.threshold_dbm, problem.constraints.p_min)
+        self._nlp: ReachNlp | None = None
+        if problem.planner.name == "auto":
+            self._nlp = build_reach_nlp(problem.planner.horizon, LINES_PER_SEGMENT)
+
+    def plan(
+        self, belief: Belief, position_m: NDArray[np.float64], warm: Plan | None = None
+    ) -> Plan:
+        """Plan from `position_m` on what is believed now.
+
+        Parameters
+        ----------
+        belief
+            Of the station's channel.
+        position_m
+            ``(2,)`` where the robot is.
+        warm
+            The plan that led here, one step old; only used if it was verified.
+        """
+        begun = perf_counter()
+        problem, scene = self.problem, self.scene
+        self._margins.refresh(belief.posterior)
+        start = find_start(problem, scene, self._margins, position_m)
+        judge = Judge(problem, scene, belief, position_m)
+        if start is None:
+            chosen = self._without_start(judge, warm)
+        else:
+            connected = problem.objective.cost_to_go == "connected"
+            pivot = find_pivot(
+                scene,
+                start,
+                self._margins.margin_db if connected else None,
+                problem.step_length_m,
+                problem.constraints.clearance_m,
+            )
+            judge = replace(judge, pivot=pivot)
+            chosen = self._climb(judge, start, warm)
+        return judge.plan_from(chosen, wall_s=perf_counter() - begun)
+
+    def _climb(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> Candidate:
+        """Go down the failure ladder until a candidate is verified; else the least bad one."""
+        lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
+        lattice = replace(lattice, lattice_objective=lattice.objective)
+        tried: list[Candidate] = []
+        if self._nlp is not None and np.any(_moving(judge, start.path_m)):
+            refiner = Refiner(self._nlp, judge, start, lattice.objective)
+            for attempt in refiner.attempts(_shifted_path(warm)):
+                if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
+                    return attempt
+                tried.append(attempt)
+        lattice = judge.judged(lattice)
+        if self._nlp is None:
+            lattice = replace(lattice, rung=Rung.PLAN)
+        if lattice.relaxes:
+            lattice = replace(lattice, rung=Rung.RELAXED)
+        if lattice.verdict is Verdict.VERIFIED:
+            return _with_effort(lattice, tried)
+        fallback = self._without_start(judge, warm)
+        if fallback.verdict is Verdict.VERIFIED:
+            return _with_effort(fallback, tried)
+        # Nothing is verified. Connectivity may be given up, clearance and speed never.
+        sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
+        return _with_effort(sound[0] if sound else fallback, tried)
+
+    def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
+        """Take the last verified plan, shifted and checked again; else stop."""
+        horizon = self.problem.planner.horizon
+        path = _shifted_path(warm)
+        if path is not None and len(path) == horizon:
+            shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
+            if shifted.verdict is Verdict.VERIFIED:
+                return shifted
+        standing = np.tile(judge.position_m, (horizon, 1))
+        return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+
+
+def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which steps of a path move at all; a path that stands still needs no polish."""
+    steps = np.diff(np.vstack([judge.position_m, path_m]), axis=0)
+    return np.linalg.norm(steps, axis=1) > STANDSTILL_M
+
+
+def _shifted_path(warm: Plan | None) -> NDArray[np.float64] | None:
+    """Rest of a verified plan after its first step, standing still at its end."""
+    if warm is None or warm.verdict is not Verdict.VERIFIED:
+        return None
+    return np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])
+
+
+def _with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:
+    """Count the solver's time and iterations even where its points were not used."""
+    return replace(
+        chosen,
+        solve_s=sum(c.solve_s for c in tried),
+        iterations=sum(c.iterations for c in tried),
+        termination=tried[-1].termination if tried else chosen.termination,
+    )

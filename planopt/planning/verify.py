@@ -1,0 +1,146 @@
+"""Judge a plan: clearance, motion, connectivity, from the problem and the belief alone.
+
+Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
+keeps the clearance and the workspace, every step keeps the speed, and the probability of connection
+(exact posterior, today's deviation: theory 4.1) is at least p_min at every step where that is
+possible. Where it is not possible is proven, not assumed: the bound may be missed only in the first
+steps, only if no place within reach meets it by then, and it must be met again by the last step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.neighbours import neighbour_model, predict_locally
+from planopt.channel.posterior import ChannelPosterior, Prediction, predict
+from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.reachability import best_margin_within_reach
+from planopt.planning.tolerances import (
+    CLEARANCE_TOLERANCE_M,
+    DYNAMICS_TOLERANCE_M,
+    MARGIN_TOLERANCE_DB,
+)
+from planopt.problems.problem import Problem
+from planopt.robots.single_integrator import dynamics_defect_m
+from planopt.world.clearance import ObstacleIndex, inside_bounds, swept_clearance_m
+
+EXACT_LIMIT = 5000
+"""Up to this many measurements the full posterior is used (design 4.2)."""
+NEIGHBOURS_BEYOND = 512
+"""Nearest measurements a point beyond that: a true posterior of less data."""
+
+
+def certified_prediction(
+    posterior: ChannelPosterior, positions_m: NDArray[np.float64]
+) -> tuple[Prediction, str]:
+    """Prediction that certificates rest on, and its name in them."""
+    if len(posterior.measurements) <= EXACT_LIMIT:
+        return predict(posterior, positions_m), "exact"
+    model = neighbour_model(posterior, positions_m, NEIGHBOURS_BEYOND)
+    return predict_locally(model, positions_m), f"neighbours:{NEIGHBOURS_BEYOND}"
+
+
+def verify(
+    problem: Problem,
+    index: ObstacleIndex,
+    posterior: ChannelPosterior,
+    start_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    kkt_residual: float | None = None,
+) -> tuple[Certificate, Verdict]:
+    """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
+
+    Parameters
+    ----------
+    problem, index
+        The problem and the index of its obstacles.
+    posterior
+        What is believed of the channel.
+    start_m, positions_m
+        Where the robot is, and the planned path from there.
+    kkt_residual
+        Passed on into the certificate.
+    """
+    constraints = problem.constraints
+    radio = problem.stations[0]
+    if not np.isfinite(positions_m).all():
+        broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
+        return broken, Verdict.VIOLATED
+    reasons: list[str] = []
+
+    clearance = float(np.min(swept_clearance_m(index, positions_m), initial=np.inf))
+    if clearance < constraints.clearance_m - CLEARANCE_TOLERANCE_M:
+        reasons.append(
+            f"the swept path comes within {clearance:.3f} m of an obstacle, "
+            f"constraints.clearance_m is {constraints.clearance_m:g}"
+        )
+    if not inside_bounds(problem.workspace, positions_m).all():
+        reasons.append("the path leaves world.bounds_m")
+    defect = dynamics_defect_m(positions_m, start_m, problem.step_length_m)
+    if defect > DYNAMICS_TOLERANCE_M:
+        reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
+
+    def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        power = certified_prediction(posterior, places)[0]
+        return bound_margin_db(
+            power.mean_db, power.deviation_db, radio.threshold_dbm, constraints.p_min
+        )
+
+    power, kind = certified_prediction(posterior, positions_m[1:])
+    probability = connection_probability(power.mean_db, power.deviation_db, radio.threshold_dbm)
+    margins = bound_margin_db(
+        power.mean_db, power.deviation_db, radio.threshold_dbm, constraints.p_min
+    )
+    relaxed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0]
+    best = _best_margins(problem, index, margin_db, start_m, relaxed, reasons, len(margins))
+    certificate = Certificate(
+        min_clearance_m=clearance,
+        min_connectivity=float(probability.min()),
+        dynamics_defect=defect,
+        kkt_residual=kkt_residual,
+        posterior=kind,
+        relaxed_steps=tuple(int(k) + 1 for k in relaxed),
+        relaxation_db=tuple(float(-margins[k]) for k in relaxed),
+        best_margin_db=best,
+        reasons=tuple(reasons),
+    )
+    return certificate, Verdict.VIOLATED if reasons else Verdict.VERIFIED
+
+
+def _best_margins(
+    problem: Problem,
+    index: ObstacleIndex,
+    margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    start_m: NDArray[np.float64],
+    relaxed: NDArray[np.intp],
+    reasons: list[str],
+    horizon: int,
+) -> tuple[float, ...]:
+    """Best attainable margin at each relaxed step; adds a reason where relaxing was not needed."""
+    p_min = problem.constraints.p_min
+    best: list[float] = []
+    for k in relaxed:
+        margin = best_margin_within_reach(
+            index,
+            margin_db,
+            start_m,
+            (int(k) + 1) * problem.step_length_m,
+            problem.constraints.clearance_m,
+        )
+        best.append(margin)
+        if margin >= 0.0:
+            reasons.append(
+                f"connectivity at step {int(k) + 1} is below constraints.p_min {p_min:g} although "
+                f"a place with {margin:.2f} dB to spare is within reach"
+            )
+            return tuple(best)
+    if len(relaxed) == horizon:
+        reasons.append(
+            f"constraints.p_min {p_min:g} cannot be met at any of the {horizon} steps: the best "
+            f"place within reach misses it by {-max(best):.2f} dB"
+        )
+    return tuple(best)

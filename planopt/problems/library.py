@@ -1,0 +1,93 @@
+"""The problem library: the files of the folder ``problems`` that come with the package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from planopt.errors import InputError
+from planopt.problems.messages import input_error, nearest
+from planopt.problems.read_toml import read_toml
+from planopt.problems.schema import ProblemTable
+
+SUFFIX = ".toml"
+
+
+@dataclass(frozen=True)
+class LibraryEntry:
+    """One problem of the library.
+
+    Attributes
+    ----------
+    name
+        What :func:`planopt.problems.load.load` takes.
+    description
+        For people.
+    path
+        Its file.
+    """
+
+    name: str
+    description: str
+    path: Path
+
+
+def library_folder() -> Path:
+    """Where the library is: beside this file in an installed package, else in the checkout."""
+    here = Path(__file__).parent
+    installed = here / "library"
+    return installed if installed.is_dir() else here.parents[1] / "problems"
+
+
+def list_problems() -> tuple[LibraryEntry, ...]:
+    """Every problem of the library, sorted by name.
+
+    Raises
+    ------
+    InputError
+        A file of the library does not parse or has no valid ``[problem]`` table.
+    """
+    return tuple(
+        LibraryEntry(path.stem, _description(path), path)
+        for path in sorted(library_folder().glob(f"*{SUFFIX}"))
+    )
+
+
+def find_problem(path_or_name: Path | str) -> Path:
+    """The file of a problem given by path or by library name.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is a folder, or the library has no such problem.
+    """
+    path = Path(path_or_name)
+    try:
+        if path.is_file():
+            return path
+        named = library_folder() / f"{path.name}{SUFFIX}"
+        is_name = path.name == str(path_or_name) and path.suffix != SUFFIX
+        if is_name and named.is_file():
+            return named
+        is_folder = path.is_dir()
+    except OSError:  # a name that the file system does not allow
+        is_name = is_folder = False
+    if is_folder:
+        raise InputError("is a folder, not a problem file", file=path, remedy="name its .toml file")
+    known = [entry.stem for entry in library_folder().glob(f"*{SUFFIX}")]
+    if is_name:
+        raise InputError(
+            f"no file and no library problem is called {str(path_or_name)!r}",
+            remedy=nearest(path.name, known),
+        )
+    raise InputError("there is no such file", file=path, remedy=nearest(path.stem, known))
+
+
+def _description(path: Path) -> str:
+    """The description in `path`, read without its world."""
+    try:
+        return ProblemTable.model_validate(read_toml(path).get("problem")).description
+    except ValidationError as error:
+        raise input_error(error, ProblemTable, file=path, table="problem") from None

@@ -1,0 +1,64 @@
+"""Change single settings of a problem, as the command line and the studies do."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from planopt.problems.messages import input_error
+from planopt.problems.problem import PlannerSettings, Problem, ReachObjective
+from planopt.problems.schema import ObjectiveTable, PlannerTable
+from planopt.problems.tables import Table
+
+AnyTable = TypeVar("AnyTable", bound=Table)
+
+
+def with_overrides(
+    problem: Problem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    cost_to_go: str | None = None,
+) -> Problem:
+    """`problem` with the given settings in place of its own; None keeps them.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    horizon
+        Steps ahead.
+    planner
+        Name of the planner.
+    cost_to_go
+        What the way beyond the horizon costs.
+
+    Raises
+    ------
+    InputError
+        A value is not allowed by the schema; the key is the one of the problem file.
+    """
+    planner_table = _changed(
+        PlannerTable, "planner", asdict(problem.planner), {"horizon": horizon, "name": planner}
+    )
+    objective_table = _changed(
+        ObjectiveTable, "objective", asdict(problem.objective), {"cost_to_go": cost_to_go}
+    )
+    return replace(
+        problem,
+        planner=PlannerSettings(**planner_table.model_dump()),
+        objective=ReachObjective(**objective_table.model_dump()),
+    )
+
+
+def _changed(
+    model: type[AnyTable], key: str, now: dict[str, Any], changes: dict[str, Any]
+) -> AnyTable:
+    """The table `key` after `changes`, validated."""
+    given = {name: value for name, value in changes.items() if value is not None}
+    try:
+        return model.model_validate({**now, **given})
+    except ValidationError as error:
+        raise input_error(error, model, table=key) from None

@@ -1,0 +1,123 @@
+"""A problem in full as plain data, in the tables and keys of a problem file, and back.
+
+Saved plans and runs carry it, so that they can be judged from their own files: obstacles stand in
+it as polygons at full precision. The truth's map and a log of measurements, which the judgement
+does not need, are named by their absolute path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import shapely
+
+from planopt.problems.load import problem_from_tables
+from planopt.problems.problem import (
+    ChannelSetup,
+    LoggedMeasurements,
+    ModelTruth,
+    Problem,
+    RadioStation,
+    RasterTruth,
+)
+from planopt.problems.schema import SCHEMA_VERSION
+from planopt.world.workspace import Obstacle
+
+
+def problem_to_dict(problem: Problem) -> dict[str, Any]:
+    """`problem` as JSON-serialisable tables; :func:`problem_from_dict` reads them.
+
+    Keys that have no value are left out, as they are in a problem file.
+    """
+    channel = {
+        "measurements": _measurements(problem.channel),
+        "fit": {"method": problem.channel.fit_method},
+    }
+    if problem.channel.truth is not None:
+        channel["truth"] = _truth(problem.channel.truth)
+    return {
+        "problem": {
+            "schema": SCHEMA_VERSION,
+            "name": problem.name,
+            "task": "reach",
+            "description": problem.description,
+        },
+        "world": {
+            "bounds_m": list(problem.workspace.bounds_m),
+            "obstacles": [_obstacle(obstacle) for obstacle in problem.workspace.obstacles],
+        },
+        "channel": channel,
+        "robots": [_plain(asdict(robot)) for robot in problem.robots],
+        "stations": [_station(station) for station in problem.stations],
+        "objective": asdict(problem.objective),
+        "constraints": asdict(problem.constraints),
+        "planner": asdict(problem.planner),
+        "report": asdict(problem.report),
+    }
+
+
+def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> Problem:
+    """The problem that :func:`problem_to_dict` wrote, validated as a problem file is.
+
+    Parameters
+    ----------
+    data
+        The tables, for instance from ``json.load``.
+    file
+        Where they came from, for messages; relative file names in them start at its folder.
+
+    Raises
+    ------
+    InputError
+        As for a problem file, except that the truth's map and the log need not be there.
+    """
+    folder = Path.cwd() if file is None else file.absolute().parent
+    return problem_from_tables(data, folder=folder, file=file)
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    """`table` without empty keys, with arrays for tuples and text for paths."""
+    plain: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, tuple):
+            plain[key] = list(value)
+        elif isinstance(value, Path):
+            plain[key] = str(value.absolute())
+        elif value is not None:
+            plain[key] = value
+    return plain
+
+
+def _truth(truth: RasterTruth | ModelTruth) -> dict[str, Any]:
+    kind = "raster" if isinstance(truth, RasterTruth) else "model"
+    return {"kind": kind, **_plain(asdict(truth))}
+
+
+def _measurements(channel: ChannelSetup) -> dict[str, Any]:
+    table = _plain(asdict(channel.measurements))
+    if isinstance(channel.measurements, LoggedMeasurements):
+        table["columns"] = dict(zip(("x", "y", "power"), table["columns"], strict=True))
+    return {**table, "spacing_m": channel.measure_spacing_m}
+
+
+def _station(station: RadioStation) -> dict[str, Any]:
+    return {
+        "name": station.name,
+        **_plain(asdict(station.site)),
+        "transmit_power_dbm": station.transmit_power_dbm,
+        "threshold_dbm": station.threshold_dbm,
+    }
+
+
+def _obstacle(obstacle: Obstacle) -> dict[str, Any]:
+    polygon = obstacle.polygon
+    table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
+    holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]
+    return {**table, "holes": holes} if holes else table
+
+
+def _ring(ring: shapely.LinearRing) -> list[list[float]]:
+    return shapely.get_coordinates(ring).tolist()

@@ -1,0 +1,134 @@
+"""Exact distances to the obstacles as they are: what the verifier trusts.
+
+Distances come from GEOS, footprints are taken whole (not convex, with holes), and nothing here
+knows of plans or solvers. Robots may not enter obstacles, but a hole (a courtyard) is free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.world.workspace import Obstacle, Workspace
+
+
+@dataclass(frozen=True)
+class ObstacleIndex:
+    """Obstacles with a spatial index over them.
+
+    Attributes
+    ----------
+    obstacles
+        As in the workspace.
+    polygons
+        ``(k,)`` their polygons, for vectorised calls.
+    tree
+        Spatial index; its numbers count into `obstacles`.
+    """
+
+    obstacles: tuple[Obstacle, ...]
+    polygons: NDArray[np.object_]
+    tree: shapely.STRtree
+
+
+def index_obstacles(workspace: Workspace) -> ObstacleIndex:
+    """Index the obstacles of `workspace` once, for many queries."""
+    polygons = np.array([obstacle.polygon for obstacle in workspace.obstacles], dtype=np.object_)
+    return ObstacleIndex(workspace.obstacles, polygons, shapely.STRtree(polygons))
+
+
+def segment_lines(
+    starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.object_]:
+    """Straight ways between the rows of two ``(n, 2)`` arrays, as ``(n,)`` geometries.
+
+    A way too short for its length to be squared becomes a point: GEOS would divide by zero.
+    """
+    delta = ends_m - starts_m
+    lines = np.asarray(shapely.linestrings(np.stack((starts_m, ends_m), axis=1)), np.object_)
+    still = (delta * delta).sum(axis=1) == 0.0
+    if still.any():
+        lines[still] = shapely.points(starts_m[still])
+    return lines
+
+
+def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> NDArray[np.float64]:
+    """Distance between the rows of two ``(n,)`` arrays of geometries, 0 where they meet; (n,)."""
+    # Shapely types the keyword arguments of this one as unknown.
+    return shapely.distance(shapes, polygons)  # pyright: ignore[reportUnknownMemberType]
+
+
+def clearance_m(index: ObstacleIndex, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of every position to the nearest obstacle.
+
+    Parameters
+    ----------
+    index
+        The obstacles.
+    positions_m
+        ``(n, 2)``.
+
+    Returns
+    -------
+    (n,) array
+        Metres; 0 inside and on an obstacle, infinite without obstacles, NaN where a coordinate is
+        not finite, so that no comparison with a margin holds there.
+    """
+    finite = np.asarray(np.isfinite(positions_m).all(axis=1))
+    points = np.asarray(shapely.points(positions_m[finite]), np.object_)
+    return _spread(_nearest_m(index, points), finite)
+
+
+def swept_clearance_m(index: ObstacleIndex, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of every straight segment of a path to the nearest obstacle, exact.
+
+    Parameters
+    ----------
+    index
+        The obstacles.
+    path_m
+        ``(n, 2)`` waypoints, n at least 1; equal neighbours are allowed.
+
+    Returns
+    -------
+    (n - 1,) array
+        As in :func:`clearance_m`, for the whole segment.
+    """
+    starts, ends = path_m[:-1], path_m[1:]
+    finite = np.asarray(np.isfinite(starts + ends).all(axis=1))
+    return _spread(_nearest_m(index, segment_lines(starts[finite], ends[finite])), finite)
+
+
+def inside_bounds(workspace: Workspace, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether every position (n, 2) is within the bounds, the border included; (n,)."""
+    x_min, y_min, x_max, y_max = workspace.bounds_m
+    x, y = positions_m[:, 0], positions_m[:, 1]
+    return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+
+
+def containing_obstacle(index: ObstacleIndex, position_m: NDArray[np.float64]) -> Obstacle | None:
+    """The first obstacle that `position_m` (2,) is in or on the border of; None if it is free."""
+    x, y = position_m
+    hits = index.tree.query(shapely.Point(x, y), predicate="intersects")
+    return index.obstacles[int(hits.min())] if hits.size else None
+
+
+def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> NDArray[np.float64]:
+    """Distance of every geometry (n,) to the nearest obstacle; (n,)."""
+    nearest = np.full(shapes.shape, np.inf)
+    if index.obstacles and shapes.size:
+        (which, _), distance = index.tree.query_nearest(
+            shapes, return_distance=True, all_matches=False
+        )
+        nearest[which] = distance
+    return nearest
+
+
+def _spread(values: NDArray[np.float64], where: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Put `values` at the true places of `where` (n,), NaN elsewhere; (n,)."""
+    spread = np.full(where.shape, np.nan)
+    spread[where] = values
+    return spread

@@ -1,0 +1,144 @@
+"""Maps on a regular grid, read from ``npz`` and looked up at the nearest cell."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+
+UNEVEN_CELLS = 1e-3
+"""How far, in cells, a coordinate may be off the even grid: float32 files are."""
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Values on a regular grid.
+
+    Attributes
+    ----------
+    x_m, y_m
+        ``(nx,)`` and ``(ny,)`` coordinates of the cell centres, ascending and evenly spaced.
+    values
+        ``(ny, nx)``, row 0 at the smallest y. NaN where there is no value.
+    """
+
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+    @property
+    def cell_m(self) -> tuple[float, float]:
+        """Cell sides along x and y."""
+        return _spacing(self.x_m), _spacing(self.y_m)
+
+
+def read_npz(path: Path, variable: str) -> Raster:
+    """Read one variable of an ``npz`` file with its axes ``x`` and ``y``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    variable
+        Name of a numeric array ``(ny, nx)``.
+
+    Raises
+    ------
+    InputError
+        The file is missing or not an npz, holds no such variable (the message lists what it
+        holds), or the axes do not fit the variable or are not ascending and even.
+    """
+    x, y, values = _arrays(path, ("x", "y", variable))
+    for name, axis in (("x", x), ("y", y)):
+        if axis.ndim != 1 or axis.size < 2:
+            raise InputError(f"shape {axis.shape} is not an axis of cells", file=path, key=name)
+        if not _is_even(axis):
+            raise InputError(
+                "cell centres must be finite, ascending and evenly spaced", file=path, key=name
+            )
+    if values.shape != (y.size, x.size):
+        raise InputError(
+            f"shape {values.shape} does not fit the axes, (y, x) = {(y.size, x.size)}",
+            file=path,
+            key=variable,
+        )
+    return Raster(x, y, values)
+
+
+def nearest_cells(
+    raster: Raster, positions_m: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The cell that every position is nearest to.
+
+    Parameters
+    ----------
+    raster
+        The grid.
+    positions_m
+        ``(n, 2)``. On the line between two cells the one with the larger coordinate is taken.
+
+    Returns
+    -------
+    iy, ix
+        ``(n,)`` each.
+
+    Raises
+    ------
+    InputError
+        A position is not finite, or farther than one cell outside the outermost cells.
+    """
+    first = np.array([raster.x_m[0], raster.y_m[0]])
+    last_cell = np.array([raster.x_m.size, raster.y_m.size]) - 1
+    cells = np.floor((positions_m - first) / np.array(raster.cell_m) + 0.5)
+    outside = ~((cells >= -1) & (cells <= last_cell + 1)).all(axis=1)
+    if outside.any():
+        x, y = positions_m[outside.argmax()]
+        raise InputError(
+            f"position ({x:g}, {y:g}) is outside the map, which covers x from {raster.x_m[0]:g} "
+            f"to {raster.x_m[-1]:g} and y from {raster.y_m[0]:g} to {raster.y_m[-1]:g} m"
+        )
+    ix, iy = np.clip(cells, 0, last_cell).astype(np.int64).T
+    return iy, ix
+
+
+def _spacing(axis_m: NDArray[np.float64]) -> float:
+    """Mean distance of neighbours."""
+    return float(axis_m[-1] - axis_m[0]) / (axis_m.size - 1)
+
+
+def _is_even(axis_m: NDArray[np.float64]) -> bool:
+    """Whether the coordinates are finite, ascending and evenly spaced."""
+    if not (np.isfinite(axis_m).all() and axis_m[-1] > axis_m[0]):
+        return False
+    off = axis_m - axis_m[0] - _spacing(axis_m) * np.arange(axis_m.size)
+    return bool((np.abs(off) <= UNEVEN_CELLS * _spacing(axis_m)).all())
+
+
+def _arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
+    """Arrays of an npz file as floats, without ever unpickling."""
+    found: list[NDArray[np.float64]] = []
+    key: str | None = None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            held = [name.removesuffix(".npy") for name in archive.namelist()]
+        with np.load(path, allow_pickle=False) as arrays:
+            for key in names:
+                if key not in held:
+                    raise InputError(
+                        f"the file holds no {key!r}", file=path, remedy=f"it holds {held}"
+                    )
+                array = np.asarray(arrays[key])
+                if array.dtype.kind not in "biuf":
+                    raise InputError(f"{array.dtype} is not numeric", file=path, key=key)
+                found.append(array.astype(np.float64))
+    except FileNotFoundError as error:
+        raise InputError("there is no such file", file=path) from error
+    except (OSError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"not an npz that can be read: {error}", file=path, key=key) from error
+    return found

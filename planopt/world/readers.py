@@ -1,0 +1,231 @@
+"""Obstacles from files: GeoJSON, WKT, and the building file of a ray-traced scene.
+
+Coordinates are metres in the frame of the problem, also in GeoJSON: nothing is projected.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numpy as np
+import shapely
+
+from planopt.errors import InputError
+from planopt.world.footprints import footprint
+from planopt.world.workspace import Obstacle
+
+_AREAS = "obstacles are polygons; draw the outline of the area"
+
+_MULTIPOLYGON, _COLLECTION = (
+    shapely.GeometryType.MULTIPOLYGON,
+    shapely.GeometryType.GEOMETRYCOLLECTION,
+)
+
+_Part = TypeVar("_Part")
+
+
+def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
+    """Read the obstacles of a file, by its ending.
+
+    Parameters
+    ----------
+    path
+        ``.geojson``: areas as FeatureCollection, Feature or geometry. ``.wkt``: one geometry, or
+        one per line. ``.json``: GeoJSON, or a building file
+        ``{"buildings": [{"name", "exterior": [[x, y], ...], "holes": [[[x, y], ...], ...]}]}``
+        (holes optional, other keys ignored).
+
+    Returns
+    -------
+    tuple of Obstacle
+        In the order of the file; every part of a MultiPolygon is an obstacle.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or parsed, something in it is not an area, or a polygon is
+        invalid (:func:`planopt.world.footprints.footprint`). Names the file and the feature.
+    """
+    ending = path.suffix.lower()
+    if ending not in (".geojson", ".json", ".wkt"):
+        raise InputError(
+            f"obstacles cannot be read from a file ending in {ending!r}",
+            file=path,
+            remedy="use .geojson, .json or .wkt",
+        )
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise InputError(f"cannot be read: {reason}", file=path) from error
+    try:
+        if ending == ".wkt":
+            return tuple(_from_wkt_file(path.stem, text))
+        return tuple(_from_json(path.stem, text))
+    except InputError as error:
+        raise error.located(path) from error
+
+
+def obstacle_from_ring(name: str, ring: Sequence[Sequence[float]]) -> Obstacle:
+    """Make an obstacle of its corners ``[[x, y], ...]`` in metres, closed or not.
+
+    Raises
+    ------
+    InputError
+        See :func:`planopt.world.footprints.footprint`.
+    """
+    return footprint(name, ring)
+
+
+def obstacle_from_wkt(name: str, text: str) -> Obstacle:
+    """Make an obstacle of a WKT polygon in metres.
+
+    Raises
+    ------
+    InputError
+        Not WKT, not exactly one polygon, or an invalid one.
+    """
+    obstacles = list(_from_geometry(name, _parsed_wkt(name, text)))
+    if len(obstacles) != 1:
+        raise InputError(
+            f"{name}: {len(obstacles)} polygons in one obstacle",
+            remedy="give each polygon its own obstacle",
+        )
+    return obstacles[0]
+
+
+def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
+    """Obstacles of a file with one geometry over any number of lines, or with one a line."""
+    whole = _tolerant_wkt(text)
+    if whole is not None:
+        yield from _from_geometry(stem, whole)
+        return
+    lines = [(row, line) for row, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    if not lines:
+        raise InputError("the file is empty")
+    for row, line in lines:
+        name = f"{stem} line {row}"
+        try:
+            yield from _from_geometry(name, _parsed_wkt(name, line))
+        except InputError as error:
+            raise InputError(error.message, row=row, remedy=error.remedy) from error
+
+
+def _tolerant_wkt(text: str) -> shapely.Geometry | None:
+    """The geometry of `text`, its rings closed where they are not, or None."""
+    try:
+        with np.errstate(all="ignore"):
+            return cast("shapely.Geometry | None", shapely.from_wkt(text, on_invalid="fix"))
+    except NotImplementedError:  # curves
+        return None
+
+
+def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
+    """The geometry of `text`, or an error that says what is wrong with it."""
+    geometry = _tolerant_wkt(text)
+    if geometry is not None:
+        return geometry
+    try:
+        return shapely.from_wkt(text)
+    except (shapely.GEOSException, NotImplementedError) as error:
+        raise InputError(
+            f"{name}: not WKT: {error}", remedy="write POLYGON ((x y, x y, x y))"
+        ) from error
+
+
+def _from_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:
+    """Obstacles of a polygon or of a collection of polygons, numbered if there are several."""
+    if isinstance(geometry, shapely.Polygon):
+        exterior, *holes = (
+            shapely.get_coordinates(ring).tolist()
+            for ring in (geometry.exterior, *geometry.interiors)
+        )
+        yield footprint(name, exterior, holes)
+    elif shapely.get_type_id(geometry) in (_MULTIPOLYGON, _COLLECTION):
+        for part_name, part in _named_parts(name, list(shapely.get_parts(geometry))):
+            yield from _from_geometry(part_name, part)
+    else:
+        raise InputError(f"{name}: a {type(geometry).__name__} is not an area", remedy=_AREAS)
+
+
+def _from_json(stem: str, text: str) -> Iterator[Obstacle]:
+    """Obstacles of a building file or of GeoJSON."""
+    try:
+        data: object = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"not JSON: {error.msg}", row=error.lineno) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not JSON that can be read: {error}") from error
+    table = _table(stem, data)
+    if "buildings" not in table:
+        yield from _from_geojson(stem, table)
+        return
+    for number, item in enumerate(_list(stem, table, "buildings"), start=1):
+        building = _table(f"building {number}", item)
+        name = str(building.get("name", f"building {number}"))
+        holes = _list(name, building, "holes") if building.get("holes") else []
+        yield footprint(name, building.get("exterior"), holes)
+
+
+def _from_geojson(name: str, table: dict[str, object]) -> Iterator[Obstacle]:
+    """Obstacles of a GeoJSON object (RFC 7946, but in metres)."""
+    kind = table.get("type")
+    if kind == "FeatureCollection":
+        for number, item in enumerate(_list(name, table, "features"), start=1):
+            feature = _table(f"feature {number}", item)
+            yield from _from_geojson(_feature_name(feature, f"feature {number}"), feature)
+    elif kind == "Feature":
+        yield from _from_geojson(
+            _feature_name(table, name), _table(f"{name}: geometry", table.get("geometry"))
+        )
+    elif kind == "GeometryCollection":
+        for part_name, part in _named_parts(name, _list(name, table, "geometries")):
+            yield from _from_geojson(part_name, _table(part_name, part))
+    elif kind == "MultiPolygon":
+        for part_name, rings in _named_parts(name, _list(name, table, "coordinates")):
+            yield from _from_geojson(part_name, {"type": "Polygon", "coordinates": rings})
+    elif kind == "Polygon":
+        exterior, *holes = _list(name, table, "coordinates") or [[]]
+        yield footprint(name, exterior, holes)
+    else:
+        raise InputError(f"{name}: a {kind} is not an area", remedy=_AREAS)
+
+
+def _feature_name(feature: dict[str, object], otherwise: str) -> str:
+    """What a feature calls itself: property ``name``, then its id."""
+    properties = feature.get("properties")
+    if isinstance(properties, dict):
+        name = cast("dict[str, object]", properties).get("name")
+        if name is not None:
+            return str(name)
+    return str(feature.get("id", otherwise))
+
+
+def _named_parts(name: str, parts: list[_Part]) -> Iterator[tuple[str, _Part]]:
+    """The parts with their names: the name itself if there is only one."""
+    for number, part in enumerate(parts, start=1):
+        yield (name if len(parts) == 1 else f"{name} part {number}"), part
+
+
+def _table(name: str, value: object) -> dict[str, object]:
+    """`value` if it is a JSON object."""
+    if not isinstance(value, dict):
+        raise InputError(f"{name}: an object {{...}} must stand here, not {_short(value)}")
+    return cast("dict[str, object]", value)
+
+
+def _list(name: str, table: dict[str, object], key: str) -> list[object]:
+    """``table[key]`` if it is a list."""
+    value = table.get(key)
+    if not isinstance(value, list):
+        raise InputError(f"{name}: {key!r} must be a list, not {_short(value)}")
+    return cast("list[object]", value)
+
+
+def _short(value: object) -> str:
+    """`value` as JSON, cut to what fits a message."""
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."

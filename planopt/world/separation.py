@@ -1,0 +1,246 @@
+"""Separating lines between path segments and convex pieces, for the solver.
+
+A line fixed from the start path and applied to both ends of a segment keeps the whole segment on
+its side of the obstacle: an exact, linear clearance constraint (design 4.3; fast.md, step 7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.world.convex_pieces import convex_pieces
+from planopt.world.workspace import Workspace
+
+EMPTY_OFFSET_M = -1.0
+"""With a zero normal, ``0 . q - (-1) >= 0`` holds at any place: the slot constrains nothing."""
+
+
+@dataclass(frozen=True)
+class PackedPieces:
+    """All convex pieces of all obstacles as padded arrays.
+
+    Attributes
+    ----------
+    vertices_m
+        ``(k, v, 2)`` corners, counter-clockwise, padded by repeating the last one.
+    normals
+        ``(k, v, 2)`` outward unit normals of the edges that start at those corners, padded by
+        repeating the last one.
+    corners
+        ``(k,)`` number of true corners.
+    lower_m, upper_m
+        ``(k, 2)`` corners of the bounding boxes, for the search of candidates.
+    obstacle
+        ``(k,)`` number of the obstacle in the workspace that the piece is of.
+    """
+
+    vertices_m: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    corners: NDArray[np.int64]
+    lower_m: NDArray[np.float64]
+    upper_m: NDArray[np.float64]
+    obstacle: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SeparatingLines:
+    """For each of s segments, up to c lines, nearest piece first.
+
+    For both ends q of the segment ``normal . q - offset >= gap``, and for every corner v of the
+    piece ``normal . v <= offset``.
+
+    Attributes
+    ----------
+    normals
+        ``(s, c, 2)`` unit normals, pointing from the piece to the segment; 0 in empty slots.
+    offsets
+        ``(s, c)`` in metres; `EMPTY_OFFSET_M` in empty slots.
+    gaps
+        ``(s, c)`` distance in metres, or minus the depth of the overlap; infinite in empty slots.
+    piece
+        ``(s, c)`` number of the piece; -1 in empty slots.
+    """
+
+    normals: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    gaps: NDArray[np.float64]
+    piece: NDArray[np.int64]
+
+
+def pack_pieces(workspace: Workspace) -> PackedPieces:
+    """Cut every obstacle of `workspace` into convex pieces and pack them, once per workspace."""
+    cut = [convex_pieces(obstacle.polygon) for obstacle in workspace.obstacles]
+    rings = [ring for pieces in cut for ring in pieces]
+    corners = np.array([len(ring) for ring in rings], dtype=np.int64)
+    width = int(corners.max(initial=1))
+    vertices = np.zeros((len(rings), width, 2))
+    normals = np.zeros((len(rings), width, 2))
+    for row, ring in enumerate(rings):
+        along = np.roll(ring, -1, axis=0) - ring
+        outward = np.column_stack((along[:, 1], -along[:, 0])) / np.hypot(*along.T)[:, None]
+        padding = ((0, width - len(ring)), (0, 0))
+        vertices[row] = np.pad(ring, padding, mode="edge")
+        normals[row] = np.pad(outward, padding, mode="edge")
+    return PackedPieces(
+        vertices_m=vertices,
+        normals=normals,
+        corners=corners,
+        lower_m=vertices.min(axis=1),
+        upper_m=vertices.max(axis=1),
+        obstacle=np.repeat(np.arange(len(cut)), [len(pieces) for pieces in cut]),
+    )
+
+
+def separating_lines(
+    pieces: PackedPieces,
+    starts_m: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    count: int,
+    reach_m: float,
+) -> SeparatingLines:
+    """The best separating line of every segment from each of the pieces nearest to it.
+
+    Parameters
+    ----------
+    pieces
+        The obstacles, packed.
+    starts_m, ends_m
+        ``(s, 2)`` ends of the segments; they may coincide.
+    count
+        Lines per segment, c.
+    reach_m
+        Pieces farther from the segment than this are left out.
+    """
+    segment, piece = _candidates(pieces, starts_m, ends_m, reach_m)
+    normals, offsets, gaps = _best_lines(pieces, starts_m[segment], ends_m[segment], piece)
+    order = np.lexsort((gaps, segment))
+    order = order[gaps[order] <= reach_m]
+    ordered = segment[order]
+    rank = np.arange(order.size) - np.searchsorted(ordered, ordered)
+    chosen = order[rank < count]
+    slots = (segment[chosen], rank[rank < count])
+    return _filled(
+        (len(starts_m), count), slots, normals[chosen], offsets[chosen], gaps[chosen], piece[chosen]
+    )
+
+
+def lines_for(
+    pieces: PackedPieces,
+    starts_m: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    piece_ids: NDArray[np.int64],
+) -> SeparatingLines:
+    """The best separating lines of every segment from the given pieces.
+
+    Parameters
+    ----------
+    pieces
+        The obstacles, packed.
+    starts_m, ends_m
+        ``(s, 2)`` ends of the segments.
+    piece_ids
+        ``(s, c)`` which pieces, in slots that are kept; -1 leaves the slot empty.
+    """
+    slots = np.nonzero(piece_ids >= 0)
+    piece = piece_ids[slots]
+    normals, offsets, gaps = _best_lines(pieces, starts_m[slots[0]], ends_m[slots[0]], piece)
+    return _filled((piece_ids.shape[0], piece_ids.shape[1]), slots, normals, offsets, gaps, piece)
+
+
+def _filled(
+    shape: tuple[int, int],
+    slots: tuple[NDArray[np.int64], ...],
+    normals: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+    gaps: NDArray[np.float64],
+    piece: NDArray[np.int64],
+) -> SeparatingLines:
+    """Lines in their `slots` of an otherwise empty table of `shape`."""
+    lines = SeparatingLines(
+        normals=np.zeros((*shape, 2)),
+        offsets=np.full(shape, EMPTY_OFFSET_M),
+        gaps=np.full(shape, np.inf),
+        piece=np.full(shape, -1, dtype=np.int64),
+    )
+    lines.normals[slots] = normals
+    lines.offsets[slots] = offsets
+    lines.gaps[slots] = gaps
+    lines.piece[slots] = piece
+    return lines
+
+
+def _candidates(
+    pieces: PackedPieces,
+    starts_m: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    reach_m: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs (segment, piece) whose bounding boxes are within `reach_m` of each other."""
+    lower, upper = np.minimum(starts_m, ends_m), np.maximum(starts_m, ends_m)
+    # All segments of a plan lie close together: one box around them drops most pieces.
+    around_lower = lower.min(axis=0, initial=np.inf) - reach_m
+    around_upper = upper.max(axis=0, initial=-np.inf) + reach_m
+    near = np.flatnonzero(
+        (pieces.upper_m >= around_lower).all(axis=1) & (pieces.lower_m <= around_upper).all(axis=1)
+    )
+    apart = np.maximum(
+        pieces.lower_m[near] - upper[:, None], lower[:, None] - pieces.upper_m[near]
+    ).clip(min=0.0)
+    segment, column = np.nonzero((apart * apart).sum(axis=2) <= reach_m * reach_m)
+    return segment, near[column]
+
+
+def _best_lines(
+    pieces: PackedPieces,
+    starts_m: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    piece: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair.
+
+    The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``; its maximum over n is the
+    distance of two disjoint convex sets, or minus the least depth of an overlap. It is attained
+    at the normal of an edge of the piece, at a normal of the segment, or, when two corners are
+    nearest to each other, at the direction between an end and the corner nearest to that end.
+    """
+    width = int(pieces.corners[piece].max(initial=1))
+    # Everything relative to the segment's start, so that coordinates near 3e6 keep their digits.
+    corner = pieces.vertices_m[piece, :width] - starts_m[:, None]
+    edge_normal = pieces.normals[piece, :width]
+    along = ends_m - starts_m
+
+    edge_gap = np.minimum(0.0, _dot(edge_normal, along[:, None])) - _dot(edge_normal, corner)
+    across = np.column_stack((-along[:, 1], along[:, 0]))
+    from_start, from_end = -corner, along[:, None] - corner
+    tried = np.stack(
+        (
+            across,
+            -across,
+            _row_of(from_start, _dot(from_start, from_start).argmin(axis=1)),
+            _row_of(from_end, _dot(from_end, from_end).argmin(axis=1)),
+            _row_of(edge_normal, edge_gap.argmax(axis=1)),
+        ),
+        axis=1,
+    )
+    length = np.hypot(tried[..., 0], tried[..., 1])
+    tried /= np.where(length > 0.0, length, 1.0)[..., None]
+    support = (
+        tried[:, :, None, 0] * corner[:, None, :, 0] + tried[:, :, None, 1] * corner[:, None, :, 1]
+    ).max(axis=2)
+    gap = np.where(length > 0.0, np.minimum(0.0, _dot(tried, along[:, None])) - support, -np.inf)
+    best = gap.argmax(axis=1)
+    normal = _row_of(tried, best)
+    return normal, _dot(normal, starts_m) + _row_of(support, best), _row_of(gap, best)
+
+
+def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scalar products over the last axis of length 2."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+
+
+def _row_of(table: NDArray[np.float64], column: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Entry `column` (p,) of every row of `table` (p, w, ...)."""
+    return table[np.arange(len(table)), column]

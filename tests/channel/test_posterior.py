@@ -1,0 +1,362 @@
+"""Lemma 2 against scikit-learn, dense formulas, sequential updating and simulation."""
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.measurements import Measurements, join
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.path_loss import regressors
+from planopt.channel.posterior import (
+    WEAK_THETA_DEVIATION,
+    combine,
+    condition,
+    extend,
+    kriging_terms,
+    predict,
+)
+
+PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
+THETA = np.array([PARAMETERS.k_pl_db, PARAMETERS.n_pl])
+
+
+def measured(count, seed=0, censored=()):
+    """Random measurements about the model's path loss."""
+    generator = np.random.default_rng(seed)
+    positions = generator.uniform(-100.0, 100.0, (count, 2))
+    power = regressors(positions, PARAMETERS.station) @ THETA + 6.0 * generator.standard_normal(
+        count
+    )
+    flags = np.zeros(count, dtype=bool)
+    flags[list(censored)] = True
+    return Measurements(positions, power, flags)
+
+
+def part(measurements, selection):
+    """Some of the measurements."""
+    return Measurements(
+        measurements.positions_m[selection],
+        measurements.power_dbm[selection],
+        measurements.censored[selection],
+    )
+
+
+def places(count=40, seed=9):
+    """Where to predict."""
+    return np.random.default_rng(seed).uniform(-120.0, 120.0, (count, 2))
+
+
+def test_known_theta_equals_scikit_learn():
+    """Mean and deviation with theta known, omega^2 in the variance, to 1e-9."""
+    data = measured(150)
+    kernel = ConstantKernel(36.0, "fixed") * Matern(30.0, "fixed", nu=0.5) + WhiteKernel(
+        4.0, "fixed"
+    )
+    oracle = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None)
+    oracle.fit(data.positions_m, data.power_dbm - regressors(data.positions_m, PARAMETERS.station) @ THETA)
+    mean, deviation = oracle.predict(places(), return_std=True)
+    found = condition(PARAMETERS, data, theta="known").predict(places())
+    path_loss = regressors(places(), PARAMETERS.station) @ THETA
+    np.testing.assert_allclose(found.mean_db, mean + path_loss, atol=1e-9)
+    np.testing.assert_allclose(found.deviation_db, deviation, atol=1e-9)
+
+
+def dense(data, positions):
+    """Theta, M, mean and deviation by the formulas of theory 4.0 and 4.1, with dense inverses."""
+    covariance = shadow_covariance_db2(data.positions_m, data.positions_m, PARAMETERS)
+    inverse = np.linalg.inv(covariance + 4.0 * np.eye(len(data)))
+    gamma_all = regressors(data.positions_m, PARAMETERS.station)
+    spread = np.linalg.inv(gamma_all.T @ inverse @ gamma_all)
+    theta = spread @ gamma_all.T @ inverse @ data.power_dbm
+    means, deviations = [], []
+    for position in positions:
+        phi = shadow_covariance_db2(data.positions_m, position[None], PARAMETERS)[:, 0]
+        gamma = regressors(position[None], PARAMETERS.station)[0]
+        trend = gamma - gamma_all.T @ inverse @ phi
+        means.append(gamma @ theta + phi @ inverse @ (data.power_dbm - gamma_all @ theta))
+        deviations.append(np.sqrt(40.0 - phi @ inverse @ phi + trend @ spread @ trend))
+    return theta, spread, np.array(means), np.array(deviations)
+
+
+@pytest.mark.parametrize("count", [3, 16, 700])
+def test_estimated_theta_equals_dense_universal_kriging(count):
+    """Theta, its covariance, mean and deviation; 700 crosses the factor's and solver's blocks."""
+    data = measured(count)
+    posterior = condition(PARAMETERS, data)
+    theta, spread, mean, deviation = dense(data, places())
+    found = predict(posterior, places())
+    np.testing.assert_allclose(posterior.theta, theta, atol=1e-8)
+    np.testing.assert_allclose(posterior.theta_covariance, spread, atol=1e-8)
+    np.testing.assert_allclose(found.mean_db, mean, atol=1e-8)
+    np.testing.assert_allclose(found.deviation_db, deviation, atol=1e-8)
+
+
+def test_far_away_the_trend_and_its_uncertainty_remain():
+    """Where shadowing is not correlated any more the variance is xi^2 + omega^2 + gamma' M gamma."""
+    posterior = condition(PARAMETERS, measured(30))
+    far = np.array([[5e4, 0.0]])
+    gamma = regressors(far, PARAMETERS.station)[0]
+    found = posterior.predict(far)
+    assert found.mean_db[0] == pytest.approx(gamma @ posterior.theta, abs=1e-9)
+    assert found.deviation_db[0] ** 2 == pytest.approx(
+        40.0 + gamma @ posterior.theta_covariance @ gamma, rel=1e-9
+    )
+
+
+def test_factor_is_that_of_the_covariance():
+    """L L' = R + diag(noise)."""
+    data = measured(600)
+    posterior = condition(PARAMETERS, data)
+    covariance = shadow_covariance_db2(data.positions_m, data.positions_m, PARAMETERS)
+    covariance[np.diag_indices(600)] += posterior.noise_variance_db2
+    np.testing.assert_allclose(posterior.factor @ posterior.factor.T, covariance, atol=1e-10)
+
+
+@pytest.mark.parametrize("theta", ["estimated", "known"])
+def test_batch_equals_sequential(theta):
+    """Appending one by one, past the spare capacity, equals conditioning at once to 1e-10."""
+    data = measured(120)
+    posterior = condition(PARAMETERS, part(data, slice(0, 5)), theta=theta)
+    for index in range(5, 120):
+        posterior = extend(posterior, part(data, slice(index, index + 1)))
+    batch = condition(PARAMETERS, data, theta=theta)
+    np.testing.assert_allclose(posterior.theta, batch.theta, atol=1e-10)
+    np.testing.assert_allclose(
+        predict(posterior, places()).mean_db, predict(batch, places()).mean_db, atol=1e-10
+    )
+    np.testing.assert_allclose(
+        predict(posterior, places()).deviation_db,
+        predict(batch, places()).deviation_db,
+        atol=1e-10,
+    )
+
+
+def test_branches_of_one_posterior_do_not_disturb_each_other():
+    """Two different extensions of the same posterior share a buffer, and each is right."""
+    data = measured(40)
+    root = condition(PARAMETERS, part(data, slice(0, 20)))
+    first = root.extend(part(data, slice(20, 30)))
+    second = root.extend(part(data, slice(30, 40)))
+    again = first.extend(part(data, slice(30, 40)))
+    for posterior, chosen in (
+        (root, list(range(20))),
+        (first, list(range(30))),
+        (second, [*range(20), *range(30, 40)]),
+        (again, list(range(40))),
+    ):
+        expected = condition(PARAMETERS, part(data, chosen)).predict(places())
+        found = posterior.predict(places())
+        np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=1e-10)
+        np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-10)
+
+
+def test_extending_by_nothing_changes_nothing():
+    """No measurements in, the same posterior out."""
+    posterior = condition(PARAMETERS, measured(4))
+    assert posterior.extend(measured(0)) is posterior
+
+
+def test_order_of_measurements_does_not_matter():
+    """Permuting them permutes nothing but rounding."""
+    data = measured(60)
+    shuffled = part(data, np.random.default_rng(3).permutation(60))
+    one, two = (condition(PARAMETERS, each).predict(places()) for each in (data, shuffled))
+    np.testing.assert_allclose(one.mean_db, two.mean_db, atol=1e-10)
+    np.testing.assert_allclose(one.deviation_db, two.deviation_db, atol=1e-10)
+
+
+def test_more_measurements_never_raise_the_deviation():
+    """Information only grows."""
+    data = measured(80)
+    few = condition(PARAMETERS, part(data, slice(0, 40)))
+    many = few.extend(part(data, slice(40, 80)))
+    assert (many.predict(places()).deviation_db <= few.predict(places()).deviation_db).all()
+
+
+def test_duplicates_keep_their_nugget():
+    """The same place measured twice equals one measurement of the mean with half the noise."""
+    data = measured(10)
+    twice = join(data, part(data, slice(0, 1)))
+    posterior = condition(PARAMETERS, twice, theta="known")
+    noise = np.full(10, 4.0)
+    noise[0] = 2.0
+    covariance = shadow_covariance_db2(data.positions_m, data.positions_m, PARAMETERS)
+    inverse = np.linalg.inv(covariance + np.diag(noise))
+    across = shadow_covariance_db2(places(), data.positions_m, PARAMETERS)
+    variance = 40.0 - np.einsum("ij,jk,ik->i", across, inverse, across)
+    np.testing.assert_allclose(posterior.predict(places()).deviation_db ** 2, variance, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        ChannelParameters(-40.0, 3.0, 6.0, 30.0, 0.0, Station((0.0, 0.0))),
+        ChannelParameters(-40.0, 3.0, 0.0, 30.0, 0.0, Station((0.0, 0.0))),
+        ChannelParameters(-40.0, 3.0, 0.0, 30.0, 2.0, Station((0.0, 0.0))),
+        ChannelParameters(-40.0, 3.0, 6.0, 1e6, 2.0, Station((0.0, 0.0))),
+        ChannelParameters(-40.0, 3.0, 6.0, 1e-3, 2.0, Station((0.0, 0.0))),
+    ],
+)
+def test_degenerate_parameters_with_duplicates_stay_finite(parameters):
+    """No noise, no shadowing, extreme decorrelation; a measurement at the station; duplicates."""
+    data = measured(12)
+    twice = join(data, data)
+    twice.positions_m[3] = 0.0
+    posterior = condition(parameters, twice)
+    found = posterior.predict(np.concatenate([places(), twice.positions_m]))
+    assert np.isfinite(found.mean_db).all()
+    assert (found.deviation_db >= parameters.multipath_std_db - 1e-12).all()
+
+
+def test_coordinates_near_three_million_keep_their_digits():
+    """Shifting the whole scene changes nothing."""
+    data = measured(50)
+    shift = np.array([3e6, 5e6])
+    moved = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((3000005.0, 4999990.0), 12.0))
+    one = condition(PARAMETERS, data).predict(places())
+    two = condition(
+        moved, Measurements(data.positions_m + shift, data.power_dbm, data.censored)
+    ).predict(places() + shift)
+    np.testing.assert_allclose(one.mean_db, two.mean_db, atol=1e-6)
+    np.testing.assert_allclose(one.deviation_db, two.deviation_db, atol=1e-6)
+
+
+def test_no_measurements_give_the_weak_prior():
+    """Nothing measured: the given theta, its weak deviation, full shadowing."""
+    posterior = condition(PARAMETERS, measured(0))
+    np.testing.assert_array_equal(posterior.theta, THETA)
+    np.testing.assert_allclose(
+        posterior.theta_covariance, np.diag(np.square(WEAK_THETA_DEVIATION)), rtol=1e-12
+    )
+    gamma = regressors(places(), PARAMETERS.station)
+    found = posterior.predict(places())
+    np.testing.assert_allclose(found.mean_db, gamma @ THETA, rtol=1e-12)
+    np.testing.assert_allclose(
+        found.deviation_db**2, 40.0 + gamma**2 @ np.square(WEAK_THETA_DEVIATION), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("count", [1, 12])
+def test_one_distance_from_the_station_takes_the_weak_prior(count):
+    """One distance identifies one combination of theta only; the rest stays at its prior."""
+    angle = np.linspace(0.0, 6.0, count)
+    station = PARAMETERS.station.position_m
+    positions = np.array(station) + 50.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    data = Measurements(positions, np.full(count, -90.0), np.zeros(count, dtype=bool))
+    posterior = condition(PARAMETERS, data)
+    gamma = regressors(positions[:1], PARAMETERS.station)[0]
+    prior = np.diag(np.square(WEAK_THETA_DEVIATION))
+    # Orthogonal, in the prior's metric, to what is measured nothing is learnt.
+    blind = np.array([gamma[1], -gamma[0]])
+    assert blind @ np.linalg.inv(posterior.theta_covariance) @ blind == pytest.approx(
+        blind @ np.linalg.inv(prior) @ blind, rel=1e-6
+    )
+    assert gamma @ posterior.theta_covariance @ gamma < 41.0
+    assert gamma @ posterior.theta < gamma @ THETA
+    assert np.isfinite(posterior.predict(places()).deviation_db).all()
+
+
+def test_identified_theta_has_no_prior():
+    """Two measurements at two distances already fit theta exactly."""
+    data = Measurements(
+        np.array([[30.0, 0.0], [300.0, 0.0]]), np.array([-80.0, -120.0]), np.zeros(2, dtype=bool)
+    )
+    posterior = condition(PARAMETERS, data)
+    np.testing.assert_allclose(
+        regressors(data.positions_m, PARAMETERS.station) @ posterior.theta, data.power_dbm
+    )
+
+
+def test_deviation_is_the_simulated_error():
+    """Universal kriging's variance equals the mean squared error over many draws (theory 4.1)."""
+    generator = np.random.default_rng(4)
+    data = measured(25, seed=2)
+    here = places(6)
+    everywhere = np.concatenate([data.positions_m, here])
+    covariance = shadow_covariance_db2(everywhere, everywhere, PARAMETERS) + 4.0 * np.eye(31)
+    root = np.linalg.cholesky(covariance)
+    path_loss = regressors(everywhere, PARAMETERS.station) @ THETA
+    errors = []
+    for _ in range(2000):
+        power = path_loss + root @ generator.standard_normal(31)
+        found = condition(
+            PARAMETERS, Measurements(data.positions_m, power[:25], data.censored)
+        ).predict(here)
+        errors.append(found.mean_db - power[25:])
+    ratio = np.mean(np.square(errors), axis=0) / found.deviation_db**2
+    np.testing.assert_allclose(ratio, 1.0, atol=4.0 * np.sqrt(2.0 / 2000.0))
+
+
+def test_censored_measurement_matches_the_truncated_moments():
+    """Predicting the power of a new limit's place: mean and variance of the truncated normal."""
+    data = measured(15)
+    posterior = condition(PARAMETERS, data, theta="known")
+    spot = np.array([[20.0, 30.0]])
+    before = posterior.predict(spot)
+    limit = before.mean_db - 3.0
+    after = posterior.extend(Measurements(spot, limit, np.array([True]))).predict(spot)
+    latent_variance = before.deviation_db[0] ** 2 - 4.0
+    latent = before.mean_db[0] + np.sqrt(latent_variance) * np.linspace(-12.0, 12.0, 200_001)
+    from scipy.stats import norm
+
+    density = norm.pdf(latent, before.mean_db[0], np.sqrt(latent_variance)) * norm.cdf(
+        (limit[0] - latent) / 2.0
+    )
+    density /= density.sum()
+    mean = density @ latent
+    variance = density @ (latent - mean) ** 2
+    assert after.mean_db[0] == pytest.approx(mean, abs=1e-6)
+    assert after.deviation_db[0] ** 2 - 4.0 == pytest.approx(variance, abs=1e-5)
+
+
+def test_censored_measurements_mix_with_others():
+    """Sites of a batch and of an extension are finite, and only censored ones are changed."""
+    data = measured(30, censored=(3, 17, 18, 29))
+    batch = condition(PARAMETERS, data)
+    grown = condition(PARAMETERS, part(data, slice(0, 10))).extend(part(data, slice(10, 30)))
+    for posterior in (batch, grown):
+        assert np.isfinite(posterior.predict(places()).deviation_db).all()
+        np.testing.assert_array_equal(
+            posterior.values_db[~data.censored], data.power_dbm[~data.censored]
+        )
+        assert (posterior.noise_variance_db2[data.censored] > 4.0).all()
+        np.testing.assert_array_equal(posterior.noise_variance_db2[~data.censored], 4.0)
+    np.testing.assert_array_equal(grown.measurements.power_dbm, data.power_dbm)
+
+
+def test_a_limit_far_above_says_nothing():
+    """A floor 100 dB above the prediction leaves it alone."""
+    posterior = condition(PARAMETERS, measured(15))
+    spot = np.array([[20.0, 30.0]])
+    limit = Measurements(spot, posterior.predict(spot).mean_db + 100.0, np.array([True]))
+    after = posterior.extend(limit)
+    np.testing.assert_allclose(
+        after.predict(places()).mean_db, posterior.predict(places()).mean_db, atol=1e-2
+    )
+
+
+def test_blocks_of_prediction_agree(monkeypatch):
+    """Splitting the places into blocks changes nothing."""
+    posterior = condition(PARAMETERS, measured(50))
+    whole = kriging_terms(posterior, places())
+    monkeypatch.setattr("planopt.channel.posterior.PREDICTION_ELEMENTS", 150)
+    split = kriging_terms(posterior, places())
+    np.testing.assert_allclose(split.data_db, whole.data_db, atol=1e-10)
+    np.testing.assert_allclose(split.trend, whole.trend, atol=1e-10)
+    np.testing.assert_allclose(split.variance_db2, whole.variance_db2, atol=1e-10)
+    combined = combine(split, posterior.theta, posterior.theta_covariance)
+    np.testing.assert_allclose(
+        combined.deviation_db, posterior.predict(places()).deviation_db, atol=1e-10
+    )
+
+
+def test_connectivity_falls_with_the_threshold():
+    """P(connected) is one half at the predicted mean and monotone about it."""
+    posterior = condition(PARAMETERS, measured(20))
+    spot = places(1)
+    mean = posterior.predict(spot).mean_db[0]
+    assert posterior.connectivity(spot, mean)[0] == pytest.approx(0.5)
+    assert posterior.connectivity(spot, mean - 5.0)[0] > 0.5
+    assert posterior.connectivity(spot, mean + 5.0)[0] < 0.5

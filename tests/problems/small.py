@@ -1,0 +1,47 @@
+"""A small valid problem as tables, which tests change one key at a time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from planopt.problems.load import problem_from_tables
+from planopt.problems.problem import Problem
+
+
+def tables() -> dict[str, Any]:
+    """Fresh tables: one square building, one robot, one station, a drawn channel."""
+    return {
+        "problem": {"schema": 1, "name": "small"},
+        "world": {
+            "bounds_m": [0.0, 0.0, 50.0, 40.0],
+            "obstacles": [
+                {"name": "hall", "polygon": [[20, 10], [30, 10], [30, 20], [20, 20]]},
+                {"wkt": "POLYGON ((5 30, 9 30, 7 34, 5 30))"},
+            ],
+        },
+        "channel": {
+            "truth": {
+                "kind": "model",
+                "k_pl_db": -30.0,
+                "n_pl": 2.4,
+                "shadow_std_db": 4.0,
+                "decorrelation_m": 15.0,
+                "multipath_std_db": 1.5,
+                "cell_m": 1.0,
+            },
+            "measurements": {"count": 50},
+            "fit": {"method": "capped"},
+        },
+        "robots": [{"start_m": [5.0, 5.0], "goal_m": [45.0, 15.0], "speed_max_m_s": 1.0}],
+        "stations": [
+            {"position_m": [25.0, 5.0], "transmit_power_dbm": 20.0, "threshold_dbm": -55.0}
+        ],
+        "constraints": {"p_min": 0.8},
+        "planner": {"step_s": 1.0},
+    }
+
+
+def built(data: object, folder: Path = Path("here")) -> Problem:
+    """The problem of `data`, as from a file ``small.toml``."""
+    return problem_from_tables(data, folder=folder, file=Path("small.toml"))

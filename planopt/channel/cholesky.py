@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import get_lapack_funcs, solve_triangular
+
+# By name: they exist in the compiled module alone, where a type checker cannot see them.
+FACTOR, INVERT = get_lapack_funcs(("potrf", "potri"), dtype=np.float64)
 
 
 def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
-    factor, info = lapack.dpotrf(matrix, lower=True)
+    factor, info = FACTOR(matrix, lower=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
     return factor
@@ -23,7 +26,7 @@ def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArr
 
 def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     """(L L')^-1, symmetric; (n, n)."""
-    half, _ = lapack.dpotri(lower, lower=True)
+    half, _ = INVERT(lower, lower=True)
     return half + np.tril(half, -1).T
 
 

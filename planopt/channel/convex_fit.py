@@ -42,7 +42,7 @@ def convex_fit(
     low, high = bounds.decorrelation_m
     least = bounds.shadow_db2[0]
     most = max(alpha_db2 - bounds.multipath_db2[0], least)
-    constraints = [
+    constraints: list[cp.Constraint] = [
         a >= math.log(least),
         a <= math.log(most),
         b >= scale / high,

@@ -25,6 +25,10 @@ MAX_SHADOW_RATIO = 25.0
 xi^2 may exceed that variance."""
 
 
+BOUND_TOLERANCE = 1e-3
+"""A value within this share of a bound counts as at the bound; solvers stop short of them."""
+
+
 @dataclass(frozen=True)
 class CovarianceBounds:
     """Closed ranges of xi^2 (dB^2), omega^2 (dB^2) and beta (m) within which is searched."""
@@ -108,22 +112,22 @@ def from_correlation(
     warnings: list[str] = []
     shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
     shadow_error = errors[0] / (2.0 * math.sqrt(shadow))
-    if shadow != shadow_variance_db2:
+    if not bounds.shadow_db2[0] < shadow_variance_db2 < bounds.shadow_db2[1]:
         warnings.append(at_bound("xi", math.sqrt(shadow), "dB"))
         shadow_error = math.inf
     low, high = bounds.decorrelation_m
     rate = float(np.clip(rate_per_m, 1.0 / high, 1.0 / low))
     beta_error = errors[1] / rate**2
-    # Solvers return their bounds only up to a tolerance.
-    if rate <= (1.0 + 1e-6) / high or rate >= (1.0 - 1e-6) / low:
+    if rate <= (1.0 + BOUND_TOLERANCE) / high or rate >= (1.0 - BOUND_TOLERANCE) / low:
         warnings.append(at_bound("beta", 1.0 / rate, "m"))
         beta_error = math.inf
     left = residual_variance_db2 - shadow
-    multipath = max(left, bounds.multipath_db2[0])
+    floor = bounds.multipath_db2[0]
+    multipath = max(left, floor)
     multipath_error = math.hypot(residual_variance_db2 * math.sqrt(2.0 / count), errors[0]) / (
         2.0 * math.sqrt(multipath)
     )
-    if left < multipath:
+    if left <= (1.0 + BOUND_TOLERANCE) * floor:
         warnings.append(
             f"omega^2 = alpha - xi^2 came out as {left:.3g} dB^2; "
             f"omega is set to {math.sqrt(multipath):.3g} dB"

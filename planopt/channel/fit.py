@@ -131,7 +131,7 @@ def _by_likelihood(
     bounds = covariance_bounds(
         least_squares(model, measurements).variance_db2, allows.decorrelation_bounds_m
     )
-    rows = thinned(measurements)
+    rows = thinned(len(measurements), MAX_MEASUREMENTS)
     notes: tuple[str, ...] = ()
     if len(rows) < len(measurements):
         notes = (f"fitted on {MAX_MEASUREMENTS} of {len(measurements)} measurements",)
@@ -157,9 +157,7 @@ def _by_correlation(
     """Least-squares line, then xi and beta from the empirical correlation of what it leaves."""
     line = least_squares(model, measurements)
     bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
-    correlation = empirical_correlation(
-        measurements.positions_m, line.residual_db, allows.extent_m
-    )
+    correlation = empirical_correlation(measurements.positions_m, line.residual_db, allows.extent_m)
     covariance = _from_bins(correlation, line, allows, bounds, method)
     notes: tuple[str, ...] = ()
     if measurements.censored.any():

@@ -89,12 +89,13 @@ def neighbour_model(
 
 def predict_locally(model: NeighbourModel, positions_m: NDArray[np.float64]) -> Prediction:
     """Predict power at one place for each centre, ``positions_m`` (k, 2)."""
+    places = positions_m[:, None, :]
     terms = local_terms(
         model.parameters,
-        model.positions_m,
+        places,
+        shadow_covariance_db2(places, model.positions_m, model.parameters),
         model.precision,
         np.concatenate([model.weights[:, :, None], model.trend], axis=2),
-        positions_m[:, None, :],
     )
     prediction = combine(terms, model.theta, model.theta_covariance)
     return Prediction(prediction.mean_db[:, 0], prediction.deviation_db[:, 0])
@@ -141,10 +142,10 @@ def local_precision(
 
 def local_terms(
     parameters: ChannelParameters,
-    positions_m: NDArray[np.float64],
+    places_m: NDArray[np.float64],
+    across: NDArray[np.float64],
     precision: NDArray[np.float64],
     weighted: NDArray[np.float64],
-    places_m: NDArray[np.float64],
 ) -> KrigingTerms:
     """Kriging terms at `places_m` (k, p, 2), each from its own m measurements; shapes (k, p).
 
@@ -152,12 +153,13 @@ def local_terms(
     ----------
     parameters
         The channel's parameters.
-    positions_m, precision, weighted
-        ``(k, m, 2)``, and what :func:`local_precision` gives.
     places_m
         Where to predict.
+    across
+        ``(k, p, m)`` covariance of shadowing between places and measurements.
+    precision, weighted
+        What :func:`local_precision` gives.
     """
-    across = shadow_covariance_db2(places_m, positions_m, parameters)
     projected = across @ weighted
     trend = regressors(places_m, parameters.station) - projected[:, :, 1:]
     explained = np.einsum("kpm,kpm->kp", across @ precision, across)

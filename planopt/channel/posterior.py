@@ -139,9 +139,7 @@ class ChannelPosterior:
     ) -> NDArray[np.float64]:
         """P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
         prediction = predict(self, positions_m)
-        return connection_probability(
-            prediction.mean_db, prediction.deviation_db, threshold_dbm
-        )
+        return connection_probability(prediction.mean_db, prediction.deviation_db, threshold_dbm)
 
 
 def condition(
@@ -216,9 +214,7 @@ def predict(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Pr
     )
 
 
-def kriging_terms(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64]
-) -> KrigingTerms:
+def kriging_terms(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> KrigingTerms:
     """The parts of a prediction at `positions_m` (n, 2) that do not depend on theta."""
     count = len(positions_m)
     data = np.zeros(count)
@@ -261,9 +257,7 @@ def _spacious(count: int) -> int:
     return count + count // 2 + 64
 
 
-def _whiten(
-    lower: NDArray[np.float64], columns: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """L^-1 `columns` (n, m), by blocks, because LAPACK would copy a view of a larger buffer."""
     solved = np.array(columns, dtype=np.float64)
     for start in range(0, len(lower), SOLVE_BLOCK):

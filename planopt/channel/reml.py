@@ -12,12 +12,17 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, minimize  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.censoring import CensoredSites
-from planopt.channel.covariance_fit import CovarianceBounds, CovarianceFit, at_bound
+from planopt.channel.covariance_fit import (
+    BOUND_TOLERANCE,
+    CovarianceBounds,
+    CovarianceFit,
+    at_bound,
+)
 from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurements import Measurements
+from planopt.channel.minimise import minimise_in_box
 from planopt.channel.restricted_likelihood import (
     Evaluation,
     LikelihoodData,
@@ -41,8 +46,8 @@ MAX_MEASUREMENTS = 800
 
 THINNING_SEED = 20_000
 
-BOUND_TOLERANCE = 1e-3
-"""A logarithm this near its bound counts as at the bound."""
+START_MEASUREMENTS = 250
+"""Starts are ranked on at most this many of the exact measurements."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +73,11 @@ class RemlFit:
     measurements: int
 
 
-def thinned(measurements: Measurements) -> NDArray[np.intp]:
-    """Indices of at most `MAX_MEASUREMENTS` measurements, a fixed uniform draw in order."""
-    count = len(measurements)
-    if count <= MAX_MEASUREMENTS:
+def thinned(count: int, limit: int) -> NDArray[np.intp]:
+    """Indices of at most `limit` of `count` measurements, a fixed uniform draw in order."""
+    if count <= limit:
         return np.arange(count)
-    chosen = np.random.default_rng(THINNING_SEED).permutation(count)[:MAX_MEASUREMENTS]
-    return np.sort(chosen)
+    return np.sort(np.random.default_rng(THINNING_SEED).permutation(count)[:limit])
 
 
 def reml_fit(model: MeanModel, measurements: Measurements, bounds: CovarianceBounds) -> RemlFit:
@@ -92,22 +95,12 @@ def reml_fit(model: MeanModel, measurements: Measurements, bounds: CovarianceBou
     data = likelihood_data(model, measurements)
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
     climb = _Climb(data)
-    best: tuple[float, NDArray[np.float64]] | None = None
-    for start in _starts(data, bounds):
-        found = minimize(  # pyright: ignore[reportUnknownVariableType]
-            climb.objective,
-            np.clip(np.log(start), box[:, 0], box[:, 1]),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=Bounds(box[:, 0], box[:, 1]),
-            options={"ftol": 1e-9, "gtol": 1e-4, "maxiter": 100},
-        )
-        value, point = float(found.fun), np.asarray(found.x)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
-        if best is None or value < best[0]:
-            best = value, point
-    if best is None:
-        raise AssertionError("there is always a start")
-    return _result(data, best[1], box, climb.sites)
+    climbs = [
+        minimise_in_box(climb.objective, np.log(start), box[:, 0], box[:, 1])
+        for start in _starts(data, bounds)
+    ]
+    _, best = min(climbs, key=lambda climbed: climbed[0])
+    return _result(data, best, box, climb.sites)
 
 
 class _Climb:
@@ -134,9 +127,16 @@ def _starts(data: LikelihoodData, bounds: CovarianceBounds) -> list[NDArray[np.f
     low, high = bounds.decorrelation_m
     # Ends of the range are no use as starts: the gradient there is nearly flat.
     betas = np.geomspace(low, high, START_DECORRELATIONS + 2)[1:-1]
+    sample = thinned(data.exact, START_MEASUREMENTS)
+    fewer = LikelihoodData(
+        data.distance_m[np.ix_(sample, sample)],
+        data.columns[sample],
+        data.power_db[sample],
+        len(sample),
+    )
     ranked: list[tuple[float, NDArray[np.float64]]] = []
     for share, beta in product(START_SHARES, betas):
-        value, total = profiled_log_likelihood(data, share, float(beta))
+        value, total = profiled_log_likelihood(fewer, share, float(beta))
         ranked.append((value, np.array([share * total, (1.0 - share) * total, beta])))
     ranked.sort(key=lambda entry: -entry[0])
     return [start for _, start in ranked[:STARTS_FOLLOWED]]

@@ -105,7 +105,7 @@ def likelihood_data(model: MeanModel, measurements: Measurements) -> LikelihoodD
 def profiled_log_likelihood(
     data: LikelihoodData, correlated_share: float, decorrelation_m: float
 ) -> tuple[float, float]:
-    """Log L of the exact measurements alone, the total variance profiled out; cheap, for starts.
+    """Log L with the total variance profiled out, cheap, for starts; `data` without censored ones.
 
     Returns
     -------
@@ -113,12 +113,12 @@ def profiled_log_likelihood(
         log L up to a constant, and the variance xi^2 + omega^2 at which it is reached.
     """
     count = data.exact
-    correlation = correlated_share * np.exp(-data.distance_m[:count, :count] / decorrelation_m)
+    correlation = correlated_share * np.exp(-data.distance_m / decorrelation_m)
     correlation[np.diag_indices(count)] = 1.0
-    gls = _gls(correlation, data.columns[:count], data.power_db[:count])
+    gls = _gls(correlation, data.columns, data.power_db)
     freedom = count - data.columns.shape[1]
-    variance = max(float(gls.half_residual @ gls.half_residual) / freedom, 1e-12)
     quadratic = float(gls.half_residual @ gls.half_residual)
+    variance = max(quadratic / freedom, 1e-12)
     unit = gls.log_likelihood + 0.5 * quadratic
     return unit - 0.5 * freedom * (np.log(variance) + 1.0), variance
 
@@ -190,7 +190,7 @@ def expected_information(
     by_nugget = np.zeros_like(correlation)
     by_nugget[:, : data.exact] = at.projection[:, : data.exact]
     products = [at.projection @ correlation, by_nugget, at.projection @ by_beta]
-    return 0.5 * np.array([[np.vdot(a.T, b) for b in products] for a in products])
+    return np.array([[0.5 * float(np.vdot(a.T, b)) for b in products] for a in products])
 
 
 def _censored(
@@ -227,7 +227,7 @@ def _gls(
     half_columns = solve_lower(lower, columns)
     half_values = solve_lower(lower, values)
     information = half_columns.T @ half_columns
-    inverse_information = np.linalg.inv(information)
+    inverse_information = np.asarray(np.linalg.inv(information), dtype=np.float64)
     coefficients = inverse_information @ (half_columns.T @ half_values)
     residual = half_values - half_columns @ coefficients
     freedom = len(values) - columns.shape[1]

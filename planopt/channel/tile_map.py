@@ -1,7 +1,8 @@
 """A lattice of predictions that follows the posterior at little cost.
 
 Square tiles of nodes share the measurements nearest to the tile's centre. A new measurement only
-touches the tiles that it is near to; a new theta is recombined everywhere from kept parts.
+touches the tiles that it is near to, where it replaces the farthest one by two rank-one updates; a
+new theta is recombined everywhere from kept parts.
 """
 
 from __future__ import annotations
@@ -9,18 +10,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.neighbours import local_precision, local_terms, nearest
 from planopt.channel.parameters import ChannelParameters
+from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import ChannelPosterior, KrigingTerms, combine, kriging_terms
 
 TILES_AT_ONCE = 64
 """Tiles solved together: their matrices fit into a processor's cache."""
 
-DISTANCES_AT_ONCE = 2**20
+REPLACEMENTS_BEFORE_REBUILD = 32
+"""A tile is computed from nothing after so many updates, so that rounding does not pile up."""
 
 
 class TileMap:
     """Predicted power and its deviation on a lattice, refreshed as measurements come in.
+
+    Memory is about ``8 neighbours (neighbours + tile**2)`` bytes a tile.
 
     Parameters
     ----------
@@ -56,27 +62,26 @@ class TileMap:
         kept, tile_of_node = np.unique(
             (rows // tile) * across + columns // tile, return_inverse=True
         )
-        count = len(kept)
         # Tiles that stick out of the lattice repeat its last row or column.
         inside = np.arange(tile)
-        node_rows = np.minimum((kept // across)[:, None] * tile + inside, len(y_m) - 1)
-        node_columns = np.minimum((kept % across)[:, None] * tile + inside, len(x_m) - 1)
-        places = np.empty((count, tile, tile, 2))
-        places[..., 0] = np.asarray(x_m, dtype=np.float64)[node_columns][:, None, :]
-        places[..., 1] = np.asarray(y_m, dtype=np.float64)[node_rows][:, :, None]
-        self._places_m = places.reshape(count, tile * tile, 2)
+        tile_rows = np.minimum((kept // across)[:, None] * tile + inside, len(y_m) - 1)
+        tile_columns = np.minimum((kept % across)[:, None] * tile + inside, len(x_m) - 1)
+        places = np.empty((len(kept), tile, tile, 2))
+        places[..., 0] = np.asarray(x_m, dtype=np.float64)[tile_columns][:, None, :]
+        places[..., 1] = np.asarray(y_m, dtype=np.float64)[tile_rows][:, :, None]
+        self._places_m = places.reshape(len(kept), tile * tile, 2)
         self._centres_m = self._places_m.mean(axis=1)
         self._lattice_index = rows * needed.shape[1] + columns
-        self._tile_index = (
-            tile_of_node * tile * tile + (rows % tile) * tile + columns % tile
-        )
-        self._terms = KrigingTerms(
-            np.full((count, tile * tile), np.nan),
-            np.full((count, tile * tile, 2), np.nan),
-            np.full((count, tile * tile), np.nan),
-        )
-        self._reach_m2: NDArray[np.float64] = np.full(count, np.inf)
-        self._dirty: NDArray[np.bool_] = np.ones(count, dtype=bool)
+        self._tile_index = (tile_of_node * tile + rows % tile) * tile + columns % tile
+        # One contiguous plane for each term: recombining them all is most of an idle refresh.
+        planes = np.full((4, len(kept), tile * tile), np.nan)
+        self._terms = KrigingTerms(planes[0], np.moveaxis(planes[1:3], 0, -1), planes[3])
+        self._reach_m2: NDArray[np.float64] = np.full(len(kept), np.inf)
+        self._dirty: NDArray[np.bool_] = np.ones(len(kept), dtype=bool)
+        self._replacements: NDArray[np.intp] = np.zeros(len(kept), dtype=np.intp)
+        self._indices: NDArray[np.intp] = np.zeros((0, 0), dtype=np.intp)
+        self._precision: NDArray[np.float64] = np.zeros((0, 0, 0))
+        self._across: NDArray[np.float64] = np.zeros((0, 0, 0))
         self._parameters: ChannelParameters | None = None
         # Position, value and noise variance of every measurement already looked at.
         self._seen: NDArray[np.float64] = np.zeros((0, 4))
@@ -99,68 +104,169 @@ class TileMap:
         Returns
         -------
         int
-            Tiles computed anew.
+            Tiles updated.
         """
-        self._mark(posterior)
-        stale = self._dirty
+        wanted = np.ones(len(self._dirty), dtype=bool)
         if window_m is not None:
             x, y = self._centres_m.T
             x_min, y_min, x_max, y_max = window_m
-            stale = stale & (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
-        tiles = np.flatnonzero(stale)
-        if len(tiles):
-            self._compute(posterior, tiles)
-            self._dirty[tiles] = False
+            wanted = (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
+        replaceable, newcomers = self._mark(posterior, wanted)
+        stale = np.flatnonzero(self._dirty & wanted)
+        if self._neighbours >= len(posterior.measurements):
+            self._take_everyone(posterior, stale)
+        else:
+            for start in range(0, len(stale), TILES_AT_ONCE):
+                self._build(posterior, stale[start : start + TILES_AT_ONCE])
+        self._dirty[stale] = False
+        columns = np.column_stack(
+            [
+                posterior.values_db,
+                regressors(posterior.measurements.positions_m, posterior.parameters.station),
+            ]
+        )
+        for start in range(0, len(replaceable), TILES_AT_ONCE):
+            part = slice(start, start + TILES_AT_ONCE)
+            self._replace(posterior, columns, replaceable[part], newcomers[part])
         prediction = combine(self._terms, posterior.theta, posterior.theta_covariance)
-        self.mean_db.ravel()[self._lattice_index] = prediction.mean_db.ravel()[self._tile_index]
-        self.deviation_db.ravel()[self._lattice_index] = prediction.deviation_db.ravel()[
-            self._tile_index
-        ]
-        return len(tiles)
+        np.put(self.mean_db, self._lattice_index, prediction.mean_db.take(self._tile_index))
+        np.put(
+            self.deviation_db, self._lattice_index, prediction.deviation_db.take(self._tile_index)
+        )
+        return len(stale) + len(replaceable)
 
-    def _mark(self, posterior: ChannelPosterior) -> None:
-        """Mark the tiles that measurements not yet seen come near to."""
+    def _mark(
+        self, posterior: ChannelPosterior, wanted: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Find the tiles that measurements not yet seen come near to.
+
+        Returns the tiles where one of them replaces one neighbour, and which; all others that
+        are touched are marked dirty.
+        """
         now = np.column_stack(
             [posterior.measurements.positions_m, posterior.values_db, posterior.noise_variance_db2]
         )
         before = len(self._seen)
-        if posterior.parameters != self._parameters or not np.array_equal(
-            now[:before], self._seen
-        ):
+        hits = np.zeros(len(self._dirty), dtype=np.intp)
+        newcomer = np.zeros(len(self._dirty), dtype=np.intp)
+        if posterior.parameters != self._parameters or not np.array_equal(now[:before], self._seen):
             self._dirty[:] = True
         else:
-            for x, y in now[before:, :2]:
-                dx = self._centres_m[:, 0] - x
-                dy = self._centres_m[:, 1] - y
-                self._dirty |= dx * dx + dy * dy < self._reach_m2
+            for index in range(before, len(now)):
+                dx = self._centres_m[:, 0] - now[index, 0]
+                dy = self._centres_m[:, 1] - now[index, 1]
+                near = dx * dx + dy * dy < self._reach_m2
+                hits += near
+                newcomer[near] = index
         self._seen = now
         self._parameters = posterior.parameters
+        replaceable = (
+            (hits == 1)
+            & wanted
+            & ~self._dirty
+            & np.isfinite(self._reach_m2)
+            & (self._replacements < REPLACEMENTS_BEFORE_REBUILD)
+        )
+        self._dirty |= (hits > 0) & ~replaceable
+        tiles = np.flatnonzero(replaceable)
+        return tiles, newcomer[tiles]
 
-    def _compute(self, posterior: ChannelPosterior, tiles: NDArray[np.intp]) -> None:
-        """Compute the parts of `tiles` anew."""
+    def _take_everyone(self, posterior: ChannelPosterior, tiles: NDArray[np.intp]) -> None:
+        """Condition `tiles` on all measurements, which they then share."""
+        places = self._places_m[tiles]
+        terms = kriging_terms(posterior, places.reshape(-1, 2))
+        self._terms.data_db[tiles] = terms.data_db.reshape(places.shape[:2])
+        self._terms.trend[tiles] = terms.trend.reshape(places.shape)
+        self._terms.variance_db2[tiles] = terms.variance_db2.reshape(places.shape[:2])
+        self._reach_m2[tiles] = np.inf
+
+    def _build(self, posterior: ChannelPosterior, tiles: NDArray[np.intp]) -> None:
+        """Compute `tiles` from nothing."""
+        if not len(self._indices):
+            count, places, size = *self._places_m.shape[:2], self._neighbours
+            self._indices = np.zeros((count, size), dtype=np.intp)
+            self._precision = np.zeros((count, size, size))
+            self._across = np.zeros((count, places, size))
         measured = posterior.measurements.positions_m
-        if self._neighbours >= len(measured):
-            places = self._places_m[tiles]
-            terms = kriging_terms(posterior, places.reshape(-1, 2))
-            self._terms.data_db[tiles] = terms.data_db.reshape(places.shape[:2])
-            self._terms.trend[tiles] = terms.trend.reshape(places.shape)
-            self._terms.variance_db2[tiles] = terms.variance_db2.reshape(places.shape[:2])
-            self._reach_m2[tiles] = np.inf
-            return
-        at_once = min(TILES_AT_ONCE, max(1, DISTANCES_AT_ONCE // len(measured)))
-        for start in range(0, len(tiles), at_once):
-            part = tiles[start : start + at_once]
-            indices, self._reach_m2[part] = nearest(
-                measured, self._centres_m[part], self._neighbours
-            )
-            precision, weighted = local_precision(posterior, indices)
-            terms = local_terms(
-                posterior.parameters,
-                measured[indices],
-                precision,
-                weighted,
-                self._places_m[part],
-            )
-            self._terms.data_db[part] = terms.data_db
-            self._terms.trend[part] = terms.trend
-            self._terms.variance_db2[part] = terms.variance_db2
+        indices, self._reach_m2[tiles] = nearest(measured, self._centres_m[tiles], self._neighbours)
+        places = self._places_m[tiles]
+        across = shadow_covariance_db2(places, measured[indices], posterior.parameters)
+        precision, weighted = local_precision(posterior, indices)
+        terms = local_terms(posterior.parameters, places, across, precision, weighted)
+        self._terms.data_db[tiles] = terms.data_db
+        self._terms.trend[tiles] = terms.trend
+        self._terms.variance_db2[tiles] = terms.variance_db2
+        self._indices[tiles] = indices
+        self._precision[tiles] = precision
+        self._across[tiles] = across
+        self._replacements[tiles] = 0
+
+    def _replace(
+        self,
+        posterior: ChannelPosterior,
+        columns: NDArray[np.float64],
+        tiles: NDArray[np.intp],
+        newcomers: NDArray[np.intp],
+    ) -> None:
+        """Replace the farthest neighbour of each of `tiles` (k,) by `newcomers` (k,).
+
+        `columns` (n, 3) are y and Gamma of all measurements.
+
+        Leaving measurement j out of P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj); taking
+        one in whose covariance with the others is c adds v v' with v = [1; -P c] / sqrt(delta),
+        delta its variance given the others. What these directions say of the nodes is taken from
+        their terms, and added.
+        """
+        parameters = posterior.parameters
+        measured = posterior.measurements.positions_m
+        each = np.arange(len(tiles))
+        indices, precision = self._indices[tiles], self._precision[tiles]
+        across, centres = self._across[tiles], self._centres_m[tiles][:, None]
+        leaving = ((measured[indices] - centres) ** 2).sum(axis=2).argmax(axis=1)
+
+        out = precision[each, :, leaving]
+        out /= np.sqrt(out[each, leaving])[:, None]
+        self._add_direction(tiles, across, out, columns[indices], -1.0)
+        precision -= out[:, :, None] * out[:, None, :]
+        precision[each, :, leaving] = 0.0
+        precision[each, leaving, :] = 0.0
+
+        indices[each, leaving] = newcomers
+        positions = measured[indices]
+        arriving = measured[newcomers][:, None]
+        across[each, :, leaving] = shadow_covariance_db2(
+            self._places_m[tiles], arriving, parameters
+        )[:, :, 0]
+        shared = shadow_covariance_db2(arriving, positions, parameters)[:, 0]
+        own = shared[each, leaving] + posterior.noise_variance_db2[newcomers]
+        shared[each, leaving] = 0.0
+        into = -(precision @ shared[:, :, None])[:, :, 0]
+        delta = own + (shared * into).sum(axis=1)
+        into[each, leaving] = 1.0
+        into /= np.sqrt(delta)[:, None]
+        precision += into[:, :, None] * into[:, None, :]
+        self._add_direction(tiles, across, into, columns[indices], 1.0)
+
+        # As in a fresh build: rounding alone can take the latent variance below zero.
+        self._terms.variance_db2[tiles] = np.maximum(
+            self._terms.variance_db2[tiles], parameters.multipath_std_db**2
+        )
+        self._indices[tiles], self._precision[tiles] = indices, precision
+        self._across[tiles] = across
+        self._reach_m2[tiles] = ((positions - centres) ** 2).sum(axis=2).max(axis=1)
+        self._replacements[tiles] += 1
+
+    def _add_direction(
+        self,
+        tiles: NDArray[np.intp],
+        across: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        columns: NDArray[np.float64],
+        sign: float,
+    ) -> None:
+        """Account in the terms for `sign` times the outer square of `direction` (k, m) in P."""
+        seen = (across @ direction[:, :, None])[:, :, 0]
+        projected = sign * (direction[:, None, :] @ columns)
+        self._terms.data_db[tiles] += seen * projected[:, :, 0]
+        self._terms.trend[tiles] -= seen[:, :, None] * projected[:, :, 1:]
+        self._terms.variance_db2[tiles] -= sign * seen**2

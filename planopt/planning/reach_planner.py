@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.planning.candidate import Candidate, Judge
-from planopt.planning.global_search import GlobalStart, find_start
+from planopt.planning.global_search import GlobalSearch, GlobalStart
 from planopt.planning.node_margins import NodeMargins
 from planopt.planning.pivot import find_pivot
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
@@ -40,6 +40,7 @@ class ReachPlanner:
         self.scene = scene
         radio = problem.stations[0]
         self._margins = NodeMargins(scene.road_map, radio.threshold_dbm, problem.constraints.p_min)
+        self._search = GlobalSearch(problem, scene, self._margins)
         self._nlp: ReachNlp | None = None
         if problem.planner.name == "auto":
             self._nlp = build_reach_nlp(problem.planner.horizon, LINES_PER_SEGMENT)
@@ -61,7 +62,7 @@ class ReachPlanner:
         begun = perf_counter()
         problem, scene = self.problem, self.scene
         self._margins.refresh(belief.posterior)
-        start = find_start(problem, scene, self._margins, position_m)
+        start = self._search.find_start(position_m)
         judge = Judge(problem, scene, belief, position_m)
         if start is None:
             chosen = self._without_start(judge, warm)

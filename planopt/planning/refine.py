@@ -121,7 +121,8 @@ class Refiner:
             LINE_REACH_STEPS * problem.step_length_m,
         )
         goal = np.asarray(problem.robots[0].goal_m)
-        at_goal = np.nonzero(np.linalg.norm(path_m - goal, axis=1) == 0.0)[0]
+        away = np.linalg.norm(path_m - goal, axis=1)
+        at_goal = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
         return ReachTask(
             start_m=judge.position_m,
             path_m=path_m,

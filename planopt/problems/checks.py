@@ -5,7 +5,6 @@ These checks need geometry, or two tables at once. Each error carries the key to
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -135,12 +134,11 @@ def _check_channel(problem: Problem) -> None:
         return
     if isinstance(truth, ModelTruth):
         x_min, y_min, x_max, y_max = problem.workspace.bounds_m
-        cells = math.ceil((x_max - x_min) / truth.cell_m) * math.ceil(
-            (y_max - y_min) / truth.cell_m
-        )
+        cells = (x_max - x_min) / truth.cell_m * (y_max - y_min) / truth.cell_m
         if cells > MAX_TRUTH_CELLS:
             raise InputError(
-                f"is {truth.cell_m:g}, which makes {cells} cells, more than {MAX_TRUTH_CELLS}",
+                f"is {truth.cell_m:g}, which makes {cells:.3g} cells, "
+                f"more than {MAX_TRUTH_CELLS:.3g}",
                 file=problem.file,
                 key="channel.truth.cell_m",
                 remedy="larger cells, or smaller bounds",

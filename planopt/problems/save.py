@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import shapely
 
@@ -83,7 +83,7 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, tuple):
-            plain[key] = list(value)
+            plain[key] = list(cast("tuple[object, ...]", value))
         elif isinstance(value, Path):
             plain[key] = str(value.absolute())
         elif value is not None:

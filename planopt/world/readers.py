@@ -19,11 +19,6 @@ from planopt.world.workspace import Obstacle
 
 _AREAS = "obstacles are polygons; draw the outline of the area"
 
-_MULTIPOLYGON, _COLLECTION = (
-    shapely.GeometryType.MULTIPOLYGON,
-    shapely.GeometryType.GEOMETRYCOLLECTION,
-)
-
 _Part = TypeVar("_Part")
 
 
@@ -107,7 +102,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
     if not lines:
         raise InputError("the file is empty")
     for row, line in lines:
-        name = f"{stem} line {row}"
+        name = stem if len(lines) == 1 else f"{stem} line {row}"
         try:
             yield from _from_geometry(name, _parsed_wkt(name, line))
         except InputError as error:
@@ -144,8 +139,9 @@ def _from_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:
             for ring in (geometry.exterior, *geometry.interiors)
         )
         yield footprint(name, exterior, holes)
-    elif shapely.get_type_id(geometry) in (_MULTIPOLYGON, _COLLECTION):
-        for part_name, part in _named_parts(name, list(shapely.get_parts(geometry))):
+    elif isinstance(geometry, (shapely.MultiPolygon, shapely.GeometryCollection)):
+        parts = shapely.get_parts(cast("shapely.Geometry", geometry))
+        for part_name, part in _named_parts(name, list(parts)):
             yield from _from_geometry(part_name, part)
     else:
         raise InputError(f"{name}: a {type(geometry).__name__} is not an area", remedy=_AREAS)

@@ -55,7 +55,9 @@ def test_known_theta_equals_scikit_learn():
         4.0, "fixed"
     )
     oracle = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None)
-    oracle.fit(data.positions_m, data.power_dbm - regressors(data.positions_m, PARAMETERS.station) @ THETA)
+    oracle.fit(
+        data.positions_m, data.power_dbm - regressors(data.positions_m, PARAMETERS.station) @ THETA
+    )
     mean, deviation = oracle.predict(places(), return_std=True)
     found = condition(PARAMETERS, data, theta="known").predict(places())
     path_loss = regressors(places(), PARAMETERS.station) @ THETA
@@ -244,7 +246,7 @@ def test_one_distance_from_the_station_takes_the_weak_prior(count):
     angle = np.linspace(0.0, 6.0, count)
     station = PARAMETERS.station.position_m
     positions = np.array(station) + 50.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    data = Measurements(positions, np.full(count, -90.0), np.zeros(count, dtype=bool))
+    data = Measurements(positions, np.full(count, -110.0), np.zeros(count, dtype=bool))
     posterior = condition(PARAMETERS, data)
     gamma = regressors(positions[:1], PARAMETERS.station)[0]
     prior = np.diag(np.square(WEAK_THETA_DEVIATION))

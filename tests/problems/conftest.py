@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 
 
+@pytest.fixture
 def tables() -> dict[str, Any]:
-    """Fresh tables: one square building, one robot, one station, a drawn channel."""
+    """Fresh tables: two obstacles, one robot, one station, a drawn channel."""
     return {
         "problem": {"schema": 1, "name": "small"},
         "world": {
@@ -42,6 +46,11 @@ def tables() -> dict[str, Any]:
     }
 
 
-def built(data: object, folder: Path = Path("here")) -> Problem:
-    """The problem of `data`, as from a file ``small.toml``."""
-    return problem_from_tables(data, folder=folder, file=Path("small.toml"))
+@pytest.fixture
+def built() -> Callable[[object], Problem]:
+    """Makes the problem of given tables, as from a file ``small.toml`` in the working folder."""
+
+    def build(data: object) -> Problem:
+        return problem_from_tables(data, folder=Path.cwd(), file=Path("small.toml"))
+
+    return build

@@ -1,0 +1,68 @@
+"""Shadowing fields have the covariance they claim."""
+
+import numpy as np
+import pytest
+
+from planopt.channel.field import CLIPPED_SHARE_TOLERANCE, shadow_field_db
+from planopt.errors import InputError
+
+
+@pytest.mark.parametrize(("shape", "decorrelation"), [((12, 16), 5.0), ((6, 20), 30.0)])
+def test_covariance_over_many_seeds(shape, decorrelation):
+    """Mean products at several lags within 4 standard errors of xi^2 exp(-d / beta)."""
+    generator = np.random.default_rng(3)
+    fields = np.array(
+        [shadow_field_db(shape, 2.0, 3.0, decorrelation, generator).values_db for _ in range(1500)]
+    )
+    assert np.abs(fields.mean(axis=0)).max() < 4.5 * 3.0 / np.sqrt(1500)
+    for row, column in [(0, 0), (0, 1), (1, 0), (3, 4), (0, 15), (5, 0), (5, 11)]:
+        products = fields[:, 0, 0] * fields[:, row, column]
+        expected = 9.0 * np.exp(-2.0 * np.hypot(row, column) / decorrelation)
+        error = products.std() / np.sqrt(len(products))
+        assert abs(products.mean() - expected) < 4.0 * error
+
+
+def test_opposite_edges_are_not_neighbours():
+    """The torus is long enough: first and last column are as uncorrelated as their distance."""
+    generator = np.random.default_rng(4)
+    ends = np.array(
+        [
+            shadow_field_db((1, 40), 1.0, 1.0, 4.0, generator).values_db[0, [0, -1]]
+            for _ in range(900)
+        ]
+    )
+    assert abs(np.corrcoef(ends.T)[0, 1]) < 4.0 / np.sqrt(900)
+
+
+def test_report_of_padding_and_clipping():
+    """Padding grows with the decorrelation distance; what is clipped stays under tolerance."""
+    short = shadow_field_db((10, 30), 1.0, 2.0, 1.0, np.random.default_rng(0))
+    long = shadow_field_db((10, 30), 1.0, 2.0, 40.0, np.random.default_rng(0))
+    assert short.values_db.shape == long.values_db.shape == (10, 30)
+    assert min(short.padding) >= 10
+    assert min(long.padding) > max(short.padding)
+    assert 0.0 <= short.clipped_share <= CLIPPED_SHARE_TOLERANCE
+    assert 0.0 <= long.clipped_share <= CLIPPED_SHARE_TOLERANCE
+
+
+def test_seed_fixes_the_field_and_xi_scales_it():
+    """Never standardised: doubling xi doubles the same realisation."""
+    one = shadow_field_db((8, 8), 1.0, 2.0, 3.0, np.random.default_rng(5)).values_db
+    again = shadow_field_db((8, 8), 1.0, 2.0, 3.0, np.random.default_rng(5)).values_db
+    double = shadow_field_db((8, 8), 1.0, 4.0, 3.0, np.random.default_rng(5)).values_db
+    np.testing.assert_array_equal(one, again)
+    np.testing.assert_allclose(double, 2.0 * one)
+
+
+def test_units_do_not_matter():
+    """Cells and decorrelation distance in kilometres give the same field."""
+    metres = shadow_field_db((8, 9), 2.0, 2.0, 6.0, np.random.default_rng(6)).values_db
+    kilometres = shadow_field_db((8, 9), 0.002, 2.0, 0.006, np.random.default_rng(6)).values_db
+    np.testing.assert_allclose(metres, kilometres, atol=1e-12)
+
+
+def test_a_torus_that_does_not_fit_is_refused(monkeypatch):
+    """A clear error instead of a machine out of memory."""
+    monkeypatch.setattr("planopt.channel.field.MAX_TORUS_CELLS", 10_000)
+    with pytest.raises(InputError, match="decorrelation distance 500 m"):
+        shadow_field_db((20, 20), 1.0, 2.0, 500.0, np.random.default_rng(0))

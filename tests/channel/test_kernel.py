@@ -1,0 +1,42 @@
+"""The kernel against scikit-learn and its closed form."""
+
+import numpy as np
+from scipy.spatial.distance import cdist
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
+from planopt.channel.kernel import pairwise_distance_m, shadow_covariance_db2
+from planopt.channel.parameters import ChannelParameters, Station
+
+PARAMETERS = ChannelParameters(-40.0, 3.0, 5.0, 20.0, 2.0, Station((0.0, 0.0)))
+A = np.random.default_rng(0).uniform(-50.0, 50.0, (7, 2))
+B = np.random.default_rng(1).uniform(-50.0, 50.0, (4, 2))
+
+
+def test_distances_equal_scipys():
+    """Every pair, also near 3e6 where an expanded square would lose all digits."""
+    np.testing.assert_allclose(pairwise_distance_m(A, B), cdist(A, B), rtol=1e-13)
+    shift = np.array([3e6, 3e6])
+    np.testing.assert_allclose(pairwise_distance_m(A + shift, B + shift), cdist(A, B), atol=1e-8)
+
+
+def test_covariance_equals_scikit_learns():
+    """Matern with nu = 1/2, the length scale being beta itself."""
+    oracle = ConstantKernel(25.0) * Matern(20.0, nu=0.5)
+    np.testing.assert_allclose(shadow_covariance_db2(A, B, PARAMETERS), oracle(A, B), rtol=1e-12)
+
+
+def test_batches_are_separate_problems():
+    """Leading axes are batches; inputs are left alone."""
+    several = np.stack([A, A + 5.0, 2.0 * A])
+    others = np.stack([B, B, -B])
+    kept = several.copy()
+    found = shadow_covariance_db2(several, others, PARAMETERS)
+    assert found.shape == (3, 7, 4)
+    for one, a, b in zip(found, several, others, strict=True):
+        np.testing.assert_array_equal(one, shadow_covariance_db2(a, b, PARAMETERS))
+    np.testing.assert_array_equal(several, kept)
+
+
+def test_no_positions_are_allowed():
+    """Empty in, empty out."""
+    assert shadow_covariance_db2(np.zeros((0, 2)), B, PARAMETERS).shape == (0, 4)

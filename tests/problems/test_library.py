@@ -1,0 +1,130 @@
+"""The problem library and what its files promise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from planopt.errors import InputError
+from planopt.problems import library
+from planopt.problems.library import find_problem, list_problems
+from planopt.problems.load import load
+from planopt.problems.problem import ModelTruth, RasterTruth, SampledMeasurements
+from planopt.world.clearance import clearance_m, index_obstacles
+
+NAMES = ["munich_courier", "munich_hard", "open_field"]
+
+
+def test_library_lists_its_problems_by_name() -> None:
+    """Every problem of the library is there, described, with its file."""
+    entries = list_problems()
+    assert [entry.name for entry in entries] == NAMES
+    for entry in entries:
+        assert entry.description.endswith(".")
+        problem = load(entry.name)
+        assert (problem.name, problem.description) == (entry.name, entry.description)
+        assert problem.file == entry.path
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "goal", "threshold", "step"),
+    [
+        ("munich_courier", (45, -351), (-183, 89), -83, 6),
+        ("munich_hard", (-219, 17), (47, -349), -80, 5),
+    ],
+)
+def test_munich_files_are_the_agreed_scenarios(
+    name: str, start: tuple[float, float], goal: tuple[float, float], threshold: float, step: float
+) -> None:
+    """Start, goal, power, bound, step and clearance as agreed when the data were checked."""
+    problem = load(name)
+    robot, station = problem.robots[0], problem.stations[0]
+    assert (robot.start_m, robot.goal_m) == (start, goal)
+    assert (station.transmit_power_dbm, station.threshold_dbm) == (30, threshold)
+    assert problem.step_length_m == pytest.approx(step)
+    assert problem.constraints.p_min == 0.8
+    assert problem.constraints.clearance_m == 2
+    assert problem.channel.measurements == SampledMeasurements(300)
+    assert len(problem.workspace.obstacles) == 742
+
+
+@pytest.mark.parametrize("name", NAMES[:2])
+def test_munich_files_agree_with_their_map(name: str) -> None:
+    """The map covers the bounds, its mast is the station, and both ends are truly connected."""
+    problem = load(name)
+    truth = problem.channel.truth
+    assert isinstance(truth, RasterTruth)
+    assert (truth.floor_db, truth.rician_k) == (-130, 10)
+    with np.load(truth.file, allow_pickle=False) as data:
+        x, y, gain = data["x"], data["y"], data[truth.variable]
+        mast, receiver_height = data["tx"], float(data["rx_z"])
+    half = (x[1] - x[0]) / 2
+    assert problem.workspace.bounds_m == (x[0] - half, y[0] - half, x[-1] + half, y[-1] + half)
+    station = problem.stations[0]
+    assert station.site.position_m == pytest.approx(mast[:2])
+    assert station.site.height_m == pytest.approx(mast[2] - receiver_height)
+    for place in (problem.robots[0].start_m, problem.robots[0].goal_m):
+        cell = gain[np.abs(y - place[1]).argmin(), np.abs(x - place[0]).argmin()]
+        assert station.transmit_power_dbm + cell > station.threshold_dbm
+
+
+def test_open_field_has_inline_obstacles_and_places_out_of_reach() -> None:
+    """A wall that is not convex, one obstacle from WKT, and a far end below the bound."""
+    problem = load("open_field")
+    wall, shed, pond = (obstacle.polygon for obstacle in problem.workspace.obstacles)
+    assert wall.convex_hull.area > 2 * wall.area
+    assert shed.area == 18 * 12
+    assert pond.convex_hull.equals(pond)
+    truth, station = problem.channel.truth, problem.stations[0]
+    assert isinstance(truth, ModelTruth)
+    deviation = np.hypot(truth.shadow_std_db, truth.multipath_std_db)
+
+    def connectivity(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        offset = np.linalg.norm(places - station.site.position_m, axis=1)
+        distance = np.hypot(offset, station.site.height_m)
+        power = station.transmit_power_dbm + truth.k_pl_db - 10 * truth.n_pl * np.log10(distance)
+        return norm.cdf((power - station.threshold_dbm) / deviation)
+
+    x, y = np.meshgrid(np.arange(0.5, 120), np.arange(0.5, 100))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    free = places[clearance_m(index_obstacles(problem.workspace), places) > 0]
+    assert 0.1 < (connectivity(free) < problem.constraints.p_min).mean() < 0.5
+    ends = np.array([problem.robots[0].start_m, problem.robots[0].goal_m])
+    assert (connectivity(ends) > 0.95).all()
+
+
+def test_installed_library_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In an installed package the library is beside the code, in the folder ``library``."""
+    monkeypatch.setattr(library, "__file__", str(tmp_path / "a" / "b" / "library.py"))
+    (tmp_path / "problems").mkdir()
+    (tmp_path / "problems" / "one.toml").write_text('[problem]\nschema = 1\nname = "one"\n')
+    assert [entry.name for entry in list_problems()] == ["one"]
+    installed = tmp_path / "a" / "b" / "library"
+    installed.mkdir(parents=True)
+    (installed / "two.toml").write_text('[problem]\nschema = 1\nname = "two"\n')
+    assert [entry.name for entry in list_problems()] == ["two"]
+    assert find_problem("two") == installed / "two.toml"
+
+
+def test_broken_library_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Listing tells which file has no valid head, with the key as in the file."""
+    monkeypatch.setattr(library, "__file__", str(tmp_path / "library.py"))
+    (tmp_path / "library").mkdir()
+    path = tmp_path / "library" / "one.toml"
+    path.write_text("[problem]\nschema = 3\nname = 'one'\n")
+    with pytest.raises(InputError, match="should be 1") as caught:
+        list_problems()
+    assert (caught.value.file, caught.value.key) == (str(path), "problem.schema")
+
+
+def test_path_beats_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file called like a library problem is taken; a folder called so is not in the way."""
+    monkeypatch.chdir(tmp_path)
+    Path("munich_hard").mkdir()
+    assert find_problem("munich_hard").is_absolute()
+    Path("munich_courier").touch()
+    assert find_problem("munich_courier") == Path("munich_courier")

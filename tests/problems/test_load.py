@@ -1,0 +1,183 @@
+"""Loading files: where they are, what they hold, and one clear error for what cannot be read."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planopt.errors import InputError
+from planopt.problems.library import library_folder
+from planopt.problems.load import load
+from planopt.problems.problem import LoggedMeasurements, Problem, RasterTruth
+
+OPEN_FIELD = (library_folder() / "open_field.toml").read_text(encoding="utf-8")
+
+
+def written(folder: Path, text: str | bytes) -> Path:
+    """`text` as the file ``p.toml`` in `folder`."""
+    path = folder / "p.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_a_copy_of_a_library_file_loads_the_same(tmp_path: Path) -> None:
+    """Nothing but the file depends on where a problem without other files stands."""
+    copy = load(written(tmp_path, OPEN_FIELD))
+    original = load("open_field")
+    assert copy.file == tmp_path / "p.toml"
+    assert copy.workspace == original.workspace
+    assert copy.channel == original.channel
+
+
+def test_byte_order_mark_and_carriage_returns_are_read(tmp_path: Path) -> None:
+    """Files from Windows editors load like any other."""
+    text = "\ufeff" + OPEN_FIELD.replace("\n", "\r\n")
+    assert load(written(tmp_path, text)).robots == load("open_field").robots
+
+
+def test_relative_files_start_at_the_problem_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder that the program runs in does not matter, and loaded paths are absolute."""
+    folder = tmp_path / "deep"
+    folder.mkdir()
+    (folder / "log.csv").write_text("x_m,y_m,power_dbm\n")
+    (folder / "map.npz").touch()
+    (folder / "area.wkt").write_text("POLYGON ((84 60, 102 60, 102 72, 84 60))")
+    text = OPEN_FIELD.replace("count = 120", 'file = "log.csv"\ncolumns = { power = "rssi" }')
+    written(
+        folder,
+        text.replace('kind = "model"', 'kind = "raster"\nfile = "map.npz"\nfloor_db = -130')
+        .replace("k_pl_db = -30.0\nn_pl = 2.4\nshadow_std_db = 4.0\n", "")
+        .replace("decorrelation_m = 15.0\nmultipath_std_db = 1.5\ncell_m = 1.0\n", "")
+        .replace("[channel.truth]", '[[world.obstacles]]\nfile = "area.wkt"\n\n[channel.truth]'),
+    )
+    monkeypatch.chdir(tmp_path)
+    problem = load("deep/p.toml")
+    assert problem.channel.measurements == LoggedMeasurements(
+        folder / "log.csv", ("x_m", "y_m", "rssi"), None, None
+    )
+    assert problem.channel.truth == RasterTruth(folder / "map.npz", "path_gain_db", -130.0, None)
+    assert problem.workspace.obstacles[-1].polygon.area == pytest.approx(108)
+    (folder / "log.csv").unlink()
+    with pytest.raises(InputError, match=r"log\.csv is not a file") as caught:
+        load("deep/p.toml")
+    assert caught.value.key == "channel.measurements.file"
+    (folder / "map.npz").unlink()
+    with pytest.raises(InputError, match=r"map\.npz is not a file") as caught:
+        load("deep/p.toml")
+    assert caught.value.key == "channel.truth.file"
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "row"),
+    [
+        ("[problem]\nschema = 1\nname = \n", "Invalid value", 3),
+        ("[problem]\nschema = [1,\n", "is not TOML", 2),
+        ("a = 1\na = 2\n", "overwrite", 2),
+        ("a = " + "[" * 5000, "nested too deeply", None),
+        ("a = " + "9" * 5000, "is not TOML", None),
+        (b"a = '\xff'", "is not UTF-8", None),
+        ("", "is missing", None),
+    ],
+)
+def test_text_that_is_no_problem_is_one_error(
+    tmp_path: Path, text: str | bytes, message: str, row: int | None
+) -> None:
+    """A file that does not parse is an error with its file, and its line where there is one."""
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match=message) as caught:
+        load(path)
+    assert caught.value.file == str(path)
+    assert caught.value.row == row
+
+
+def test_parse_errors_say_the_column(tmp_path: Path) -> None:
+    """The parser's place is told apart from its message."""
+    with pytest.raises(InputError) as caught:
+        load(written(tmp_path, "[problem]\nname = \n"))
+    assert "line" not in caught.value.message
+    assert caught.value.remedy == "at column 8"
+
+
+def test_error_of_an_obstacle_file_names_both_places(tmp_path: Path) -> None:
+    """The file that is wrong is the obstacle file; the key says where it is asked for."""
+    (tmp_path / "a.wkt").write_text("POINT (1 2)")
+    text = OPEN_FIELD.replace('wkt = "POLYGON', 'file = "a.wkt" #').replace('name = "pond"\n', "")
+    with pytest.raises(InputError, match="Point") as caught:
+        load(written(tmp_path, text))
+    assert caught.value.file == str(tmp_path / "a.wkt")
+    assert caught.value.key == "world.obstacles[2]"
+
+
+def test_missing_obstacle_file_names_it(tmp_path: Path) -> None:
+    """An obstacle file that is not there is an error with its path."""
+    text = OPEN_FIELD.replace('wkt = "POLYGON', 'file = "none.geojson" #')
+    text = text.replace('name = "pond"\n', "")
+    with pytest.raises(InputError, match="cannot be read") as caught:
+        load(written(tmp_path, text))
+    assert caught.value.file == str(tmp_path / "none.geojson")
+
+
+def test_polygon_that_crosses_itself_names_its_entry(tmp_path: Path) -> None:
+    """Geometry that means nothing is refused at the border, with the problem file and the key."""
+    text = OPEN_FIELD.replace("[102.0, 60.0], [102.0, 72.0]", "[102.0, 72.0], [102.0, 60.0]")
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match="shed") as caught:
+        load(path)
+    assert caught.value.file == str(path)
+    assert caught.value.key == "world.obstacles[1]"
+
+
+def test_folder_is_not_a_problem_file(tmp_path: Path) -> None:
+    """A folder is told apart from a missing file."""
+    with pytest.raises(InputError, match="is a folder"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["none.toml", "no/such.toml", "x" * 300, "a\0b", "", "\ud800"])
+def test_what_is_not_there_is_one_error(name: str) -> None:
+    """Names that the file system has not, or would not even take, are the same clear error."""
+    with pytest.raises(InputError):
+        load(name)
+
+
+def test_unknown_name_suggests_the_nearest() -> None:
+    """A slip in a library name is answered with the right one."""
+    with pytest.raises(InputError, match="did you mean munich_courier") as caught:
+        load("munich_curier")
+    assert caught.value.file is None
+
+
+def test_data_file_with_a_name_too_long_is_one_error(tmp_path: Path) -> None:
+    """A name that the file system does not take is a missing file, with its key."""
+    text = OPEN_FIELD.replace("count = 120", f'file = "{"x" * 300}"')
+    with pytest.raises(InputError, match="is not a file") as caught:
+        load(written(tmp_path, text))
+    assert caught.value.key == "channel.measurements.file"
+
+
+def test_file_that_cannot_be_read_is_one_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A failing disk gives the system's reason."""
+
+    def fail(_: Path) -> bytes:
+        raise OSError(5, "Input/output error")
+
+    path = written(tmp_path, OPEN_FIELD)
+    monkeypatch.setattr(Path, "read_bytes", fail)
+    with pytest.raises(InputError, match="cannot be read: Input/output error"):
+        load(path)
+
+
+def test_file_tables_and_dict_tables_are_the_same(
+    built: Callable[[object], Problem],
+) -> None:
+    """A problem file is nothing more than its parsed tables."""
+    tables: dict[str, Any] = tomllib.loads(OPEN_FIELD)
+    assert built(tables).workspace == load("open_field").workspace

@@ -1,0 +1,108 @@
+"""A problem as plain data and back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planopt.errors import InputError
+from planopt.problems.library import list_problems
+from planopt.problems.load import load
+from planopt.problems.problem import LoggedMeasurements, Problem
+from planopt.problems.save import problem_from_dict, problem_to_dict
+
+Tables = dict[str, Any]
+Build = Callable[[object], Problem]
+
+
+def there_and_back(problem: Problem) -> Problem:
+    """`problem` through JSON text."""
+    return problem_from_dict(json.loads(json.dumps(problem_to_dict(problem))), file=problem.file)
+
+
+@pytest.mark.parametrize("name", [entry.name for entry in list_problems()])
+def test_library_problems_survive_json_exactly(name: str) -> None:
+    """Every number, name, ring and hole of a library problem comes back bit for bit."""
+    problem = load(name)
+    back = there_and_back(problem)
+    assert back == problem
+    for before, after in zip(problem.workspace.obstacles, back.workspace.obstacles, strict=True):
+        assert before.polygon.wkb == after.polygon.wkb
+
+
+def test_every_setting_survives(tables: Tables, built: Build, tmp_path: Path) -> None:
+    """Settings that differ from every default, a hole, an odd coordinate and a log come back."""
+    tables["problem"]["description"] = "odd – ünïcode"
+    tables["world"]["obstacles"][0] |= {
+        "name": "",
+        "holes": [[[22.1 + 1e-13, 12], [28, 12], [25, 18]], [[22, 18.5], [23, 18.5], [22, 19]]],
+    }
+    tables["channel"]["truth"]["floor_db"] = -99.5
+    tables["channel"]["measurements"] = {
+        "file": str(tmp_path / "log.csv"),
+        "columns": {"x": "east", "power": "rssi"},
+        "censored_column": "near_floor",
+        "floor_dbm": -101.5,
+        "spacing_m": 3.25,
+    }
+    tables["robots"][0]["name"] = "r2"
+    tables["stations"][0] |= {"name": "s2", "height_m": 12.5}
+    tables["objective"] = {"effort_weight_s2_m2": 0.7, "cost_to_go": "geodesic"}
+    tables["constraints"] |= {"clearance_m": 0.25, "goal_radius_m": 2.5}
+    tables["planner"] |= {"name": "lattice", "horizon": 7, "neighbours": 33, "max_steps": 77}
+    tables["report"] = {"figures": False}
+    problem = built(tables)
+    assert problem.channel.measurements == LoggedMeasurements(
+        tmp_path / "log.csv", ("east", "y_m", "rssi"), "near_floor", -101.5
+    )
+    assert there_and_back(problem) == problem
+
+
+def test_problem_in_full_names_no_obstacle_file() -> None:
+    """Obstacles stand in the data, so that a saved plan can be judged from its own files."""
+    data = problem_to_dict(load("munich_courier"))
+    assert len(data["world"]["obstacles"]) == 742
+    assert all({"name", "polygon"} <= table.keys() for table in data["world"]["obstacles"])
+    assert Path(data["channel"]["truth"]["file"]).is_absolute()
+
+
+def test_restored_problem_needs_no_truth_file(tmp_path: Path) -> None:
+    """A saved plan moved to a machine without the truth's map can still be judged."""
+    data = problem_to_dict(load("munich_courier"))
+    data["channel"]["truth"]["file"] = str(tmp_path / "gone.npz")
+    assert problem_from_dict(data).name == "munich_courier"
+
+
+def test_truth_may_be_absent(tables: Tables, built: Build) -> None:
+    """No truth stays no truth."""
+    del tables["channel"]["truth"]
+    tables["channel"]["measurements"] = {"file": "log.csv"}
+    problem = built(tables)
+    assert "truth" not in problem_to_dict(problem)["channel"]
+    back = problem_from_dict(problem_to_dict(problem), file=problem.file)
+    assert back.channel.truth is None
+
+
+def test_restored_data_is_validated_and_names_its_file(tables: Tables, built: Build) -> None:
+    """A saved problem that somebody changed gives the same errors as a problem file."""
+    data = problem_to_dict(built(tables))
+    data["robots"][0]["start_m"] = [25.0, 15.0]
+    with pytest.raises(InputError, match="inside the obstacle hall") as caught:
+        problem_from_dict(data, file=Path("plan.json"))
+    assert caught.value.file == "plan.json"
+    with pytest.raises(InputError, match="inside the obstacle hall") as caught:
+        problem_from_dict(data)
+    assert caught.value.file is None
+
+
+def test_moved_coordinate_is_seen() -> None:
+    """The comparison that these tests rest on would see a difference in the last bit."""
+    problem = load("open_field")
+    robot = problem.robots[0]
+    moved = replace(robot, start_m=(robot.start_m[0] + 1e-14, robot.start_m[1]))
+    assert there_and_back(replace(problem, robots=(moved,))) != problem

@@ -1,0 +1,125 @@
+import itertools
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from planopt.world.clearance import (
+    clearance_m,
+    containing_obstacle,
+    index_obstacles,
+    inside_bounds,
+    swept_clearance_m,
+)
+from planopt.world.workspace import Obstacle, Workspace
+
+BOUNDS = (-10.0, -10.0, 20.0, 20.0)
+YARD = shapely.Polygon(
+    [(0, 0), (9, 0), (9, 9), (0, 9)], [[(1, 1), (8, 1), (8, 8), (1, 8)]]
+)  # a wall around a courtyard
+HOOK = shapely.Polygon([(12, 0), (18, 0), (18, 6), (16, 6), (16, 2), (12, 2)])
+WORLD = Workspace(BOUNDS, (Obstacle("yard", YARD), Obstacle("hook", HOOK)))
+INDEX = index_obstacles(WORLD)
+EMPTY = index_obstacles(Workspace(BOUNDS, ()))
+places = st.tuples(st.floats(-10, 20), st.floats(-10, 20))
+
+
+def test_known_distances() -> None:
+    """In the courtyard, between the arms of the hook, inside, on the border and outside."""
+    positions = np.array([[4.5, 4.5], [14, 5], [0.5, 0.5], [0, 3], [-3, -4], [1.25, 2]])
+    np.testing.assert_allclose(clearance_m(INDEX, positions), [3.5, 2, 0, 0, 5, 0.25])
+
+
+def test_known_swept_distances() -> None:
+    """Ways within the courtyard, through its wall, across the hook's opening, and standing."""
+    path = np.array([[2, 2], [7, 2], [7, 7], [15, 7], [15, 4], [15, 4], [13, 9]])
+    np.testing.assert_allclose(
+        swept_clearance_m(INDEX, path), [1, 1, 0, 1, 1, np.hypot(*(path[5] - (16, 4)))]
+    )
+
+
+def test_thin_wall_between_samples() -> None:
+    """Both ends are far from a thin wall that the way goes through: the clearance is 0."""
+    wall = shapely.Polygon([(0, -5), (0.001, -5), (0.001, 5), (0, 5)])
+    index = index_obstacles(Workspace(BOUNDS, (Obstacle("wall", wall),)))
+    path = np.array([[-3.0, 0.0], [3.0, 0.1]])
+    assert clearance_m(index, path).min() > 2.9
+    np.testing.assert_array_equal(swept_clearance_m(index, path), [0.0])
+
+
+@settings(deadline=None)
+@given(st.lists(places, min_size=2, max_size=8))
+def test_swept_is_the_least_along_the_way(waypoints: list[tuple[float, float]]) -> None:
+    """Against dense samples: never more than any of them, and not less than their Lipschitz bound.
+
+    Samples are measured to every boundary edge by hand, without GEOS.
+    """
+    path = np.array(waypoints)
+    swept = swept_clearance_m(INDEX, path)
+    share = np.linspace(0, 1, 201)[:, None]
+    for (start, end), distance in zip(itertools.pairwise(path), swept, strict=True):
+        least = by_hand(start + share * (end - start)).min()
+        spacing = np.hypot(*(end - start)) / 200
+        assert least - spacing / 2 - 1e-9 <= distance <= least + 1e-9
+
+
+def by_hand(at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of places (n, 2) to the nearest edge; 0 where the crossing number says inside."""
+    nearest = np.full(len(at), np.inf)
+    for obstacle in WORLD.obstacles:
+        inside = np.zeros(len(at), dtype=bool)
+        for ring in (obstacle.polygon.exterior, *obstacle.polygon.interiors):
+            for a, b in itertools.pairwise(np.array(ring.coords)):
+                share = np.clip((at - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)[:, None]
+                nearest = np.minimum(nearest, np.hypot(*(a + share * (b - a) - at).T))
+                spans = (a[1] > at[:, 1]) != (b[1] > at[:, 1])
+                rise = b[1] - a[1] or np.inf
+                inside ^= spans & (a[0] + (at[:, 1] - a[1]) / rise * (b[0] - a[0]) > at[:, 0])
+        nearest[inside] = 0.0
+    return nearest
+
+
+def test_standing_is_a_point() -> None:
+    """A way of no length, or too short to be squared, has the clearance of its place."""
+    path = np.array([[0.0, -2.0], [0.0, -2.0], [1e-200, -2.0]])
+    np.testing.assert_array_equal(swept_clearance_m(INDEX, path), [2.0, 2.0])
+
+
+def test_without_obstacles_and_without_places() -> None:
+    """Nothing to keep away from: infinite; nothing asked: nothing returned."""
+    path = np.array([[0.0, 0.0], [1.0, 0.0]])
+    np.testing.assert_array_equal(clearance_m(EMPTY, path), [np.inf, np.inf])
+    np.testing.assert_array_equal(swept_clearance_m(EMPTY, path), [np.inf])
+    assert swept_clearance_m(INDEX, path[:1]).shape == (0,)
+    assert clearance_m(INDEX, np.empty((0, 2))).shape == (0,)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_not_finite_keeps_no_margin(bad: float) -> None:
+    """Only what touches the bad place is NaN, so a comparison with a margin fails there."""
+    path = np.array([[-5.0, -5.0], [-6.0, -5.0], [bad, -5.0], [-7.0, -5.0]])
+    for index in (INDEX, EMPTY):
+        np.testing.assert_array_equal(swept_clearance_m(index, path) >= 2.0, [True, False, False])
+        np.testing.assert_array_equal(clearance_m(index, path) >= 2.0, [True, True, False, True])
+
+
+def test_inside_bounds() -> None:
+    """The border belongs to the workspace; NaN does not."""
+    positions = np.array([[-10, -10], [20, 20], [20.001, 0], [0, -10.001], [np.nan, 0]])
+    np.testing.assert_array_equal(
+        inside_bounds(WORLD, positions), [True, True, False, False, False]
+    )
+
+
+def test_containing_obstacle() -> None:
+    """Walls contain, their border too, courtyards and free places do not."""
+    assert containing_obstacle(INDEX, np.array([0.5, 0.5])) is WORLD.obstacles[0]
+    assert containing_obstacle(INDEX, np.array([18.0, 3.0])) is WORLD.obstacles[1]
+    assert containing_obstacle(INDEX, np.array([4.5, 4.5])) is None
+    assert containing_obstacle(EMPTY, np.array([0.5, 0.5])) is None
+    twice = Workspace(BOUNDS, (WORLD.obstacles[1], WORLD.obstacles[0], WORLD.obstacles[0]))
+    found = containing_obstacle(index_obstacles(twice), np.array([0.5, 0.5]))
+    assert found is WORLD.obstacles[0]

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, polygamma, psi  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import gammaln, psi, zeta  # pyright: ignore[reportUnknownVariableType]
 
 DB_PER_NEPER = 10.0 / math.log(10.0)
 
@@ -62,7 +62,7 @@ def _log_moments(k_factor: float) -> tuple[float, float]:
         weights = np.where(orders == 0.0, 1.0, 0.0)
     means = _array(psi(orders + 1.0))
     mean = float(weights @ means)
-    variance = float(weights @ (_array(polygamma(1, orders + 1.0)) + (means - mean) ** 2))
+    variance = float(weights @ (_array(zeta(2.0, orders + 1.0)) + (means - mean) ** 2))
     return DB_PER_NEPER * (mean - math.log1p(k_factor)), DB_PER_NEPER * math.sqrt(variance)
 
 

@@ -131,9 +131,8 @@ def local_precision(
     """U_mm^-1 (k, m, m) and U_mm^-1 [y, Gamma_m] (k, m, 3) of the measurements `indices` (k, m)."""
     positions = posterior.measurements.positions_m[indices]
     covariance = shadow_covariance_db2(positions, positions, posterior.parameters)
-    diagonal = np.arange(indices.shape[1])
-    covariance[:, diagonal, diagonal] += posterior.noise_variance_db2[indices]
-    precision = np.linalg.inv(covariance)
+    np.einsum("kii->ki", covariance)[...] += posterior.noise_variance_db2[indices]
+    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     columns = np.empty((*indices.shape, 3))
     columns[:, :, 0] = posterior.values_db[indices]
     columns[:, :, 1:] = regressors(positions, posterior.parameters.station)

@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.censoring import (
     MIN_NOISE_VARIANCE_DB2,
@@ -19,6 +18,7 @@ from planopt.channel.censoring import (
     censored_sites,
     gaussian_sites,
 )
+from planopt.channel.cholesky import solve_lower
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.measurements import Measurements, join
@@ -73,7 +73,7 @@ class KrigingTerms:
     variance_db2: NDArray[np.float64]
 
 
-class _Factor:
+class FactorBuffer:
     """Lower Cholesky factor with spare rows; rows from `used` on are free."""
 
     def __init__(self, capacity: int) -> None:
@@ -107,6 +107,8 @@ class ChannelPosterior:
         ``(2, 2)`` M, its covariance; zero where theta is known.
     theta_known
         Whether theta was given rather than estimated.
+    buffer
+        Where the factor is stored, shared with the posteriors that extend this one.
     """
 
     parameters: ChannelParameters
@@ -118,13 +120,13 @@ class ChannelPosterior:
     theta: NDArray[np.float64]
     theta_covariance: NDArray[np.float64]
     theta_known: bool
-    _factor: _Factor = field(repr=False)
+    buffer: FactorBuffer = field(repr=False)
 
     @property
     def factor(self) -> NDArray[np.float64]:
         """Lower Cholesky factor L of U, ``(kappa, kappa)``; a view, not to be written to."""
         count = len(self.measurements)
-        return self._factor.lower[:count, :count]
+        return self.buffer.lower[:count, :count]
 
     def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
         """See :func:`predict`."""
@@ -169,7 +171,7 @@ def condition(
         np.zeros(0),
         np.zeros((0, 3)),
         theta == "known",
-        _Factor(_spacious(len(measurements))),
+        FactorBuffer(_spacious(len(measurements))),
     )
     return _append(empty, measurements, sites)
 
@@ -263,9 +265,7 @@ def _whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray
     for start in range(0, len(lower), SOLVE_BLOCK):
         rows = slice(start, start + SOLVE_BLOCK)
         solved[rows] -= lower[rows, :start] @ solved[:start]
-        solved[rows] = solve_triangular(
-            lower[rows, rows], solved[rows], lower=True, check_finite=False
-        )
+        solved[rows] = solve_lower(lower[rows, rows], solved[rows])
     return solved
 
 
@@ -279,12 +279,12 @@ def _append(
     noise = np.maximum(sites.noise_variance_db2, MIN_NOISE_VARIANCE_DB2)
     old = len(posterior.measurements)
     count = old + len(more)
-    factor = posterior._factor  # pyright: ignore[reportPrivateUsage]
-    if factor.used != old or len(factor.lower) < count:
-        grown = _Factor(_spacious(count))
+    buffer = posterior.buffer
+    if buffer.used != old or len(buffer.lower) < count:
+        grown = FactorBuffer(_spacious(count))
         grown.lower[:old, :old] = posterior.factor
         grown.used = old
-        factor = grown
+        buffer = grown
     joined = join(posterior.measurements, more)
     positions = joined.positions_m
     whitened = np.empty((count, 3))
@@ -292,7 +292,7 @@ def _append(
     whitened[:old, 1:] = posterior.whitened_regressors
     whitened[old:, 0] = sites.values_db
     whitened[old:, 1:] = regressors(more.positions_m, parameters.station)
-    lower = factor.lower
+    lower = buffer.lower
     for start in range(old, count, FACTOR_BLOCK):
         stop = min(start + FACTOR_BLOCK, count)
         across = _whiten(
@@ -307,7 +307,7 @@ def _append(
             lower[start:stop, start:stop],
             whitened[start:stop] - across.T @ whitened[:start],
         )
-    factor.used = count
+    buffer.used = count
     return _assemble(
         parameters,
         joined,
@@ -315,7 +315,7 @@ def _append(
         np.concatenate([posterior.noise_variance_db2, noise]),
         whitened,
         posterior.theta_known,
-        factor,
+        buffer,
     )
 
 
@@ -326,7 +326,7 @@ def _assemble(
     noise_variance_db2: NDArray[np.float64],
     whitened: NDArray[np.float64],
     theta_known: bool,
-    factor: _Factor,
+    buffer: FactorBuffer,
 ) -> ChannelPosterior:
     """Estimate theta from the whitened columns (seed, section III) and freeze everything."""
     theta = np.array([parameters.k_pl_db, parameters.n_pl])
@@ -335,11 +335,11 @@ def _assemble(
         # In units of the weak prior, and about its centre, where the digits are.
         unit = np.array(WEAK_THETA_DEVIATION)
         scaled = whitened[:, 1:] * unit
-        information = scaled.T @ scaled
+        information: NDArray[np.float64] = scaled.T @ scaled
         spread = np.linalg.eigvalsh(information)
         if spread[0] * MAX_INFORMATION_CONDITION <= spread[1]:
             information += np.eye(2)
-        scaled_covariance = np.linalg.inv(information)
+        scaled_covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         residual = whitened[:, 0] - whitened[:, 1:] @ theta
         theta = theta + unit * (scaled_covariance @ (scaled.T @ residual))
         covariance = unit[:, None] * scaled_covariance * unit
@@ -353,7 +353,7 @@ def _assemble(
         theta,
         covariance,
         theta_known,
-        factor,
+        buffer,
     )
 
 

@@ -47,7 +47,8 @@ MAX_MEASUREMENTS = 800
 THINNING_SEED = 20_000
 
 START_MEASUREMENTS = 250
-"""Starts are ranked on at most this many of the exact measurements."""
+"""Starts are ranked on at most this many exact measurements; sets larger than that are climbed from
+the optimum of this sample."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +95,13 @@ def reml_fit(model: MeanModel, measurements: Measurements, bounds: CovarianceBou
     """
     data = likelihood_data(model, measurements)
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
+    sample = _exact_sample(data)
+    starts = _starts(sample, bounds)
+    if len(data.power_db) > START_MEASUREMENTS:
+        # Basins are told apart on the sample, so that the whole is climbed but once.
+        starts = [_climbed(_Climb(sample), starts, box)]
     climb = _Climb(data)
-    climbs = [
-        minimise_in_box(climb.objective, np.log(start), box[:, 0], box[:, 1])
-        for start in _starts(data, bounds)
-    ]
-    _, best = min(climbs, key=lambda climbed: climbed[0])
-    return _result(data, best, box, climb.sites)
+    return _result(data, _climbed(climb, starts, box), box, climb.sites)
 
 
 class _Climb:
@@ -118,26 +119,34 @@ class _Climb:
         return -at.log_likelihood, -at.gradient * values
 
 
+def _climbed(
+    climb: _Climb, starts: list[NDArray[np.float64]], box: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The best optimum, in logarithms, reached from `starts`, in logarithms, within `box`."""
+    climbs = [minimise_in_box(climb.objective, start, box[:, 0], box[:, 1]) for start in starts]
+    return min(climbs, key=lambda climbed: climbed[0])[1]
+
+
+def _exact_sample(data: LikelihoodData) -> LikelihoodData:
+    """At most `START_MEASUREMENTS` of the exact measurements."""
+    rows = thinned(data.exact, START_MEASUREMENTS)
+    distance = data.distance_m[np.ix_(rows, rows)]
+    return LikelihoodData(distance, data.columns[rows], data.power_db[rows], len(rows))
+
+
 def _covariance(values: NDArray[np.float64]) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def _starts(data: LikelihoodData, bounds: CovarianceBounds) -> list[NDArray[np.float64]]:
-    """The most likely of a grid over (xi^2 / alpha, beta), alpha profiled out."""
+def _starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[NDArray[np.float64]]:
+    """Logarithms of the most likely of a grid over (xi^2 / alpha, beta), alpha profiled out."""
     low, high = bounds.decorrelation_m
     # Ends of the range are no use as starts: the gradient there is nearly flat.
     betas = np.geomspace(low, high, START_DECORRELATIONS + 2)[1:-1]
-    sample = thinned(data.exact, START_MEASUREMENTS)
-    fewer = LikelihoodData(
-        data.distance_m[np.ix_(sample, sample)],
-        data.columns[sample],
-        data.power_db[sample],
-        len(sample),
-    )
     ranked: list[tuple[float, NDArray[np.float64]]] = []
     for share, beta in product(START_SHARES, betas):
-        value, total = profiled_log_likelihood(fewer, share, float(beta))
-        ranked.append((value, np.array([share * total, (1.0 - share) * total, beta])))
+        value, total = profiled_log_likelihood(sample, share, float(beta))
+        ranked.append((value, np.log([share * total, (1.0 - share) * total, beta])))
     ranked.sort(key=lambda entry: -entry[0])
     return [start for _, start in ranked[:STARTS_FOLLOWED]]
 

@@ -85,8 +85,7 @@ def model_truth(
         Source of shadowing and multipath.
     """
     x_min, y_min, x_max, y_max = bounds_m
-    x = x_min + cell_m * (np.arange(max(1, math.ceil((x_max - x_min) / cell_m))) + 0.5)
-    y = y_min + cell_m * (np.arange(max(1, math.ceil((y_max - y_min) / cell_m))) + 0.5)
+    x, y = _centres_m(x_min, x_max, cell_m), _centres_m(y_min, y_max, cell_m)
     shape = (len(y), len(x))
     centres = np.stack(np.meshgrid(x, y), axis=-1)
     power = regressors(centres, parameters.station) @ np.array(
@@ -114,3 +113,9 @@ def measure(truth: Truth, positions_m: NDArray[np.float64]) -> Measurements:
     if truth.floor_dbm is not None:
         censored = power <= truth.floor_dbm
     return Measurements(np.array(positions_m, dtype=np.float64), power, censored)
+
+
+def _centres_m(low: float, high: float, cell_m: float) -> NDArray[np.float64]:
+    """Centres of the cells that cover an interval; two at least, a raster's spacing needs them."""
+    count = max(2, math.ceil((high - low) / cell_m))
+    return low + cell_m * (np.arange(count, dtype=np.float64) + 0.5)

@@ -8,25 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.reach import cost_rate_s_m
+from planopt.planning.frontier import OUT_OF_BOUND_FACTOR, Frontier
 from planopt.planning.lattice_search import search_lattice
 from planopt.planning.node_margins import NodeMargins
-from planopt.planning.road_map import Ways, shortest_ways, way_from
+from planopt.planning.road_map import Ways, shortest_ways
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
 
-OUT_OF_BOUND_FACTOR = 100.0
-"""A metre below the bound counts as this many metres in the `connected` cost to go, so that the
-way out of contact is the shortest there is."""
-CLOSED_FACTOR = 1e4
-"""The same for a gap that the robot has stood before in vain: only if no other way is left."""
-CLOSED_RADIUS_STEPS = 2.0
-"""How far about such a gap the nodes below the bound are closed, in longest steps: a street."""
 STAGNANT_STEPS = 0.75
 """A path that stays within this many longest steps of the robot gets nowhere; a lattice path can
 only end on a node, so that even one that wants to stay moves a little."""
-MAX_CLOSINGS = 20
-"""How many gaps may be closed in one step."""
+MAX_DECISIONS = 20
+"""How many gaps and probes may be given up in one step."""
 OUT_OF_BOUND_STEP_S = 1e5
 """Penalty of a step below the bound: no saving of time is worth one."""
 MISSING_DB_S = 1e3
@@ -58,12 +52,7 @@ class GlobalStart:
 
 
 class GlobalSearch:
-    """Finds start paths; remembers the gaps in connectivity that it has given up on.
-
-    With the `connected` cost to go the robot is drawn to the cheapest gap between it and the goal.
-    As long as the bound holds it may not enter, and once it stands before the gap there is nothing
-    new to learn: so the gap is closed, and the next cheapest one draws it. A gap that measurements
-    bring within the bound is none any more, closed or not.
+    """Finds start paths; remembers what it has tried before gaps in connectivity.
 
     Parameters
     ----------
@@ -77,31 +66,76 @@ class GlobalSearch:
         self._problem = problem
         self._scene = scene
         self._margins = margins
-        self._closed = np.zeros(len(scene.road_map.nodes_m), dtype=bool)
+        self._frontier = Frontier(scene.road_map, problem.step_length_m)
+        self._rate = cost_rate_s_m(
+            problem.objective.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+        )
 
-    def find_start(self, position_m: NDArray[np.float64]) -> GlobalStart | None:
+    def find_start(
+        self, position_m: NDArray[np.float64], measured_m: NDArray[np.float64]
+    ) -> GlobalStart | None:
         """Search from `position_m`; None if no node is in reach.
 
         A step below the bound is taken only where every lattice path has one.
+
+        Parameters
+        ----------
+        position_m
+            ``(2,)`` where the robot is.
+        measured_m
+            ``(m, 2)`` where power has been measured.
         """
-        start = self._search(position_m)
-        if self._problem.objective.cost_to_go == "connected":
-            for _ in range(MAX_CLOSINGS):
-                if start is None or not self._close_gap(position_m, start):
+        if self._problem.objective.cost_to_go == "geodesic":
+            return self._search(position_m, self._scene.goal_node, self._scene.ways)
+        start = self._towards_goal(position_m)
+        for _ in range(MAX_DECISIONS):
+            if start is None:
+                break
+            end, outside = int(start.nodes[-1]), self._outside()
+            if not self._frontier.probing:
+                if not self._stagnant(position_m, start):
                     break
-                start = self._search(position_m)
+                if not self._frontier.stand_before_gap(start.ways, end, outside):
+                    break
+            if not self._frontier.still_there(start.ways, end, outside):
+                self._frontier.leave()
+                break
+            probe = self._frontier.probe(position_m, measured_m, outside)
+            if probe is None:
+                if not self._frontier.close(outside):
+                    break
+                start = self._towards_goal(position_m)
+                continue
+            ways = shortest_ways(self._scene.road_map, probe, self._frontier.node_factor(outside))
+            probing = self._search(position_m, probe, ways)
+            if probing is not None and ways.cost_m[probing.nodes[0]] < OUT_OF_BOUND_FACTOR:
+                return probing
+            self._frontier.skip(probe)
         return start
 
-    def _search(self, position_m: NDArray[np.float64]) -> GlobalStart | None:
-        """One search with today's margins, closed gaps and exact values along the path."""
-        settings, objective = self._problem.planner, self._problem.objective
-        scene, margins = self._scene, self._margins
-        weight = objective.effort_weight_s2_m2
-        rate = cost_rate_s_m(weight, self._problem.robots[0].speed_max_m_s)
+    def _towards_goal(self, position_m: NDArray[np.float64]) -> GlobalStart | None:
+        """Search with the `connected` cost to go."""
+        factor = self._frontier.node_factor(self._outside())
+        ways = shortest_ways(self._scene.road_map, self._scene.goal_node, factor)
+        return self._search(position_m, self._scene.goal_node, ways)
+
+    def _outside(self) -> NDArray[np.bool_]:
+        return self._margins.margin_db < MARGIN_PAD_DB
+
+    def _stagnant(self, position_m: NDArray[np.float64], start: GlobalStart) -> bool:
+        """Whether a path gets nowhere, short of the goal."""
+        farthest = np.linalg.norm(start.path_m - position_m, axis=1).max()
+        at_goal = int(start.nodes[-1]) == self._scene.goal_node
+        return not at_goal and bool(farthest <= STAGNANT_STEPS * self._problem.step_length_m)
+
+    def _search(
+        self, position_m: NDArray[np.float64], target: int, ways: Ways
+    ) -> GlobalStart | None:
+        """Search once, with exact margins wherever the path rests on them."""
+        settings, scene, margins = self._problem.planner, self._scene, self._margins
         first_nodes, first_lengths = first_moves(scene, self._problem, position_m)
         if first_nodes.size == 0:
             return None
-        ways = self._ways()
         nodes: NDArray[np.intp] | None = None
         for _ in range(CORRECTION_ROUNDS):
             missing = np.maximum(MARGIN_PAD_DB - margins.margin_db, 0.0)
@@ -111,10 +145,10 @@ class GlobalSearch:
                 first_lengths,
                 settings.horizon,
                 settings.step_s,
-                weight,
-                scene.goal_node,
+                self._problem.objective.effort_weight_s2_m2,
+                target,
                 np.where(missing > 0.0, OUT_OF_BOUND_STEP_S, 0.0) + MISSING_DB_S * missing,
-                rate * ways.cost_m,
+                self._rate * ways.cost_m,
             )
             if found is None:
                 return None
@@ -126,30 +160,3 @@ class GlobalSearch:
         if nodes is None:
             raise AssertionError("at least one round is searched")
         return GlobalStart(nodes, scene.road_map.nodes_m[nodes], margins.margin_db[nodes], ways)
-
-    def _ways(self) -> Ways:
-        """Cost to go of every node."""
-        if self._problem.objective.cost_to_go == "geodesic":
-            return self._scene.ways
-        outside = self._margins.margin_db < MARGIN_PAD_DB
-        factor = np.where(outside, OUT_OF_BOUND_FACTOR, 1.0)
-        factor[outside & self._closed] = CLOSED_FACTOR
-        return shortest_ways(self._scene.road_map, self._scene.goal_node, factor)
-
-    def _close_gap(self, position_m: NDArray[np.float64], start: GlobalStart) -> bool:
-        """Close the first gap on the way of a path that gets nowhere; false if nothing changed."""
-        length = self._problem.step_length_m
-        nodes_m = self._scene.road_map.nodes_m
-        farthest = np.linalg.norm(start.path_m - position_m, axis=1).max()
-        end = int(start.nodes[-1])
-        if farthest > STAGNANT_STEPS * length or end == self._scene.goal_node:
-            return False
-        way = way_from(self._scene.road_map, start.ways, end, np.inf)
-        outside = self._margins.margin_db < MARGIN_PAD_DB
-        gaps = way[outside[way]]
-        if gaps.size == 0:
-            return False
-        near = np.linalg.norm(nodes_m - nodes_m[gaps[0]], axis=1) <= CLOSED_RADIUS_STEPS * length
-        closing = near & outside & ~self._closed
-        self._closed |= closing
-        return bool(closing.any())

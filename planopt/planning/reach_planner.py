@@ -62,7 +62,7 @@ class ReachPlanner:
         begun = perf_counter()
         problem, scene = self.problem, self.scene
         self._margins.refresh(belief.posterior)
-        start = self._search.find_start(position_m)
+        start = self._search.find_start(position_m, belief.posterior.measurements.positions_m)
         judge = Judge(problem, scene, belief, position_m)
         if start is None:
             chosen = self._without_start(judge, warm)

@@ -7,14 +7,14 @@ from planopt.channel.field import CLIPPED_SHARE_TOLERANCE, shadow_field_db
 from planopt.errors import InputError
 
 
-@pytest.mark.parametrize(("shape", "decorrelation"), [((12, 16), 5.0), ((6, 20), 30.0)])
+@pytest.mark.parametrize(("shape", "decorrelation"), [((12, 16), 5.0), ((6, 20), 16.0)])
 def test_covariance_over_many_seeds(shape, decorrelation):
     """Mean products at several lags within 4 standard errors of xi^2 exp(-d / beta)."""
     generator = np.random.default_rng(3)
     fields = np.array(
-        [shadow_field_db(shape, 2.0, 3.0, decorrelation, generator).values_db for _ in range(1500)]
+        [shadow_field_db(shape, 2.0, 3.0, decorrelation, generator).values_db for _ in range(1000)]
     )
-    assert np.abs(fields.mean(axis=0)).max() < 4.5 * 3.0 / np.sqrt(1500)
+    assert np.abs(fields.mean(axis=0)).max() < 4.5 * 3.0 / np.sqrt(1000)
     for row, column in [(0, 0), (0, 1), (1, 0), (3, 4), (0, 15), (5, 0), (5, 11)]:
         products = fields[:, 0, 0] * fields[:, row, column]
         expected = 9.0 * np.exp(-2.0 * np.hypot(row, column) / decorrelation)

@@ -1,5 +1,7 @@
 """Local kriging against the exact posterior."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -59,7 +61,7 @@ def test_fewer_measurements_never_lower_the_deviation():
         predict_locally(neighbour_model(posterior, CENTRES, count), CENTRES + 1.0).deviation_db
         for count in (4, 16, 48, 300)
     ]
-    for fewer, more in zip(deviations, deviations[1:], strict=False):
+    for fewer, more in pairwise(deviations):
         assert (fewer >= more - 1e-12).all()
 
 

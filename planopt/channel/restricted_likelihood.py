@@ -231,10 +231,13 @@ def _gls(
     coefficients = inverse_information @ (half_columns.T @ half_values)
     residual = half_values - half_columns @ coefficients
     freedom = len(values) - columns.shape[1]
-    log_likelihood = -0.5 * (
-        log_determinant(lower)
-        + float(np.linalg.slogdet(information)[1])
-        + float(residual @ residual)
-        + freedom * np.log(2.0 * np.pi)
+    log_likelihood = float(
+        -0.5
+        * (
+            log_determinant(lower)
+            + float(np.linalg.slogdet(information)[1])
+            + float(residual @ residual)
+            + freedom * np.log(2.0 * np.pi)
+        )
     )
     return _Gls(lower, half_columns, coefficients, inverse_information, residual, log_likelihood)

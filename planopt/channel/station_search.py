@@ -2,7 +2,7 @@
 
 A coarse grid of positions is ranked by the least-squares line; from the best of them the
 likelihood is climbed in turn over the covariance (by REML at that position) and over the position
-(at that covariance, theta profiled out).
+(at that covariance, theta profiled out, n_PL held to its prior).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.fit import ChannelFit, FitMethod, fit_channel
 from planopt.channel.identifiability import require_usable
-from planopt.channel.mean_model import mean_model
+from planopt.channel.mean_model import PRIOR_N_PL, PRIOR_N_PL_STD, mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.minimise import minimise_from_simplex
 from planopt.channel.parameters import Station
@@ -153,7 +153,10 @@ def _climb(measurements: Measurements, start: Position, height_m: float) -> tupl
 def _position_loss(
     measurements: Measurements, station: Station
 ) -> Callable[[NDArray[np.float64]], float]:
-    """Minus the log-likelihood of a station's position, at the covariance fitted for `station`."""
+    """Minus the log-likelihood of a position, at the covariance fitted for `station`.
+
+    With the prior of n_PL, as where n_PL is not identifiable.
+    """
     parameters = fit_channel(measurements, station).parameters
     covariance = (
         parameters.shadow_std_db**2,
@@ -168,7 +171,10 @@ def _position_loss(
         at = evaluate(likelihood_data(model, measurements), covariance)
         # The restricted likelihood compares covariances under one design. Between designs the
         # profiled one compares, which lacks the term -log |G' V^-1 G| / 2.
-        return 0.5 * float(np.linalg.slogdet(at.coefficient_covariance)[1]) - at.log_likelihood
+        profiled = at.log_likelihood - 0.5 * float(np.linalg.slogdet(at.coefficient_covariance)[1])
+        # From outside, a station farther off with a larger exponent looks much the same.
+        surprise = (float(at.coefficients[1]) - PRIOR_N_PL) / PRIOR_N_PL_STD
+        return 0.5 * surprise**2 - profiled
 
     return loss
 

@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
-    """Least cost of one metre of way, in s/m: min over 0 < v <= v_max of (1 + w v^2) / v.
-
-    The minimum lies at ``v = 1 / sqrt(w)`` where that speed is allowed.
-    """
-    best = speed_max_m_s
+def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
+    """Speed at which a metre costs least: ``1 / sqrt(w)`` where it is allowed, else the largest."""
     if effort_weight_s2_m2 > 0.0:
-        best = min(best, effort_weight_s2_m2**-0.5)
+        return min(speed_max_m_s, effort_weight_s2_m2**-0.5)
+    return speed_max_m_s
+
+
+def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
+    """Least cost of one metre of way, in s/m: min over 0 < v <= v_max of (1 + w v^2) / v."""
+    best = cruising_speed_m_s(effort_weight_s2_m2, speed_max_m_s)
     return (1.0 + effort_weight_s2_m2 * best**2) / best
 
 

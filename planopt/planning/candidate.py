@@ -136,7 +136,7 @@ class Judge:
         radio = self.problem.stations[0]
         return Plan(
             robot=self.problem.robots[0].name,
-            t_s=self.problem.planner.step_s * np.arange(len(positions)),
+            t_s=self.problem.planner.step_s * np.arange(len(positions), dtype=np.float64),
             positions_m=positions,
             mean_dbm=power.mean_db,
             deviation_db=power.deviation_db,

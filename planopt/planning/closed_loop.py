@@ -12,7 +12,7 @@ from planopt.channel.truth import Truth, measure, true_power_dbm
 from planopt.errors import InputError
 from planopt.planning.metrics import metrics_of
 from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.planning.prepare import prepare
+from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.run import Outcome, Run, StepLog
 from planopt.planning.scene import Scene, build_scene
@@ -22,7 +22,8 @@ from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
 STALL_STEPS = 30
-"""A robot that has stayed within two longest steps of one place for this many steps stalls."""
+"""A robot that learns nothing new for this many steps and stays within two longest steps of one
+place has stalled."""
 
 
 def simulate(
@@ -33,6 +34,7 @@ def simulate(
     cost_to_go: str | None = None,
     seed: int = 0,
     scene: Scene | None = None,
+    prepared: Prepared | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Simulation:
     """Drive a problem's robot in the true channel.
@@ -45,13 +47,13 @@ def simulate(
         Override the problem's planner settings.
     seed
         Of the truth's fading and of the first measurements.
-    scene
-        The geometry if it is there already, for many runs in one scene.
+    scene, prepared
+        Geometry, truth and first belief if they are there already, for many runs of one seed.
     on_step
         Called after every step with its number, for progress display.
     """
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    prepared = prepare(problem, seed)
+    prepared = prepared if prepared is not None else prepare(problem, seed)
     if prepared.truth is None:
         raise InputError(
             "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
@@ -63,6 +65,7 @@ def simulate(
     goal = np.asarray(problem.robots[0].goal_m)
     track = [position]
     plans: list[Plan] = []
+    since_learnt = 0
     outcome, reason = Outcome.STEP_LIMIT, f"not arrived after {problem.planner.max_steps} steps"
     if np.linalg.norm(position - goal) <= problem.constraints.goal_radius_m:
         outcome, reason = Outcome.REACHED, "the start is within goal_radius_m of the goal"
@@ -76,6 +79,7 @@ def simulate(
         before = len(belief.posterior.measurements)
         belief = _learn_here(problem, truth, belief, position)
         learnt = len(belief.posterior.measurements) > before
+        since_learnt = 0 if learnt else since_learnt + 1
         if on_step is not None:
             on_step(len(plans))
         if np.linalg.norm(position - goal) <= problem.constraints.goal_radius_m:
@@ -83,9 +87,12 @@ def simulate(
         elif stood and not learnt and plan.rung is not Rung.SHIFTED:
             # Same place, same belief: the next plan would be this one again.
             outcome, reason = Outcome.STALLED, _standing_reason(plan)
-        elif _circling(track, problem.step_length_m):
+        elif since_learnt >= STALL_STEPS and _circling(track, problem.step_length_m):
             outcome = Outcome.STALLED
-            reason = f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps"
+            reason = (
+                f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
+                "with nothing new to learn"
+            )
     log = _log(problem, truth, np.array(track), plans)
     run = Run(
         robot=problem.robots[0].name,
@@ -138,7 +145,7 @@ def _log(problem: Problem, truth: Truth, track: NDArray[np.float64], plans: list
         for p in plans
     ]
     return StepLog(
-        t_s=problem.planner.step_s * np.arange(len(track)),
+        t_s=problem.planner.step_s * np.arange(len(track), dtype=np.float64),
         positions_m=track,
         predicted_dbm=column(
             first[0].mean_dbm[0] if first else np.nan, [p.mean_dbm[1] for p in plans]

@@ -11,7 +11,7 @@ from planopt.objectives.reach import cost_rate_s_m
 from planopt.planning.frontier import OUT_OF_BOUND_FACTOR, Frontier
 from planopt.planning.lattice_search import search_lattice
 from planopt.planning.node_margins import NodeMargins
-from planopt.planning.road_map import Ways, shortest_ways
+from planopt.planning.road_map import Ways, shortest_ways, way_from
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
@@ -41,6 +41,8 @@ class GlobalStart:
         ``(N, 2)`` their places.
     margin_db
         ``(N,)`` exact connectivity margins there.
+    beyond_m
+        ``(b, 2)`` the way beyond its end, as far as it keeps the bound.
     ways
         Cost to go of every node.
     """
@@ -48,6 +50,7 @@ class GlobalStart:
     nodes: NDArray[np.intp]
     path_m: NDArray[np.float64]
     margin_db: NDArray[np.float64]
+    beyond_m: NDArray[np.float64]
     ways: Ways
 
 
@@ -159,4 +162,13 @@ class GlobalSearch:
                 break
         if nodes is None:
             raise AssertionError("at least one round is searched")
-        return GlobalStart(nodes, scene.road_map.nodes_m[nodes], margins.margin_db[nodes], ways)
+        places = scene.road_map.nodes_m
+        beyond = self._beyond(ways, int(nodes[-1]))
+        return GlobalStart(nodes, places[nodes], margins.margin_db[nodes], places[beyond], ways)
+
+    def _beyond(self, ways: Ways, end: int) -> NDArray[np.intp]:
+        """Nodes beyond a path's end that a faster path could come to within the horizon."""
+        horizon, length = self._problem.planner.horizon, self._problem.step_length_m
+        way = way_from(self._scene.road_map, ways, end, horizon * length)
+        outside = np.nonzero(self._margins.margin_db[way] < MARGIN_PAD_DB)[0]
+        return way[1 : outside[0]] if outside.size else way[1:]

@@ -17,8 +17,11 @@ from planopt.planning.scene import Scene
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.world.clearance import swept_clearance_m
 
-LOOKAHEAD_STEPS = 5
+LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""
+LATTICE_DETOUR = 0.03
+"""A lattice path is at most this share longer than the straight one (16 headings: 2.7 %). The pivot
+lies at least that far ahead, or a polished path would come to it and have nowhere to go."""
 
 
 @dataclass(frozen=True)
@@ -62,5 +65,9 @@ def find_pivot(
         fan[0::2] = places[0]
         fan[1::2] = places[1:]
         seen = swept_clearance_m(scene.index, fan)[0::2] >= clearance
-        chosen = int(np.argmin(seen)) if not seen.all() else len(seen)
+        farthest_seen = int(np.argmin(seen)) if not seen.all() else len(seen)
+        ahead = np.linalg.norm(places - places[0], axis=1)
+        room = LATTICE_DETOUR * len(start.nodes) * step_length_m
+        enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
+        chosen = max(farthest_seen, enough)
     return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]))

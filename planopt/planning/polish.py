@@ -33,7 +33,8 @@ class ReachTask:
     bounds_m
         The workspace ``(x_min, y_min, x_max, y_max)``.
     arrival
-        Step (1..N) from which on the path stands at the goal, or None if it does not arrive.
+        Step (1..N) from which on the start path stands still and so does the polished one; None
+        if it moves to its end.
     pivot_m
         ``(2,)`` the visible point on the way to the goal that the last position is drawn to.
     effort_s_m2, rate_s_m
@@ -99,10 +100,8 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     """Solve the programme from the task's start path."""
     n = nlp.horizon
     scale, slack_weight = (ELASTIC_COST_SCALE, 1.0) if task.elastic else (1.0, 0.0)
-    offsets = task.lines.offsets + np.minimum(
-        task.clearance_m + CLEARANCE_PAD_M,
-        np.where(np.isfinite(task.lines.gaps), task.lines.gaps, 0.0),
-    )
+    kept = np.isfinite(task.lines.gaps)
+    offsets = task.lines.offsets + np.where(kept, task.clearance_m + CLEARANCE_PAD_M, 0.0)
     head = np.array(
         [*task.start_m, *task.pivot_m, task.effort_s_m2, task.rate_s_m, scale, slack_weight]
     )

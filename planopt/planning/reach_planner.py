@@ -82,7 +82,6 @@ class ReachPlanner:
     def _climb(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
-        lattice = replace(lattice, lattice_objective=lattice.objective)
         tried: list[Candidate] = []
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
             refiner = Refiner(self._nlp, judge, start, lattice.objective)

@@ -9,10 +9,11 @@ places.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
+from scipy.ndimage import label  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.world.clearance import ObstacleIndex, clearance_m
 
@@ -53,7 +54,9 @@ def best_margin_within_reach(
     # A path may pass between nodes that are all a little too near to an obstacle.
     passable = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape) >= clearance - spacing
     passable[GRID_STEPS, GRID_STEPS] = True
-    parts = label(passable, structure=np.ones((3, 3)))[0]
+    parts, _ = cast(
+        "tuple[NDArray[np.int32], int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
+    )
     reachable = (parts == parts[GRID_STEPS, GRID_STEPS]) & (np.hypot(x, y) <= radius_m)
     places = grid[reachable]
     margins = margin_db(places)

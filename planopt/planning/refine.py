@@ -11,14 +11,21 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db, bound_quantile
 from planopt.channel.neighbours import neighbour_model
+from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.global_search import GlobalStart
 from planopt.planning.margin_source import MarginFunction
-from planopt.planning.plan import Rung, Termination
+from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.polish import Polished, ReachTask, polish
 from planopt.planning.reach_nlp import ReachNlp
+from planopt.planning.retime import retime
 from planopt.planning.stage_kernel import StageMargins, stage_margins
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_PAD_DB
+from planopt.planning.tolerances import (
+    CLEARANCE_TOLERANCE_M,
+    MARGIN_PAD_DB,
+    STANDSTILL_M,
+    STEP_PAD_M,
+)
 from planopt.planning.verify import certified_prediction
 from planopt.world.separation import SeparatingLines, lines_for, separating_lines
 
@@ -54,11 +61,57 @@ class Refiner:
         self._lattice_objective = lattice_objective
 
     def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
-        """Yield judged candidates, best hope first; the caller stops when one is good enough."""
+        """Yield judged candidates, best hope first; the caller stops when one is good enough.
+
+        The last plan, shifted, is the better start where it arrives sooner than the lattice, which
+        only ends on nodes.
+        """
         relaxing = bool((self._start.margin_db < 0.0).any())
-        yield from self._from(self._start.path_m, Rung.RELAXED if relaxing else Rung.PLAN)
+        starts: list[tuple[NDArray[np.float64], Rung]] = (
+            [(self._start.path_m, Rung.RELAXED)] if relaxing else [(self._retimed(), Rung.PLAN)]
+        )
         if shifted_m is not None and len(shifted_m) == self._nlp.horizon:
-            yield from self._from(shifted_m, Rung.COLD_RETRY)
+            cheaper = not relaxing and self._judge.objective(shifted_m) < self._lattice_objective
+            if cheaper and bool((self._exact_margins(shifted_m) >= 0.0).all()):
+                starts.insert(0, (shifted_m, Rung.PLAN))
+            else:
+                starts.append((shifted_m, Rung.COLD_RETRY))
+        for path_m, rung in starts:
+            for candidate in self._from(path_m, rung):
+                sooner = self._sooner(candidate)
+                if sooner is not None:
+                    yield sooner
+                yield candidate
+
+    def _retimed(self) -> NDArray[np.float64]:
+        """Start path at cruising speed."""
+        problem = self._judge.problem
+        speed = cruising_speed_m_s(
+            problem.objective.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+        )
+        step = speed * problem.planner.step_s - STEP_PAD_M
+        return retime(self._judge.position_m, self._start.path_m, self._start.beyond_m, step)
+
+    def _sooner(self, candidate: Candidate) -> Candidate | None:
+        """Arrive in fewer steps if the polished path is short enough for it; None if it is not."""
+        problem = self._judge.problem
+        path = np.vstack([self._judge.position_m, candidate.path_m])
+        away = np.linalg.norm(path - np.asarray(problem.robots[0].goal_m), axis=1)
+        there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
+        if candidate.verdict is not Verdict.VERIFIED or there.size == 0 or there[0] < 2:
+            return None
+        faster = retime(path[0], candidate.path_m, path[:0], problem.step_length_m - STEP_PAD_M)
+        if np.linalg.norm(faster[there[0] - 2] - faster[-1]) > 0.0:
+            return None
+        begun = perf_counter()
+        task = self._task(faster)
+        bound = np.minimum(task.margins(faster).value, MARGIN_PAD_DB)
+        polished = polish(self._nlp, replace(task, bound_db=bound))
+        iterations = candidate.iterations + polished.iterations
+        solve_s = candidate.solve_s + perf_counter() - begun
+        better = self._judged(polished, candidate.rung, solve_s, iterations)
+        is_better = better.objective < candidate.objective
+        return better if better.verdict is Verdict.VERIFIED and is_better else None
 
     def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
         """Polish from a path, repeating with what the verifier objects to built in."""
@@ -121,8 +174,12 @@ class Refiner:
             LINE_REACH_STEPS * problem.step_length_m,
         )
         goal = np.asarray(problem.robots[0].goal_m)
-        away = np.linalg.norm(path_m - goal, axis=1)
-        at_goal = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
+        at_goal = np.linalg.norm(path_m[-1] - goal) <= problem.constraints.goal_radius_m
+        # Where the start path stands still at its end it has arrived, at the goal or where it
+        # waits or measures. Spread over the whole horizon, such a way would never end.
+        standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
+        arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
+        dwells = at_goal or arrival < len(path_m) - 1
         return ReachTask(
             start_m=judge.position_m,
             path_m=path_m,
@@ -130,7 +187,7 @@ class Refiner:
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
-            arrival=int(at_goal[0]) + 1 if at_goal.size else None,
+            arrival=arrival + 1 if dwells else None,
             pivot_m=pivot.position_m,
             effort_s_m2=problem.objective.effort_weight_s2_m2 / problem.planner.step_s,
             rate_s_m=judge.rate_s_m,

@@ -7,11 +7,12 @@ scene; only node factors change from step to step.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.world.lattice import MOVES, Lattice, node_positions
 
@@ -120,7 +121,10 @@ def shortest_ways(
         weights = weights * 0.5 * (node_factor[road_map.edge_from] + node_factor[road_map.edge_to])
     count = len(road_map.nodes_m)
     graph = csr_matrix((weights, road_map.edge_to, road_map.edge_start), shape=(count, count))
-    cost, following = dijkstra(graph, indices=goal_node, return_predecessors=True)
+    cost, following = cast(
+        "tuple[NDArray[np.float64], NDArray[np.int32]]",
+        dijkstra(graph, indices=goal_node, return_predecessors=True),
+    )
     return Ways(cost_m=cost, next_node=following)
 
 

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from planopt.world.clearance import (
     clearance_m,
     containing_obstacle,
+    distances_m,
     index_obstacles,
     inside_bounds,
+    segment_lines,
     swept_clearance_m,
 )
 from planopt.world.workspace import Obstacle, Workspace
@@ -86,6 +88,9 @@ def test_standing_is_a_point() -> None:
     """A way of no length, or too short to be squared, has the clearance of its place."""
     path = np.array([[0.0, -2.0], [0.0, -2.0], [1e-200, -2.0]])
     np.testing.assert_array_equal(swept_clearance_m(INDEX, path), [2.0, 2.0])
+    walls = np.full(2, YARD)
+    ways = segment_lines(path[:-1], path[1:])
+    np.testing.assert_array_equal(distances_m(ways, walls), [2.0, 2.0])  # and GEOS warns of nothing
 
 
 def test_without_obstacles_and_without_places() -> None:
@@ -120,6 +125,11 @@ def test_containing_obstacle() -> None:
     assert containing_obstacle(INDEX, np.array([18.0, 3.0])) is WORLD.obstacles[1]
     assert containing_obstacle(INDEX, np.array([4.5, 4.5])) is None
     assert containing_obstacle(EMPTY, np.array([0.5, 0.5])) is None
-    twice = Workspace(BOUNDS, (WORLD.obstacles[1], WORLD.obstacles[0], WORLD.obstacles[0]))
-    found = containing_obstacle(index_obstacles(twice), np.array([0.5, 0.5]))
-    assert found is WORLD.obstacles[0]
+
+
+def test_first_of_several_obstacles_contains() -> None:
+    """Where obstacles overlap, the first in the problem's order is named."""
+    sizes = np.random.default_rng(0).permutation(np.arange(1, 40))
+    nested = tuple(Obstacle(str(size), shapely.box(-size, -size, size, size)) for size in sizes)
+    index = index_obstacles(Workspace(BOUNDS, nested))
+    assert containing_obstacle(index, np.array([0.5, 0.5])) is nested[0]

@@ -95,6 +95,14 @@ def test_building_file(tmp_path: Path) -> None:
     assert names_and_areas(path) == [("Hall", 15.5), ("building 2", 0.5)]
 
 
+def test_byte_order_mark(tmp_path: Path) -> None:
+    """Files saved by editors that put a mark first are read."""
+    (tmp_path / "a.json").write_text(json.dumps(POLYGON), encoding="utf-8-sig")
+    (tmp_path / "a.wkt").write_text(WKT_FAR, encoding="utf-8-sig")
+    assert names_and_areas(tmp_path / "a.json") == [("a", 15.5)]
+    assert names_and_areas(tmp_path / "a.wkt") == [("a", 0.5)]
+
+
 def test_munich(munich: Workspace) -> None:
     """All 742 footprints come through, unchanged and valid."""
     polygons = [obstacle.polygon for obstacle in munich.obstacles]

@@ -1,0 +1,92 @@
+"""The command line: ``planopt COMMAND``.
+
+Exit code 0 verified, 2 usage or bad input, 3 solved but not verified, 4 no plan, 130 interrupted.
+Errors are one line on standard error.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from planopt.commands.check import check
+from planopt.commands.compare import compare
+from planopt.commands.fit import fit
+from planopt.commands.library import list_problems, schema
+from planopt.commands.simulate import simulate
+from planopt.commands.solve import solve
+from planopt.errors import PlanoptError
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="planopt",
+    help="Plan motion that stays in radio contact, and prove what can be proven about each plan.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+app.command("list")(list_problems)
+app.command()(solve)
+app.command()(simulate)
+app.command()(compare)
+app.command()(fit)
+app.command()(check)
+app.command()(schema)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(version("planopt"))
+        raise typer.Exit
+
+
+@app.callback()
+def _planopt(  # pyright: ignore[reportUnusedFunction]
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments
+        Those of the process if None.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    try:
+        return int(app(arguments, prog_name="planopt", standalone_mode=False))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except PlanoptError as error:
+        message = str(error)
+    except Exception as error:
+        # Typer's usage errors have no public base class over the versions we allow.
+        format_message = getattr(error, "format_message", None)
+        if format_message is None:
+            raise
+        message = f"{str(format_message()).rstrip('.')} (see planopt --help)"
+    print(f"planopt: {' '.join(message.split())}", file=sys.stderr)
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

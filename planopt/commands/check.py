@@ -1,0 +1,46 @@
+"""``planopt check``: judge a saved plan or run again, from the files alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from planopt.commands.options import JsonOption
+from planopt.commands.output import progress, show, shown_number
+
+REJECTED = 3
+
+
+def check(
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
+    ],
+    json: JsonOption = False,
+) -> int:
+    """Judge again from the files. Exit code 0 agrees, 3 rejects."""
+    from planopt.planning.check import check as judge
+    from planopt.planning.plan import Verdict
+    from planopt.planning.solution_json import certificate_json, no_certificate_json
+
+    with progress("checking"):
+        result = judge(path)
+    certificate = (
+        no_certificate_json(result.reasons)
+        if result.certificate is None
+        else certificate_json(result.certificate)
+    )
+    data = {
+        "verdict": result.verdict.value,
+        "certificate": certificate,
+        "reasons": list(result.reasons),
+    }
+    lines = [
+        f"{path}: {result.verdict.value}",
+        f"  clearance {shown_number(certificate['min_clearance_m'], ' m')}, least probability of "
+        f"connection {shown_number(certificate['min_connectivity'])}",
+        *(f"  {reason}" for reason in result.reasons),
+    ]
+    show(json, data, "\n".join(lines))
+    return 0 if result.verdict is Verdict.VERIFIED else REJECTED

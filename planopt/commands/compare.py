@@ -1,0 +1,160 @@
+"""``planopt compare``: the same seeds under several horizons, planners and costs to go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from planopt.commands.options import JsonOption, OutOption, ProblemArgument
+from planopt.commands.output import progress, results_folder, show
+from planopt.errors import InputError, NoPlanError
+
+if TYPE_CHECKING:
+    from planopt.problems.problem import Problem
+    from planopt.studies.comparison import Comparison
+
+COMPARISON_FILE = "comparison.json"
+BACKENDS = ("loky",)
+NO_PLAN = 4
+
+Value = TypeVar("Value")
+
+
+def compare(
+    problem: ProblemArgument,
+    horizons: Annotated[str, typer.Option("--horizons", metavar="N,N,...", help="Steps ahead.")],
+    planners: Annotated[
+        str | None, typer.Option("--planners", metavar="A,B", help="auto, lattice.")
+    ] = None,
+    costs_to_go: Annotated[
+        str, typer.Option("--costs-to-go", metavar="A,B", help="geodesic, connected.")
+    ] = "geodesic,connected",
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds, from 0 on.")] = 30,
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes.")] = 1,
+    backend: Annotated[
+        str, typer.Option("--backend", metavar="NAME", help="Where processes run: loky.")
+    ] = "loky",
+    out: OutOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Compare settings. Exit code 0 verified throughout, 3 not throughout, 4 a run not ended."""
+    from planopt.problems.load import load
+    from planopt.problems.overrides import with_overrides
+    from planopt.studies.compare import compare_horizons
+
+    if backend not in BACKENDS:
+        raise InputError(
+            f"{backend!r} is not there", key="--backend", remedy=f"use {', '.join(BACKENDS)}"
+        )
+    asked = load(problem)
+    steps = listed(horizons, "--horizons", int)
+    names = (asked.planner.name,) if planners is None else listed(planners, "--planners", str)
+    ways = listed(costs_to_go, "--costs-to-go", str)
+    # Settings that are not allowed are found before the first run.
+    for n in steps:
+        with_overrides(asked, horizon=n)
+    for name in names:
+        with_overrides(asked, planner=name)
+    for way in ways:
+        with_overrides(asked, cost_to_go=way)
+    with results_folder(out) as folder:
+        try:
+            total = len(steps) * len(names) * len(ways) * seeds
+            with progress("driving, runs:", total) as advance:
+                comparison = compare_horizons(
+                    asked,
+                    steps,
+                    planners=names,
+                    costs_to_go=ways,
+                    seeds=seeds,
+                    workers=workers,
+                    backend=backend,
+                    on_run=lambda _: advance(),
+                )
+        except NoPlanError as error:
+            data = comparison_json(asked, None, str(error))
+            show(json, data, f"{asked.name}: no plan: {error}")
+            return NO_PLAN
+        data = comparison_json(asked, comparison, "")
+        if folder is not None:
+            _save(comparison, data, folder)
+    if json:
+        show(True, data, "")
+    else:
+        from planopt.report.tables import comparison_text
+
+        show(False, data, comparison_text(comparison))
+    return exit_code(comparison)
+
+
+def exit_code(comparison: Comparison) -> int:
+    """0 all reached and every released step verified, 3 some not verified, 4 some not reached."""
+    from planopt.planning.run import Outcome
+
+    if any(run.outcome is not Outcome.REACHED for run in comparison.runs):
+        return NO_PLAN
+    return 0 if all(run.verified_rate == 1.0 for run in comparison.runs) else 3
+
+
+def comparison_json(
+    problem: Problem, comparison: Comparison | None, message: str
+) -> dict[str, Any]:
+    """The JSON keys of ``compare`` (design, section 3); no rows if there provably is no plan."""
+    from planopt.planning.run_json import run_summary
+    from planopt.planning.solution_json import finite
+
+    if comparison is None:
+        return {
+            "problem": problem.name,
+            "outcome": "no_plan",
+            "rows": [],
+            "runs": [],
+            "wall_s": None,
+            "message": message,
+        }
+    rows = [
+        {name: finite(v) if isinstance(v, float) else v for name, v in asdict(row).items()}
+        for row in comparison.rows
+    ]
+    return {
+        "problem": problem.name,
+        "outcome": "compared",
+        "rows": rows,
+        "runs": [run_summary(run) for run in comparison.runs],
+        "wall_s": finite(comparison.wall_s),
+        "message": message,
+    }
+
+
+def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...]:
+    """The values of a list such as ``1,2,5``, each once.
+
+    Raises
+    ------
+    InputError
+        A value is missing or not of its kind.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    try:
+        values = [kind(part) for part in parts]
+    except ValueError:
+        values = []
+    if not values or "" in parts:
+        raise InputError(f"cannot read {text!r}", key=option, remedy="separate values by commas")
+    return tuple(dict.fromkeys(values))
+
+
+def _save(comparison: Comparison, data: dict[str, Any], folder: Path) -> None:
+    """Pictures first, the JSON last."""
+    from planopt.planning.saved import save_record
+
+    if comparison.problem.report.figures:
+        from planopt.commands.pictures import picture_comparison
+
+        with progress("drawing"):
+            picture_comparison(comparison, folder)
+    save_record(data, comparison.problem, folder / COMPARISON_FILE)

@@ -1,0 +1,30 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ProblemArgument = Annotated[
+    str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")
+]
+HorizonOption = Annotated[
+    int | None, typer.Option("--horizon", metavar="N", help="Steps ahead, 1 to 500.")
+]
+PlannerOption = Annotated[
+    str | None, typer.Option("--planner", metavar="NAME", help="auto or lattice.")
+]
+CostToGoOption = Annotated[
+    str | None, typer.Option("--cost-to-go", metavar="NAME", help="geodesic or connected.")
+]
+SeedOption = Annotated[
+    int, typer.Option("--seed", min=0, help="Of the fading and of the measured places.")
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder to save the results in.")
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
+]

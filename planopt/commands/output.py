@@ -1,0 +1,85 @@
+"""Where commands put what they have to say: results to stdout, progress to stderr, files to --out.
+
+Errors are raised; :func:`planopt.cli.main` prints them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Generator, Mapping
+from pathlib import Path
+from typing import Any
+
+import typer
+
+
+def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
+    """Print the JSON object if it was asked for, else the text."""
+    if as_json:
+        from planopt.planning.solution_json import strict_text
+
+        typer.echo(strict_text(data), nl=False)
+    else:
+        typer.echo(text)
+
+
+def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
+    """A number for people; a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}g}{unit}"
+
+
+@contextlib.contextmanager
+def progress(description: str, total: int | None = None) -> Generator[Callable[[], None]]:
+    """Show on stderr, if that is a terminal, that work is going on; call the result for each part.
+
+    Parameters
+    ----------
+    description
+        What is being done.
+    total
+        How many parts there are, if that is known.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        *(() if total is None else (BarColumn(),)),
+        TextColumn("{task.completed:.0f}" + ("" if total is None else f"/{total}")),
+        TimeElapsedColumn(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda: bar.advance(task)
+
+
+@contextlib.contextmanager
+def results_folder(out: Path | None) -> Generator[Path | None]:
+    """The folder for results, known to be writable before any work is done.
+
+    If nothing comes of the work, a folder made for it is removed again.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made or written into.
+    """
+    if out is None:
+        yield None
+        return
+    from planopt.files import writable_folder
+
+    existed = out.exists()
+    writable_folder(out)
+    try:
+        yield out
+    except BaseException:
+        if not existed:
+            # Fails, rightly, where something was written.
+            with contextlib.suppress(OSError):
+                out.rmdir()
+        raise

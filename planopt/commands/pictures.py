@@ -1,0 +1,41 @@
+"""Pictures of results, drawn beside what is saved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planopt.channel.fit import ChannelFit
+from planopt.channel.measurements import Measurements
+from planopt.planning.simulation import Simulation
+from planopt.planning.solution import Solution
+from planopt.report.belief_map import draw_belief
+from planopt.report.comparison_figure import draw_comparison
+from planopt.report.fit_figure import draw_fit
+from planopt.report.plan_figure import draw_plan
+from planopt.report.run_figure import draw_run
+from planopt.report.run_series import draw_run_series
+from planopt.report.saving import save_figure
+from planopt.studies.comparison import Comparison
+
+
+def picture_solution(solution: Solution, folder: Path) -> None:
+    """The plan, and what was believed of the channel."""
+    save_figure(draw_plan(solution), folder / "plan.png")
+    save_figure(draw_belief(solution.problem, solution.belief), folder / "belief.png")
+
+
+def picture_simulation(simulation: Simulation, folder: Path) -> None:
+    """The way driven, its time series, and the belief at its end."""
+    save_figure(draw_run(simulation), folder / "run.png")
+    save_figure(draw_run_series(simulation), folder / "series.png")
+    save_figure(draw_belief(simulation.problem, simulation.belief), folder / "belief.png")
+
+
+def picture_comparison(comparison: Comparison, folder: Path) -> None:
+    """The table as a chart."""
+    save_figure(draw_comparison(comparison), folder / "comparison.png")
+
+
+def picture_fit(measurements: Measurements, fit: ChannelFit, folder: Path) -> None:
+    """The fitted path loss and correlation over the measurements."""
+    save_figure(draw_fit(measurements, fit, fit.parameters.station), folder / "fit.png")

@@ -1,0 +1,55 @@
+"""Predictions on a grid over the free space, for map layers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.posterior import ChannelPosterior
+from planopt.world.clearance import clearance_m, index_obstacles
+from planopt.world.raster import Raster
+from planopt.world.workspace import Workspace
+
+Bounds = tuple[float, float, float, float]
+
+NODES = 150
+"""Grid cells along the longer side of a map: about four pixels each."""
+
+
+def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centres along x and y of about square cells that fill `bounds_m`; see `NODES`."""
+    x_min, y_min, x_max, y_max = bounds_m
+    side = max(x_max - x_min, y_max - y_min) / NODES
+    axes: list[NDArray[np.float64]] = []
+    for low, high in ((x_min, x_max), (y_min, y_max)):
+        count = max(2, round((high - low) / side))
+        axes.append(low + (high - low) / count * (np.arange(count) + 0.5))
+    return axes[0], axes[1]
+
+
+def drawn_cells(
+    workspace: Workspace, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Cells of the grid that are free at their centre, and those beside one; (ny, nx).
+
+    With the cells beside, a layer reaches under the outlines of the obstacles drawn over it.
+    """
+    centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
+    free = clearance_m(index_obstacles(workspace), centres.reshape(-1, 2)) > 0.0
+    padded = np.pad(free.reshape(centres.shape[:2]), 1)
+    rows = padded[:-2] | padded[1:-1] | padded[2:]
+    return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
+
+
+def predicted_rasters(
+    posterior: ChannelPosterior, workspace: Workspace, bounds_m: Bounds
+) -> tuple[Raster, Raster]:
+    """Predicted power (dBm) and its deviation (dB) inside `bounds_m`; NaN under obstacles."""
+    x, y = cell_centres(bounds_m)
+    drawn = drawn_cells(workspace, x, y)
+    places = np.stack(np.meshgrid(x, y), axis=-1)[drawn]
+    prediction = posterior.predict(places)
+    mean, deviation = np.full(drawn.shape, np.nan), np.full(drawn.shape, np.nan)
+    mean[drawn] = prediction.mean_db
+    deviation[drawn] = prediction.deviation_db
+    return Raster(x, y, mean), Raster(x, y, deviation)

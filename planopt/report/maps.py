@@ -1,0 +1,172 @@
+"""What every map shows: the obstacles, the bounds, start, goal and station, and a layer below."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.problems.problem import Problem
+from planopt.report.panel import Panel, add_colorbar
+from planopt.report.style import (
+    FRAME,
+    GREEN,
+    LABEL_PT,
+    OBSTACLE,
+    OBSTACLE_EDGE,
+    ORANGE,
+    TICK_PT,
+    WHITE,
+    YELLOW,
+    dress,
+)
+from planopt.world.raster import Raster
+from planopt.world.workspace import Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+    from matplotlib.path import Path as Outline
+
+LAYER_Z, CONTOUR_Z, OBSTACLE_Z, MARGIN_Z, PATH_Z, PLACE_Z = 1.0, 1.5, 2.0, 2.5, 3.0, 4.0
+"""What is drawn above what."""
+
+X_LABEL, Y_LABEL = "x [m]", "y [m]"
+
+
+def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
+    """Draw obstacles and bounds, with axes in metres of equal scale over the whole workspace."""
+    from matplotlib.collections import PathCollection
+
+    obstacles = PathCollection(
+        [outline(obstacle.polygon) for obstacle in workspace.obstacles],
+        facecolors=OBSTACLE,
+        edgecolors=OBSTACLE_EDGE,
+        linewidths=0.4,
+        zorder=OBSTACLE_Z,
+    )
+    panel.add_collection(obstacles, autolim=False)
+    x_min, y_min, x_max, y_max = workspace.bounds_m
+    panel.plot(
+        [x_min, x_max, x_max, x_min, x_min],
+        [y_min, y_min, y_max, y_max, y_min],
+        color=FRAME,
+        linewidth=1.2,
+        zorder=MARGIN_Z,
+    )
+    dress(panel, title, X_LABEL, Y_LABEL, grid=False)
+    panel.set_aspect("equal")
+    panel.set_xlim(x_min, x_max)
+    panel.set_ylim(y_min, y_max)
+
+
+def draw_layer(
+    panel: Panel,
+    raster: Raster,
+    colours: str,
+    figure: Figure,
+    label: str,
+    limits: tuple[float, float] | None = None,
+    mark: float | None = None,
+) -> None:
+    """Draw a raster below the obstacles, with its colour bar.
+
+    Parameters
+    ----------
+    panel, figure
+        Where.
+    raster
+        What; NaN stays blank.
+    colours
+        Name of the colour map.
+    label
+        Of the colour bar, with the unit.
+    limits
+        Ends of the colour scale; the raster's own if None.
+    mark
+        A value that is marked on the colour bar.
+    """
+    wide, high = raster.cell_m
+    low, top = (None, None) if limits is None else limits
+    layer = panel.imshow(
+        raster.values,
+        origin="lower",
+        extent=(
+            raster.x_m[0] - wide / 2,
+            raster.x_m[-1] + wide / 2,
+            raster.y_m[0] - high / 2,
+            raster.y_m[-1] + high / 2,
+        ),
+        cmap=colours,
+        vmin=low,
+        vmax=top,
+        interpolation="nearest",
+        zorder=LAYER_Z,
+    )
+    bar = add_colorbar(figure, layer, panel, aspect=30, pad=0.02)
+    bar.set_ylabel(label, fontsize=LABEL_PT)
+    bar.tick_params(labelsize=TICK_PT)
+    if mark is not None:
+        bar.axhline(mark, color=WHITE, linewidth=3.0)
+        bar.axhline(mark, color=FRAME, linewidth=1.2)
+
+
+def draw_level(panel: Panel, raster: Raster, level: float, colour: str) -> None:
+    """Draw the contour of a raster at `level`, if it crosses it."""
+    known = raster.values[np.isfinite(raster.values)]
+    if known.size and known.min() < level < known.max():
+        panel.contour(
+            raster.x_m,
+            raster.y_m,
+            raster.values,
+            levels=[level],
+            colors=[colour],
+            linewidths=1.1,
+            zorder=CONTOUR_Z,
+        )
+
+
+def draw_places(panel: Panel, problem: Problem) -> list[Artist]:
+    """Mark start and goal of every robot and the stations; the artists, for a legend."""
+    marks = (
+        ("start", "o", 70.0, GREEN, [robot.start_m for robot in problem.robots]),
+        ("goal", "*", 200.0, YELLOW, [robot.goal_m for robot in problem.robots]),
+        ("station", "^", 80.0, ORANGE, [radio.site.position_m for radio in problem.stations]),
+    )
+    artists: list[Artist] = []
+    for label, marker, size, colour, places in marks:
+        x, y = np.array(places, dtype=np.float64).T
+        artists.append(
+            panel.scatter(
+                x,
+                y,
+                marker=marker,
+                s=size,
+                color=colour,
+                edgecolors="black",
+                linewidths=1.0,
+                zorder=PLACE_Z,
+                label=label,
+            )
+        )
+    return artists
+
+
+def outline(polygon: shapely.Polygon) -> Outline:
+    """A polygon with its holes as one path; rings turn opposite ways, so that holes stay open."""
+    from matplotlib.path import Path as Outline
+
+    turned = shapely.geometry.polygon.orient(polygon)
+    rings = [ring_xy(ring) for ring in (turned.exterior, *turned.interiors)]
+    codes = [
+        np.array([Outline.MOVETO, *[Outline.LINETO] * (len(ring) - 2), Outline.CLOSEPOLY])
+        for ring in rings
+    ]
+    return Outline(np.concatenate(rings), np.concatenate(codes))
+
+
+def ring_xy(ring: shapely.LineString) -> NDArray[np.float64]:
+    """Corners of a closed ring, the first again at the end; (n, 2)."""
+    return np.asarray(shapely.get_coordinates(ring), dtype=np.float64)

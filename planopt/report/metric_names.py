@@ -1,0 +1,42 @@
+"""What the metrics of a comparison are called, in which unit they are shown, and how precisely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class MetricName:
+    """How a metric is shown.
+
+    Attributes
+    ----------
+    words
+        Its name for people.
+    unit
+        Its unit as shown.
+    scale
+        What its value is multiplied by.
+    digits
+        Digits after the point in tables.
+    """
+
+    words: str
+    unit: str
+    scale: float
+    digits: int
+
+
+METRIC_NAMES = {
+    "goal_time_s": MetricName("time to goal", "s", 1.0, 1),
+    "path_m": MetricName("driven length", "m", 1.0, 1),
+    "true_connected_share": MetricName("connected in truth", "%", 100.0, 1),
+    "longest_outage_m": MetricName("longest outage", "m", 1.0, 1),
+    "predicted_min_connectivity": MetricName("least predicted P(connected)", "1", 1.0, 3),
+    "polish_gain": MetricName("gain of the polish", "%", 100.0, 2),
+}
+
+
+def metric_name(metric: str) -> MetricName:
+    """How `metric` is shown; a metric unknown here is shown by its own name, as it is."""
+    return METRIC_NAMES.get(metric, MetricName(metric.replace("_", " "), "as is", 1.0, 3))

@@ -1,0 +1,55 @@
+"""A plan's verdict and certificate in words."""
+
+from __future__ import annotations
+
+import math
+
+from planopt.planning.plan import Plan, Verdict
+from planopt.problems.problem import Constraints
+
+MEANING = {
+    Verdict.VERIFIED: "every constraint holds",
+    Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
+    Verdict.VIOLATED: "a constraint does not hold",
+    Verdict.NONE: "there is no plan",
+}
+
+
+def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
+    """What was found and what an independent check says of it, a line each.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    constraints
+        What it had to keep.
+    """
+    proof = plan.certificate
+    clearance = (
+        f"least clearance {proof.min_clearance_m:.3f} m of the whole swept path, "
+        f"{constraints.clearance_m:g} m asked"
+        if math.isfinite(proof.min_clearance_m)
+        else "no obstacles to keep clear of"
+    )
+    lines = [
+        f"verdict: {plan.verdict.value.replace('_', ' ')} ({MEANING[plan.verdict]})",
+        clearance,
+        f"least P(connected) {proof.min_connectivity:.3f}, {constraints.p_min:g} asked "
+        f"(posterior: {proof.posterior})",
+        f"motion model kept to {proof.dynamics_defect:.2g} m; "
+        + (
+            "not polished"
+            if proof.kkt_residual is None
+            else f"KKT residual of the polish {proof.kkt_residual:.2g}"
+        ),
+        f"cost {plan.objective:.1f} s (lattice start {plan.lattice_objective:.1f} s); "
+        f"{plan.termination.value.replace('_', ' ')} after {plan.iterations} iterations, "
+        f"{1e3 * plan.wall_s:.0f} ms; rung: {plan.rung.value.replace('_', ' ')}",
+    ]
+    if proof.relaxed_steps:
+        lines.append(
+            f"the bound cannot be met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
+            f"missed by at most {max(proof.relaxation_db):.2f} dB"
+        )
+    return [*lines, *proof.reasons, *([plan.message] if plan.message else [])]

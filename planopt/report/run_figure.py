@@ -1,0 +1,147 @@
+"""One closed loop on the map: what was planned first, what was driven, and where it connected."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planopt.planning.run import StepLog
+from planopt.planning.simulation import Simulation
+from planopt.report.maps import LAYER_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
+from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.style import (
+    BLACK,
+    CONNECTED,
+    DISCONNECTED,
+    POWER_MAP,
+    PURPLE,
+    WHITE,
+    head,
+    legend_below,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+
+def draw_run(simulation: Simulation) -> Figure:
+    """Draw a run over the true power [dBm]: first plan, driven path, relaxed steps, measurements.
+
+    A piece of the driven path has the colour of the place that it leads to: connected in truth or
+    not.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    problem, run = simulation.problem, simulation.run
+    figure = new_figure(10.0, 9.6, maps_only=True)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    draw_ground(panel, problem.workspace, f"{run.outcome.value.replace('_', ' ')}: {run.reason}")
+    draw_layer(
+        panel,
+        simulation.truth.raster,
+        POWER_MAP,
+        figure,
+        "true power [dBm]",
+        mark=problem.stations[0].threshold_dbm,
+    )
+    entries = [
+        *draw_places(panel, problem),
+        *_draw_measurements(panel, simulation),
+        *_draw_driven(panel, run.log),
+        *_draw_first_plan(panel, simulation),
+        *_draw_relaxed(panel, run.log),
+    ]
+    legend_below(figure, entries, 4)
+    head(
+        figure,
+        f"{problem.name}: horizon {run.horizon}, {run.cost_to_go} cost to go, seed {run.seed}",
+    )
+    return figure
+
+
+def _draw_driven(panel: Panel, log: StepLog) -> list[Artist]:
+    """Draw the driven path by whether it was connected, on a white casing."""
+    from matplotlib.collections import LineCollection
+
+    x, y = log.positions_m.T
+    panel.plot(x, y, color=WHITE, linewidth=6.0, zorder=PATH_Z, solid_capstyle="round")
+    pieces = np.stack([log.positions_m[:-1], log.positions_m[1:]], axis=1)
+    artists: list[Artist] = []
+    for label, colour, selection in (
+        ("driven, connected", CONNECTED, log.connected[1:]),
+        ("driven, not connected", DISCONNECTED, ~log.connected[1:]),
+    ):
+        lines = LineCollection(
+            list(pieces[selection]),
+            colors=colour,
+            linewidths=4.0,
+            capstyle="round",
+            zorder=PATH_Z,
+            label=label,
+        )
+        panel.add_collection(lines, autolim=False)
+        artists.append(lines)
+    return artists
+
+
+def _draw_first_plan(panel: Panel, simulation: Simulation) -> list[Artist]:
+    """Draw the plan at the start; nothing where no plan was released."""
+    return [
+        artist
+        for plan in simulation.plans[:1]
+        for artist in panel.plot(
+            *plan.positions_m.T,
+            color=BLACK,
+            linewidth=1.2,
+            linestyle=(0, (3, 1.5)),
+            zorder=PATH_Z + 0.4,
+            label="first plan",
+        )
+    ]
+
+
+def _draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
+    """Mark the places where the bound was relaxed, if any."""
+    relaxed = log.relaxation_db > 0.0
+    if not relaxed.any():
+        return []
+    x, y = log.positions_m[relaxed].T
+    return [
+        panel.scatter(
+            x,
+            y,
+            marker="D",
+            s=34.0,
+            facecolors=PURPLE,
+            edgecolors=BLACK,
+            linewidths=0.8,
+            zorder=PLACE_Z,
+            label="bound relaxed",
+        )
+    ]
+
+
+def _draw_measurements(panel: Panel, simulation: Simulation) -> list[Artist]:
+    """Mark where was measured before the run and on the way."""
+    places = simulation.belief.posterior.measurements.positions_m
+    first = simulation.first_measurements
+    artists: list[Artist] = []
+    for label, part, size, colour, level in (
+        ("measured before", places[:first], 12.0, BLACK, LAYER_Z),
+        ("measured on the way", places[first:], 4.0, WHITE, PATH_Z),
+    ):
+        if len(part):
+            artists.append(
+                panel.scatter(
+                    *part.T,
+                    s=size,
+                    color=colour,
+                    edgecolors=BLACK if colour == WHITE else WHITE,
+                    linewidths=0.4,
+                    zorder=level + 0.2,
+                    label=label,
+                )
+            )
+    return artists

@@ -1,0 +1,92 @@
+"""How every figure looks: colours that colour-blind readers can tell apart, sizes, and words.
+
+Colours are those of Okabe and Ito (2008) and the perceptually even maps viridis and cividis.
+Nothing global is set: figures of the caller look as before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from planopt.report.panel import Panel, add_legend, add_title
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+BLACK, WHITE = "#000000", "#ffffff"
+ORANGE, SKY, GREEN, YELLOW = "#e69f00", "#56b4e9", "#009e73", "#f0e442"
+BLUE, VERMILLION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
+SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+MARKERS = ("o", "s", "^", "D")
+
+OBSTACLE, OBSTACLE_EDGE, FRAME = "#efefef", "#8c8c8c", "#404040"
+PREDICTED, TRUE, THRESHOLD = BLUE, BLACK, VERMILLION
+CONNECTED, DISCONNECTED = SKY, VERMILLION
+
+POWER_MAP, DEVIATION_MAP, PROBABILITY_MAP = "viridis", "cividis", "cividis"
+
+TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 11.0, 10.0, 9.0, 9.0
+
+BAND_Z = 1.28
+"""Half width of drawn bands in deviations: the middle 80 % of a normal distribution."""
+
+BAND_WORDS = "80 % band"
+
+
+def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = True) -> None:
+    """Give a panel its title and labels, in the common sizes."""
+    panel.set_title(title, fontsize=TITLE_PT, loc="left")
+    panel.set_xlabel(x_label, fontsize=LABEL_PT)
+    panel.set_ylabel(y_label, fontsize=LABEL_PT)
+    panel.tick_params(labelsize=TICK_PT)
+    if grid:
+        panel.grid(True, color="#e2e2e2", linewidth=0.6)
+
+
+def head(figure: Figure, words: str) -> None:
+    """Give a figure its title."""
+    add_title(figure, words, fontsize=TITLE_PT + 1.0, fontweight="bold")
+
+
+def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> None:
+    """Legend under all panels, where it can cover no start and no goal."""
+    handles = list(entries)
+    add_legend(
+        figure,
+        handles=handles,
+        labels=[str(handle.get_label()) for handle in handles],
+        loc="outside lower center",
+        ncols=columns,
+        fontsize=NOTE_PT,
+        frameon=False,
+    )
+
+
+def legend_above(panel: Panel) -> None:
+    """Legend of curves on the line of the panel's title, where it covers none of them."""
+    panel.legend(
+        fontsize=NOTE_PT,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=6,
+        frameon=False,
+        borderaxespad=0.0,
+        columnspacing=1.2,
+    )
+
+
+def log_ticks(panel: Panel) -> None:
+    """Logarithmic y axis with its values written out at 1, 2 and 5."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    panel.set_yscale("log")
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+
+
+def legend_inside(panel: Panel, place: str = "best") -> None:
+    """Legend in a panel of dots, which leave room for it."""
+    panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")

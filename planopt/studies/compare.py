@@ -1,0 +1,162 @@
+"""Compare horizons, planners and costs to go in closed loop, on the same seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from time import perf_counter
+from typing import cast
+
+import numpy as np
+from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableType]
+from numpy.typing import NDArray
+from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
+from threadpoolctl import threadpool_limits
+
+from planopt.planning.closed_loop import simulate
+from planopt.planning.prepare import prepare
+from planopt.planning.run import Metrics, Outcome, Run
+from planopt.planning.scene import build_scene
+from planopt.problems.overrides import with_overrides
+from planopt.problems.problem import Problem
+from planopt.studies.comparison import Comparison, Row
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One cell of a comparison."""
+
+    horizon: int
+    planner: str
+    cost_to_go: str
+
+
+def compare_horizons(
+    problem: Problem,
+    horizons: Sequence[int],
+    *,
+    planners: Sequence[str] = ("auto",),
+    costs_to_go: Sequence[str] = ("geodesic", "connected"),
+    seeds: int | Iterable[int] = 30,
+    workers: int = 1,
+    backend: str = "loky",
+    on_run: Callable[[Run], None] | None = None,
+) -> Comparison:
+    """Run every setting on every seed and tabulate.
+
+    Parameters
+    ----------
+    problem
+        What to run; horizon, planner and cost to go are overridden.
+    horizons, planners, costs_to_go
+        The settings are their product; the first is the reference of paired ratios.
+    seeds
+        The seeds, or how many (0, 1, ...). Every setting sees the same ones.
+    workers
+        Processes; a task is one seed with all settings, on one BLAS thread. The result does not
+        depend on their number, but for the measured times.
+    backend
+        joblib backend; ``loky`` is this machine.
+    on_run
+        Called for every finished run, for progress display.
+    """
+    begun = perf_counter()
+    chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
+    settings = [Setting(n, p, c) for c in costs_to_go for p in planners for n in horizons]
+    for setting in settings:
+        _apply(problem, setting)
+    finished: dict[tuple[Setting, int], Run] = {}
+    parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
+    task = cast("Callable[..., object]", delayed(_runs_of_seed))
+    jobs = [task(problem, settings, seed) for seed in chosen]
+    for seed, runs in zip(chosen, cast("Iterable[list[Run]]", parallel(jobs)), strict=True):
+        for setting, run in zip(settings, runs, strict=True):
+            finished[setting, seed] = run
+            if on_run is not None:
+                on_run(run)
+    by_setting = [[finished[setting, seed] for seed in chosen] for setting in settings]
+    rows = [
+        row
+        for setting, runs in zip(settings, by_setting, strict=True)
+        for row in tabulate(setting, runs, by_setting[0])
+    ]
+    return Comparison(
+        problem=problem,
+        runs=tuple(run for runs in by_setting for run in runs),
+        rows=tuple(rows),
+        wall_s=perf_counter() - begun,
+    )
+
+
+def tabulate(setting: Setting, runs: Sequence[Run], reference: Sequence[Run]) -> list[Row]:
+    """Rows of one setting, one a metric; `reference` holds the same seeds in the same order."""
+    steps = np.concatenate([run.log.step_s[1:] for run in runs])
+    verdicts = sum(len(run.log.verdict) - 1 for run in runs)
+    verified = sum(run.verified_rate * (len(run.log.verdict) - 1) for run in runs)
+    rows: list[Row] = []
+    for metric in (field.name for field in fields(Metrics)):
+        values, others = _values(runs, metric), _values(reference, metric)
+        there = values[np.isfinite(values)]
+        low, high = mean_interval(there)
+        rows.append(
+            Row(
+                horizon=setting.horizon,
+                planner=setting.planner,
+                cost_to_go=setting.cost_to_go,
+                seeds=len(runs),
+                stalled=sum(run.outcome is not Outcome.REACHED for run in runs),
+                metric=metric,
+                mean=float(there.mean()) if there.size else None,
+                ci_low=low,
+                ci_high=high,
+                count=int(there.size),
+                paired_ratio=paired_ratio(values, others),
+                verified_rate=float(verified / verdicts) if verdicts else 1.0,
+                p50_step_s=float(np.median(steps)) if steps.size else 0.0,
+                p95_step_s=float(np.quantile(steps, 0.95)) if steps.size else 0.0,
+            )
+        )
+    return rows
+
+
+def mean_interval(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
+    """Student interval of the mean at `CONFIDENCE`; None for fewer than two values."""
+    if values.size < 2:
+        return None, None
+    quantile = np.asarray(stdtrit(values.size - 1, 0.5 + CONFIDENCE / 2))
+    half = float(quantile) * float(values.std(ddof=1)) / float(np.sqrt(values.size))
+    mean = float(values.mean())
+    return mean - half, mean + half
+
+
+def paired_ratio(values: NDArray[np.float64], others: NDArray[np.float64]) -> float | None:
+    """Geometric mean of the ratios where both are positive and finite; None if there are none."""
+    both = np.isfinite(values) & np.isfinite(others) & (values > 0.0) & (others > 0.0)
+    if not both.any():
+        return None
+    return float(np.exp(np.log(values[both] / others[both]).mean()))
+
+
+def _values(runs: Sequence[Run], metric: str) -> NDArray[np.float64]:
+    return np.array([getattr(run.metrics, metric) for run in runs], dtype=float)
+
+
+def _apply(problem: Problem, setting: Setting) -> Problem:
+    return with_overrides(
+        problem,
+        horizon=setting.horizon,
+        planner=setting.planner,
+        cost_to_go=setting.cost_to_go,
+    )
+
+
+def _runs_of_seed(problem: Problem, settings: Sequence[Setting], seed: int) -> list[Run]:
+    """Closed loops of all settings on one seed, one BLAS thread; they share scene and belief."""
+    with threadpool_limits(limits=1):
+        scene, prepared = build_scene(problem), prepare(problem, seed)
+        return [
+            simulate(_apply(problem, setting), seed=seed, scene=scene, prepared=prepared).run
+            for setting in settings
+        ]

@@ -6,8 +6,6 @@ conditioned on: what is timed is planning, not fitting 5,000 measurements.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from functools import cache
 from time import perf_counter
 
@@ -27,46 +25,30 @@ from planopt.problems.problem import Problem
 
 PROBLEM = "munich_courier"
 PLACES_SEED = 7
-"""Of the measured places; independent of the problem's own."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One timed step of a closed loop.
-
-    Attributes
-    ----------
-    update_s
-        Wall time of the factor's update by one measurement.
-    plan
-        The plan; its ``wall_s`` is the step: map refresh, cost to go, lattice, polish, proof.
-    """
-
-    update_s: float
-    plan: Plan
+"""Of the measured places; another than the problem's own."""
+MOST_MEASUREMENTS = 8192
 
 
 @cache
 def munich() -> tuple[Problem, Scene, Prepared]:
-    """The problem, its geometry, and truth and fit of seed 0."""
+    """The problem, its geometry, and truth and belief of seed 0."""
     problem = load(PROBLEM)
     return problem, build_scene(problem), prepare(problem, 0)
 
 
-def truth() -> Truth:
-    """What is driven in."""
-    drawn = munich()[2].truth
-    if drawn is None:
+def true_channel() -> Truth:
+    """What is measured and driven in."""
+    truth = munich()[2].truth
+    if truth is None:
         raise AssertionError("the problem has a truth")
-    return drawn
+    return truth
 
 
 @cache
 def sampled(count: int) -> Measurements:
     """`count` measurements of the truth; a longer sample begins with a shorter one."""
-    problem = munich()[0]
-    places = free_places(problem, 8192, np.random.default_rng(PLACES_SEED))
-    return measure(truth(), places[:count])
+    places = free_places(munich()[0], MOST_MEASUREMENTS, np.random.default_rng(PLACES_SEED))
+    return measure(true_channel(), places[:count])
 
 
 @cache
@@ -76,26 +58,38 @@ def belief_from(count: int) -> Belief:
     return Belief(fit, condition(fit.parameters, sampled(count)))
 
 
-def steps(count: int, horizon: int, cost_to_go: str, number: int) -> Iterator[Step]:
-    """Drive and time `number` steps from the start, on `count` first measurements.
+class Drive:
+    """A closed loop, one step at a time: `learn`, then `step`.
 
-    The plan at the start, which fills the map, is made before and not among them; each step then
-    adds the one measurement of where the robot is.
+    The plan at the start, which fills the map from nothing, is made here and is no step.
+
+    Parameters
+    ----------
+    count
+        First measurements.
+    horizon, cost_to_go
+        Planner settings.
     """
-    problem, scene, _ = munich()
-    problem = with_overrides(problem, horizon=horizon, cost_to_go=cost_to_go)
-    planner = ReachPlanner(problem, scene)
-    belief = belief_from(count)
-    plan = planner.plan(belief, np.asarray(problem.robots[0].start_m))
-    for _ in range(number):
-        position = plan.positions_m[1]
+
+    def __init__(self, count: int, horizon: int, cost_to_go: str) -> None:
+        problem, scene, _ = munich()
+        problem = with_overrides(problem, horizon=horizon, cost_to_go=cost_to_go)
+        self._planner = ReachPlanner(problem, scene)
+        self._belief = belief_from(count)
+        self._plan = self._planner.plan(self._belief, np.asarray(problem.robots[0].start_m))
+        self.update_s: list[float] = []
+        self.step_s: list[float] = []
+
+    def learn(self) -> None:
+        """Move, measure, and update the factor, which is no part of the step's time."""
+        found = measure(true_channel(), self._plan.positions_m[1:2])
         begun = perf_counter()
-        belief = update(belief, measure(truth(), position[None]))
-        update_s = perf_counter() - begun
-        plan = planner.plan(belief, position, plan)
-        yield Step(update_s, plan)
+        self._belief = update(self._belief, found)
+        self.update_s.append(perf_counter() - begun)
 
-
-def with_horizon(horizon: int, cost_to_go: str) -> Problem:
-    """The problem with its planner settings changed."""
-    return with_overrides(replace(munich()[0]), horizon=horizon, cost_to_go=cost_to_go)
+    def step(self) -> Plan:
+        """Map refresh after the new measurement, cost to go, lattice, polish, verification."""
+        begun = perf_counter()
+        self._plan = self._planner.plan(self._belief, self._plan.positions_m[1], self._plan)
+        self.step_s.append(perf_counter() - begun)
+        return self._plan

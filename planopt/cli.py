@@ -86,7 +86,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         message = f"{str(format_message()).rstrip('.')} (see planopt --help)"
     print(f"planopt: {' '.join(message.split())}", file=sys.stderr)
     return BAD_INPUT
-
-
-if __name__ == "__main__":
-    sys.exit(main())

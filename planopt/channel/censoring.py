@@ -18,6 +18,7 @@ from scipy.special import log_ndtr  # pyright: ignore[reportUnknownVariableType]
 from planopt.channel.cholesky import log_determinant, lower_factor, solve_lower
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
 
@@ -76,6 +77,7 @@ class CensoredSites:
         return Sites(mean_db + self.shift / precision, 1.0 / precision)
 
 
+@one_blas_thread()
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
     """Replace censored measurements by Gaussian ones, given the channel's parameters.
 

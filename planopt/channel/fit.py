@@ -29,6 +29,7 @@ from planopt.channel.lemma1 import capped_bins, enough, lemma1_fit, seed_bins
 from planopt.channel.mean_model import PRIOR_N_PL, MeanModel, mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.nls_fit import nls_fit
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.reml import MAX_MEASUREMENTS, reml_fit, thinned
 
@@ -86,6 +87,7 @@ class _Estimate:
     log_likelihood: float | None = None
 
 
+@one_blas_thread()
 def fit_channel(
     measurements: Measurements, station: Station, method: FitMethod = "reml"
 ) -> ChannelFit:

@@ -19,6 +19,7 @@ from planopt.channel.identifiability import require_usable
 from planopt.channel.mean_model import PRIOR_N_PL, PRIOR_N_PL_STD, mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.minimise import minimise_from_simplex
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import Station
 from planopt.channel.path_loss import MIN_DISTANCE_M, regressors
 from planopt.channel.reml import thinned
@@ -46,6 +47,7 @@ MIN_UNCENSORED = 8
 Position = tuple[float, float]
 
 
+@one_blas_thread()
 def fit_channel_and_station(
     measurements: Measurements, method: FitMethod = "reml", height_m: float = 0.0
 ) -> ChannelFit:

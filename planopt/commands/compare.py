@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from planopt.commands.options import JsonOption, OutOption, ProblemArgument
-from planopt.commands.output import progress, results_folder, show
+from planopt.commands.output import NO_PLAN, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 COMPARISON_FILE = "comparison.json"
 BACKENDS = ("loky",)
-NO_PLAN = 4
 
 Value = TypeVar("Value")
 

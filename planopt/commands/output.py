@@ -6,11 +6,16 @@ Errors are raised; :func:`planopt.cli.main` prints them.
 from __future__ import annotations
 
 import contextlib
+import signal
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import typer
+
+NO_PLAN = 4
+"""Exit code where there is no plan, or a run did not arrive (design, section 3)."""
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
@@ -50,11 +55,38 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
         TextColumn("{task.completed:.0f}" + ("" if total is None else f"/{total}")),
         TimeElapsedColumn(),
     )
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    with (
+        _interruptible() as stop_if_interrupted,
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+    ):
         task = bar.add_task(description, total=total)
-        yield lambda: bar.advance(task)
+
+        def advance() -> None:
+            stop_if_interrupted()
+            bar.advance(task)
+
+        yield advance
+        stop_if_interrupted()
+
+
+@contextlib.contextmanager
+def _interruptible() -> Generator[Callable[[], None]]:
+    """Let nothing swallow an interrupt: CasADi answers one by ending the solve it is in."""
+    seen: list[int] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        raise KeyboardInterrupt
+
+    def stop_if_interrupted() -> None:
+        if seen:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield stop_if_interrupted
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextlib.contextmanager

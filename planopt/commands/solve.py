@@ -13,12 +13,10 @@ from planopt.commands.options import (
     ProblemArgument,
     SeedOption,
 )
-from planopt.commands.output import progress, results_folder, show, shown_number
+from planopt.commands.output import NO_PLAN, progress, results_folder, show, shown_number
 
 if TYPE_CHECKING:
     from planopt.planning.solution import Solution
-
-NO_PLAN = 4
 
 
 def solve(

@@ -229,10 +229,13 @@ class _Arrays:
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
+        # Opened here, because NumPy leaves its own handle open on a damaged archive.
+        with path.open("rb") as stream:
+            loaded = np.load(stream, allow_pickle=False)
+            if not isinstance(loaded, np.lib.npyio.NpzFile):
                 raise InputError("is not an npz archive", file=path, remedy=_REMEDY)
-            return {name: cast("NDArray[Any]", archive[name]) for name in archive.files}
+            archive = cast("Mapping[str, NDArray[Any]]", loaded)
+            return {name: archive[name] for name in archive}
     except OSError as error:
         raise InputError(
             f"cannot be read: {error.strerror or error}", file=path, remedy=_REMEDY

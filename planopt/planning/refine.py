@@ -68,7 +68,9 @@ class Refiner:
         """
         relaxing = bool((self._start.margin_db < 0.0).any())
         starts: list[tuple[NDArray[np.float64], Rung]] = (
-            [(self._start.path_m, Rung.RELAXED)] if relaxing else [(self._retimed(), Rung.PLAN)]
+            [(self._start.path_m, Rung.RELAXED)]
+            if relaxing
+            else [(self._retimed(), Rung.PLAN), (self._start.path_m, Rung.COLD_RETRY)]
         )
         if shifted_m is not None and len(shifted_m) == self._nlp.horizon:
             cheaper = not relaxing and self._judge.objective(shifted_m) < self._lattice_objective
@@ -122,7 +124,7 @@ class Refiner:
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
         iterations = 0
-        if (exact < 0.0).any():
+        if rung is Rung.RELAXED:
             elastic = polish(
                 self._nlp,
                 replace(
@@ -142,7 +144,8 @@ class Refiner:
                 bound = np.minimum(wanted, local)
                 missing = np.maximum(-exact, 0.0)
         else:
-            bound = np.minimum(wanted, local)
+            # The start stays feasible where it keeps the bound, be it with less than is wanted.
+            bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
             missing = np.zeros_like(bound)
         for _ in range(REPAIRS):
             polished = polish(self._nlp, replace(task, bound_db=bound))

@@ -52,11 +52,19 @@ def draw_belief(problem: Problem, belief: Belief) -> Figure:
     panels = [add_panel(figure, cells[0, column]) for column in range(3)]
 
     draw_ground(panels[0], workspace, "predicted power")
-    draw_layer(panels[0], mean, POWER_MAP, figure, "power [dBm]", mark=threshold)
+    draw_layer(panels[0], mean, POWER_MAP, figure, "power [dBm] (line: threshold)", mark=threshold)
     draw_ground(panels[1], workspace, "deviation of the prediction")
     draw_layer(panels[1], deviation, DEVIATION_MAP, figure, "deviation [dB]")
     draw_ground(panels[2], workspace, f"P(power ≥ {threshold:g} dBm)")
-    draw_layer(panels[2], chance, PROBABILITY_MAP, figure, "P(connected) [1]", (0.0, 1.0), p_min)
+    draw_layer(
+        panels[2],
+        chance,
+        PROBABILITY_MAP,
+        figure,
+        "P(connected) [1] (line: p_min)",
+        (0.0, 1.0),
+        p_min,
+    )
     draw_level(panels[2], chance, p_min, VERMILLION)
 
     places: list[Artist] = []

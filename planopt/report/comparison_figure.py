@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from planopt.report.comparison_looks import Look, Setting, looks_of
 from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
-from planopt.report.style import MARKERS, SERIES, dress, head, legend_below, log_ticks
+from planopt.report.style import dress, head, legend_below, plain_log_ticks
 from planopt.studies.comparison import Comparison, Row
 
 if TYPE_CHECKING:
@@ -18,24 +18,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = 4
-SPREAD = 0.6
-"""Width that the settings of one horizon share, in distances between horizons."""
-
 X_LABEL = "horizon [steps]"
 
-Setting = tuple[str, str]
-"""Cost to go and planner."""
+RUN_SHIFT = 0.35
+"""Single runs stand this share of a setting's width beside the mean."""
 
-
-@dataclass(frozen=True)
-class Look:
-    """How one setting is drawn: shift and width are in distances between horizons."""
-
-    label: str
-    colour: str
-    marker: str
-    shift: float
-    width: float
+ROOM = 0.35
+"""Room above and below the single runs, as a share of their range."""
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
@@ -48,7 +37,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
 
     rows = comparison.rows
     metrics = list(dict.fromkeys(row.metric for row in rows))
-    looks = _looks(comparison)
+    looks = looks_of(comparison)
     places = {horizon: x for x, horizon in enumerate(sorted({row.horizon for row in rows}))}
     lines = math.ceil((len(metrics) + 2) / COLUMNS)
     figure = new_figure(4.0 * COLUMNS, 3.7 * lines + 0.8)
@@ -69,27 +58,9 @@ def draw_comparison(comparison: Comparison) -> Figure:
     head(
         figure,
         f"{comparison.problem.name}: {len(comparison.runs)} runs; mean with 95 % interval, "
-        "single runs faint",
+        "single runs faint, intervals cut at the frame",
     )
     return figure
-
-
-def _looks(comparison: Comparison) -> dict[Setting, Look]:
-    """Looks of the settings, in the order of the rows: colour by cost to go, marker by planner."""
-    settings = list(dict.fromkeys((row.cost_to_go, row.planner) for row in comparison.rows))
-    costs = list(dict.fromkeys(cost for cost, _ in settings))
-    planners = list(dict.fromkeys(planner for _, planner in settings))
-    shifts = SPREAD * ((np.arange(len(settings)) + 0.5) / len(settings) - 0.5)
-    return {
-        (cost, planner): Look(
-            label=f"{cost} cost to go, planner {planner}",
-            colour=SERIES[costs.index(cost) % len(SERIES)],
-            marker=MARKERS[planners.index(planner) % len(MARKERS)],
-            shift=float(shift),
-            width=SPREAD / len(settings),
-        )
-        for (cost, planner), shift in zip(settings, shifts, strict=True)
-    }
 
 
 def _draw_metric(
@@ -101,12 +72,12 @@ def _draw_metric(
 ) -> None:
     """Draw a metric: single runs, mean and interval where there is one."""
     name = metric_name(metric)
-    for run in comparison.runs:
+    values = [name.scale * getattr(run.metrics, metric, math.nan) for run in comparison.runs]
+    for run, value in zip(comparison.runs, values, strict=True):
         look = looks[run.cost_to_go, run.planner]
-        value = getattr(run.metrics, metric, math.nan)
         panel.plot(
-            [places[run.horizon] + look.shift],
-            [name.scale * value],
+            [places[run.horizon] + look.shift - RUN_SHIFT * look.width],
+            [value],
             linestyle="none",
             marker=look.marker,
             markersize=4.0,
@@ -136,6 +107,11 @@ def _draw_metric(
             linestyle="none",
         )
     dress(panel, name.words, X_LABEL, f"{name.words} [{name.unit}]")
+    known = [value for value in values if math.isfinite(value)]
+    if known and min(known) < max(known):
+        # Intervals over few runs are many times wider than the runs themselves.
+        room = ROOM * (max(known) - min(known))
+        panel.set_ylim(min(known) - room, max(known) + room)
 
 
 def _draw_stalled(
@@ -161,9 +137,11 @@ def _draw_stalled(
             markersize=5.0,
             color=look.colour,
             markeredgecolor="white",
+            clip_on=False,
         )
     most = max(row.seeds for row in rows)
     dress(panel, "goal not reached", X_LABEL, f"runs of {most} [count]")
+    panel.set_yticks(np.unique(np.linspace(0, most, min(most, 6) + 1).round()))
     panel.set_ylim(0.0, 1.05 * most)
 
 
@@ -198,5 +176,6 @@ def _draw_step_times(
             label=look.label,
         )
     dress(panel, "step time: median, up to 95 % quantile", X_LABEL, "step time [ms]")
-    log_ticks(panel)
+    panel.set_yscale("log")
+    plain_log_ticks(panel.yaxis)
     return entries

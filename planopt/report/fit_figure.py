@@ -21,6 +21,7 @@ from planopt.report.style import (
     dress,
     head,
     legend_inside,
+    plain_log_ticks,
 )
 
 if TYPE_CHECKING:
@@ -84,7 +85,9 @@ def _draw_path_loss(
                 alpha=0.7,
                 label=label,
             )
-    span = np.geomspace(distance.min(), distance.max(), LINE_POINTS)
+    span = np.exp(
+        np.linspace(np.log(distance.min()), np.log(distance.max()), LINE_POINTS, dtype=np.float64)
+    )
     line = parameters.k_pl_db - 10.0 * parameters.n_pl * np.log10(span)
     spread = LINE_DEVIATIONS * np.hypot(parameters.shadow_std_db, parameters.multipath_std_db)
     panel.fill_between(
@@ -101,10 +104,11 @@ def _draw_path_loss(
         line,
         color=PREDICTED,
         linewidth=2.0,
-        label=f"{parameters.k_pl_db:.1f} dBm - {10.0 * parameters.n_pl:.1f} log10(d / m)",
+        label=f"{parameters.k_pl_db:.1f} dBm - {10.0 * parameters.n_pl:.1f} dB log10(d / 1 m)",
     )
     dress(panel, "path loss", "distance to the station d [m]", "power [dBm]")
     panel.set_xscale("log")
+    plain_log_ticks(panel.xaxis)
     legend_inside(panel)
 
 

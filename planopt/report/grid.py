@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
-from planopt.world.clearance import clearance_m, index_obstacles
+from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import Raster
 from planopt.world.workspace import Workspace
 
@@ -23,7 +23,8 @@ def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.floa
     axes: list[NDArray[np.float64]] = []
     for low, high in ((x_min, x_max), (y_min, y_max)):
         count = max(2, round((high - low) / side))
-        axes.append(low + (high - low) / count * (np.arange(count) + 0.5))
+        half = (high - low) / count / 2.0
+        axes.append(np.linspace(low + half, high - half, count))
     return axes[0], axes[1]
 
 
@@ -35,7 +36,9 @@ def drawn_cells(
     With the cells beside, a layer reaches under the outlines of the obstacles drawn over it.
     """
     centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
-    free = clearance_m(index_obstacles(workspace), centres.reshape(-1, 2)) > 0.0
+    places = centres.reshape(-1, 2)
+    free = inside_bounds(workspace, places)
+    free &= clearance_m(index_obstacles(workspace), places) > 0.0
     padded = np.pad(free.reshape(centres.shape[:2]), 1)
     rows = padded[:-2] | padded[1:-1] | padded[2:]
     return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from planopt.report.style import spaced
+
 
 @dataclass(frozen=True)
 class MetricName:
@@ -39,4 +41,4 @@ METRIC_NAMES = {
 
 def metric_name(metric: str) -> MetricName:
     """How `metric` is shown; a metric unknown here is shown by its own name, as it is."""
-    return METRIC_NAMES.get(metric, MetricName(metric.replace("_", " "), "as is", 1.0, 3))
+    return METRIC_NAMES.get(metric, MetricName(spaced(metric), "as is", 1.0, 3))

@@ -6,6 +6,7 @@ import math
 
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Constraints
+from planopt.report.style import spaced
 
 MEANING = {
     Verdict.VERIFIED: "every constraint holds",
@@ -33,7 +34,7 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
         else "no obstacles to keep clear of"
     )
     lines = [
-        f"verdict: {plan.verdict.value.replace('_', ' ')} ({MEANING[plan.verdict]})",
+        f"verdict: {spaced(plan.verdict)} ({MEANING[plan.verdict]})",
         clearance,
         f"least P(connected) {proof.min_connectivity:.3f}, {constraints.p_min:g} asked "
         f"(posterior: {proof.posterior})",
@@ -44,12 +45,12 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
             else f"KKT residual of the polish {proof.kkt_residual:.2g}"
         ),
         f"cost {plan.objective:.1f} s (lattice start {plan.lattice_objective:.1f} s); "
-        f"{plan.termination.value.replace('_', ' ')} after {plan.iterations} iterations, "
-        f"{1e3 * plan.wall_s:.0f} ms; rung: {plan.rung.value.replace('_', ' ')}",
+        f"{spaced(plan.termination)} after {plan.iterations} iterations, "
+        f"{1e3 * plan.wall_s:.0f} ms; rung: {spaced(plan.rung)}",
     ]
     if proof.relaxed_steps:
         lines.append(
-            f"the bound cannot be met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
+            f"the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
             f"missed by at most {max(proof.relaxation_db):.2f} dB"
         )
     return [*lines, *proof.reasons, *([plan.message] if plan.message else [])]

@@ -19,6 +19,7 @@ from planopt.report.style import (
     WHITE,
     head,
     legend_below,
+    spaced,
 )
 
 if TYPE_CHECKING:
@@ -37,13 +38,13 @@ def draw_run(simulation: Simulation) -> Figure:
     problem, run = simulation.problem, simulation.run
     figure = new_figure(10.0, 9.6, maps_only=True)
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
-    draw_ground(panel, problem.workspace, f"{run.outcome.value.replace('_', ' ')}: {run.reason}")
+    draw_ground(panel, problem.workspace, f"{spaced(run.outcome)}: {run.reason}")
     draw_layer(
         panel,
         simulation.truth.raster,
         POWER_MAP,
         figure,
-        "true power [dBm]",
+        "true power [dBm] (line: threshold)",
         mark=problem.stations[0].threshold_dbm,
     )
     entries = [

@@ -29,7 +29,8 @@ from planopt.report.style import (
     dress,
     head,
     legend_above,
-    log_ticks,
+    plain_log_ticks,
+    spaced,
 )
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def draw_run_series(simulation: Simulation) -> Figure:
     head(
         figure,
         f"{problem.name}: horizon {run.horizon}, {run.cost_to_go} cost to go, seed {run.seed}, "
-        f"{run.outcome.value.replace('_', ' ')}",
+        f"{spaced(run.outcome)}",
     )
     return figure
 
@@ -150,11 +151,12 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
                 s=16.0 if rung is Rung.PLAN else 34.0,
                 color=colour,
                 zorder=2.0 if rung is Rung.PLAN else 3.0,
-                label=f"{rung.value.replace('_', ' ')} ({int(selection.sum())})",
+                label=f"{spaced(rung)} ({int(selection.sum())})",
             )
     dress(panel, "planning time of a step, by rung", "time [s]", "step time [ms]")
     if len(log.t_s) > 1:
-        log_ticks(panel)
+        panel.set_yscale("log")
+        plain_log_ticks(panel.yaxis)
         legend_above(panel)
     else:
         panel.text(log.t_s[0], 0.5, "no step was released", fontsize=NOTE_PT)

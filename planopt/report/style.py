@@ -13,6 +13,7 @@ from planopt.report.panel import Panel, add_legend, add_title
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 BLACK, WHITE = "#000000", "#ffffff"
@@ -35,6 +36,11 @@ BAND_Z = 1.28
 BAND_WORDS = "80 % band"
 
 
+def spaced(name: str) -> str:
+    """A name as words."""
+    return name.replace("_", " ")
+
+
 def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = True) -> None:
     """Give a panel its title and labels, in the common sizes."""
     panel.set_title(title, fontsize=TITLE_PT, loc="left")
@@ -42,6 +48,7 @@ def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = 
     panel.set_ylabel(y_label, fontsize=LABEL_PT)
     panel.tick_params(labelsize=TICK_PT)
     if grid:
+        panel.set_axisbelow(True)
         panel.grid(True, color="#e2e2e2", linewidth=0.6)
 
 
@@ -77,14 +84,13 @@ def legend_above(panel: Panel) -> None:
     )
 
 
-def log_ticks(panel: Panel) -> None:
-    """Logarithmic y axis with its values written out at 1, 2 and 5."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+def plain_log_ticks(axis: Axis) -> None:
+    """Write the values of a logarithmic axis out, at 1, 2 and 5."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    panel.set_yscale("log")
-    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.yaxis.set_minor_formatter(NullFormatter())
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend_inside(panel: Panel, place: str = "best") -> None:

@@ -9,6 +9,7 @@ from simulated_channel import simulated, subset
 from planopt.channel.covariance_fit import covariance_bounds
 from planopt.channel.identifiability import examine
 from planopt.channel.mean_model import mean_model
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.reml import START_MEASUREMENTS, reml_fit, thinned
 from planopt.channel.restricted_likelihood import evaluate, likelihood_data
@@ -16,6 +17,7 @@ from planopt.channel.restricted_likelihood import evaluate, likelihood_data
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 
 
+@one_blas_thread()
 def fitted(measurements, variance=40.0):
     """Model, bounds and REML fit."""
     exact = ~measurements.censored

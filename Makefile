@@ -1,0 +1,91 @@
+# make demo   the main job, end to end, with pictures in demo/
+# make test   everything that is checked: style, types, imports, tests with coverage
+# make bench  the benchmarks        make docs   the documentation in docs/_build/html
+# make clean  removes what these make, .venv included
+#
+# Only Python 3.11 to 3.13 is needed. Another than python3: make demo PYTHON=python3.12
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --constraint constraints.txt
+DEMO := demo
+PROBLEM := munich_courier
+WORKERS := 2
+BENCH_OPTIONS ?=
+
+# One thread a process: the processes of a comparison share the cores.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_ROOT_USER_ACTION := ignore
+
+.PHONY: demo test lint types imports tests bench docs clean
+.DELETE_ON_ERROR:
+
+demo: $(VENV)/.installed
+	@mkdir -p $(DEMO)
+	@echo "== 1. 300 measurements of the true channel of $(PROBLEM)"
+	$(BIN)/python docs/take_measurements.py $(PROBLEM) $(DEMO)/log.csv
+	@echo "== 2. the channel fitted to them, in closed form (convex) and by restricted likelihood"
+	$(BIN)/planopt fit $(DEMO)/log.csv --station 40,0,43.5 --censored at_floor \
+		--method convex --out $(DEMO)/fit_convex
+	$(BIN)/planopt fit $(DEMO)/log.csv --station 40,0,43.5 --censored at_floor \
+		--out $(DEMO)/fit
+	@echo "== 3. the plan from the start, 10 steps ahead, and its check from the files alone"
+	$(BIN)/planopt solve $(PROBLEM) --horizon 10 --out $(DEMO)/plan
+	$(BIN)/planopt check $(DEMO)/plan
+	@echo "== 4. the closed loop"
+	$(BIN)/planopt simulate $(PROBLEM) --horizon 10 --out $(DEMO)/run
+	@echo "== 5. four horizons under two costs to go, 2 seeds each"
+	@# Exit codes 3 and 4 say that steps were not verified and that runs stalled: results here.
+	$(BIN)/planopt compare $(PROBLEM) --horizons 1,5,10,20 --costs-to-go geodesic,connected \
+		--seeds 2 --workers $(WORKERS) --out $(DEMO)/compare || case $$? in 3|4) ;; *) exit 1 ;; esac
+	@echo "== pictures"
+	@find $(DEMO) -name '*.png' | LC_ALL=C sort
+
+test: lint types imports tests
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.installed-dev
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+imports: $(VENV)/.installed-dev
+	$(BIN)/lint-imports
+
+tests: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -n 2 --benchmark-disable --cov --cov-report=term:skip-covered \
+		--cov-fail-under=90
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest benchmarks --benchmark-sort=name $(BENCH_OPTIONS)
+
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+clean:
+	rm -rf $(VENV) $(DEMO) build dist .coverage .coverage.* .pytest_cache .ruff_cache .benchmarks \
+		.hypothesis .import_linter_cache docs/_build docs/auto_examples docs/gen_modules \
+		docs/generated docs/sg_execution_times.rst
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
+		echo "planopt needs Python 3.11, 3.12 or 3.13; $(PYTHON) is $$($(PYTHON) --version 2>&1)." \
+		"Name another: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) --editable '.[dev]'
+	@touch $(VENV)/.installed $@
+
+$(VENV)/.installed-docs: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) --editable '.[docs]'
+	@touch $(VENV)/.installed $@

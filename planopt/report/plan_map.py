@@ -1,0 +1,157 @@
+"""The map around one plan: where it goes, how likely it connects there, how near obstacles are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import connection_probability
+from planopt.planning.plan import Plan
+from planopt.planning.solution import Solution
+from planopt.problems.problem import Problem
+from planopt.report.grid import Bounds, predicted_rasters
+from planopt.report.maps import (
+    MARGIN_Z,
+    PATH_Z,
+    PLACE_Z,
+    draw_ground,
+    draw_layer,
+    draw_level,
+    draw_places,
+    ring_xy,
+)
+from planopt.report.panel import Panel
+from planopt.report.style import (
+    PREDICTED,
+    PROBABILITY_MAP,
+    PURPLE,
+    VERMILLION,
+    WHITE,
+)
+from planopt.world.raster import Raster
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+WINDOW_MARGIN = 0.3
+"""Room around the plan, as a share of its extent."""
+
+MIN_WINDOW_STEPS = 10.0
+"""The window is never narrower than this many longest steps."""
+
+INSET = 0.3
+"""Side of the inset as a share of the map's."""
+
+INSET_BELOW = 0.6
+"""A window wider than this share of the workspace needs no inset."""
+
+
+def _window(problem: Problem, plan: Plan) -> Bounds:
+    """A square around the plan."""
+    low, high = plan.positions_m.min(axis=0), plan.positions_m.max(axis=0)
+    side = max(
+        float((high - low).max()) * (1.0 + 2.0 * WINDOW_MARGIN),
+        MIN_WINDOW_STEPS * problem.step_length_m,
+    )
+    x, y = (low + high) / 2.0
+    return (x - side / 2.0, y - side / 2.0, x + side / 2.0, y + side / 2.0)
+
+
+def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Artist]:
+    """Draw the map in a window around the plan; the artists, for the legend."""
+    from matplotlib.lines import Line2D
+
+    problem, plan = solution.problem, solution.plan
+    p_min = problem.constraints.p_min
+    window = _window(problem, plan)
+    mean, deviation = predicted_rasters(solution.belief.posterior, problem.workspace, window)
+    chance = connection_probability(
+        mean.values, deviation.values, problem.stations[0].threshold_dbm
+    )
+    layer = Raster(mean.x_m, mean.y_m, chance)
+    draw_ground(panel, problem.workspace, "the plan on the predicted P(connected)")
+    draw_layer(
+        panel, layer, PROBABILITY_MAP, figure, "P(connected) [1] (line: p_min)", (0.0, 1.0), p_min
+    )
+    draw_level(panel, layer, p_min, VERMILLION)
+    margin = _draw_margin(panel, problem, window)
+    x, y = plan.positions_m.T
+    panel.plot(x, y, color=WHITE, linewidth=4.0, zorder=PATH_Z, solid_capstyle="round")
+    (path,) = panel.plot(
+        x,
+        y,
+        color=PREDICTED,
+        linewidth=2.0,
+        marker="o",
+        markersize=5.0,
+        markeredgecolor=WHITE,
+        markeredgewidth=0.8,
+        zorder=PATH_Z,
+        label="planned waypoints and swept path",
+    )
+    places = draw_places(panel, problem)
+    panel.set_xlim(window[0], window[2])
+    panel.set_ylim(window[1], window[3])
+    x_min, _, x_max, _ = problem.workspace.bounds_m
+    if window[2] - window[0] < INSET_BELOW * (x_max - x_min):
+        _draw_inset(panel, problem, plan, window)
+    level = Line2D([], [], color=VERMILLION, linewidth=1.2, label=f"P(connected) = {p_min:g}")
+    return [path, margin, level, *places]
+
+
+def _draw_margin(panel: Panel, problem: Problem, window: Bounds) -> Artist:
+    """Draw how near to the obstacles a path may come."""
+    from matplotlib.collections import LineCollection
+
+    clearance = problem.constraints.clearance_m
+    around = shapely.box(*window).buffer(clearance)
+    near = [
+        obstacle.polygon.buffer(clearance)
+        for obstacle in problem.workspace.obstacles
+        if obstacle.polygon.intersects(around)
+    ]
+    merged = shapely.union_all(near)
+    margin = LineCollection(
+        _rings(merged),
+        colors=PURPLE,
+        linewidths=0.9,
+        linestyles="dashed",
+        zorder=MARGIN_Z,
+        label=f"clearance of {clearance:g} m",
+    )
+    panel.add_collection(margin, autolim=False)
+    return margin
+
+
+def _rings(area: shapely.Geometry) -> list[NDArray[np.float64]]:
+    """All rings of polygons, (n, 2) each."""
+    return [ring_xy(line) for line in shapely.get_parts(shapely.boundary(area))]
+
+
+def _draw_inset(panel: Panel, problem: Problem, plan: Plan, window: Bounds) -> None:
+    """Draw the whole workspace small, in the corner of the map that is farthest from the plan."""
+    shares = (plan.positions_m - np.array(window[:2])) / (window[2] - window[0])
+    corners = [(0.01, 0.01), (0.99 - INSET, 0.01), (0.01, 0.99 - INSET), (0.99 - INSET,) * 2]
+    distances = [
+        np.linalg.norm(shares - np.array(corner) - INSET / 2.0, axis=1).min() for corner in corners
+    ]
+    left, bottom = corners[int(np.argmax(distances))]
+    inset = panel.inset_axes((left, bottom, INSET, INSET))
+    draw_ground(inset, problem.workspace, "")
+    for set_label in (inset.set_xlabel, inset.set_ylabel):
+        set_label("")
+    inset.set_xticks([])
+    inset.set_yticks([])
+    draw_places(inset, problem)
+    x_min, y_min, x_max, y_max = window
+    inset.plot(
+        [x_min, x_max, x_max, x_min, x_min],
+        [y_min, y_min, y_max, y_max, y_min],
+        color=PREDICTED,
+        linewidth=1.5,
+        zorder=PLACE_Z,
+    )

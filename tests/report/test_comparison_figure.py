@@ -1,0 +1,97 @@
+"""The figure of a comparison."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from artists import drawn, labels_of, legend_of, panel_of
+
+from planopt.report.comparison_figure import draw_comparison
+from planopt.report.comparison_looks import looks_of
+
+GEODESIC, CONNECTED = ("geodesic", "auto"), ("connected", "lattice")
+
+
+def test_units_and_settings(comparison):
+    """Every metric with its unit; every setting in the legend."""
+    figure = drawn(draw_comparison(comparison))
+    assert labels_of(figure) == {
+        "horizon [steps]",
+        "time to goal [s]",
+        "connected in truth [%]",
+        "longest outage [m]",
+        "gain of the polish [%]",
+        "runs of 2 [count]",
+        "step time [ms]",
+    }
+    assert legend_of(figure) == [
+        "geodesic cost to go, planner auto",
+        "connected cost to go, planner lattice",
+    ]
+
+
+def test_horizons_are_categories_in_order(comparison):
+    """Ticks are the horizons, ascending, evenly spaced."""
+    for axes in drawn(draw_comparison(comparison)).axes:
+        assert [text.get_text() for text in axes.get_xticklabels()] == ["1", "10"]
+        np.testing.assert_array_equal(axes.get_xticks(), [0.0, 1.0])
+
+
+def test_means_and_intervals(comparison):
+    """Marks at the means; bars to the interval's ends; none where no run arrived."""
+    axes = panel_of(draw_comparison(comparison), "time to goal")
+    shift = looks_of(comparison)[CONNECTED].shift
+    marks = {
+        tuple(np.round(container.lines[0].get_xydata()[0], 9)): container.lines[2][0]
+        for container in axes.containers
+    }
+    assert len(marks) == 3
+    bar = marks[round(1.0 + shift, 9), 60.5].get_segments()[0]
+    np.testing.assert_allclose(bar[:, 1], [60.5 - 6.353, 60.5 + 6.353])
+
+
+def test_shares_are_percent(comparison):
+    """Shares are shown in per cent; without an interval the bar has no length."""
+    axes = panel_of(draw_comparison(comparison), "connected in truth")
+    for container in axes.containers:
+        assert container.lines[0].get_ydata()[0] == pytest.approx(90.0)
+        assert np.ptp(container.lines[2][0].get_segments()[0][:, 1]) == 0.0
+
+
+def test_single_runs_are_dots(comparison):
+    """One faint dot a run, with its value, beside its setting's mean."""
+    axes = panel_of(draw_comparison(comparison), "longest outage")
+    dots = [line.get_xydata()[0] for line in axes.lines if line.get_alpha() == 0.25]
+    assert sorted(y for _, y in dots) == [0.0] * 4 + [4.0] * 4
+    looks = looks_of(comparison)
+    means = sorted(x + look.shift for x in (0, 1) for look in looks.values())
+    nearest = [min(abs(x - mean) for mean in means) for x, _ in dots]
+    assert max(nearest) < looks[GEODESIC].width / 2
+
+
+def test_stalled_and_step_times(comparison):
+    """Counts of runs that did not arrive, and median with 95 % quantile in milliseconds."""
+    figure = draw_comparison(comparison)
+    stalled = panel_of(figure, "goal not reached")
+    assert [bar.get_height() for bar in stalled.patches] == [0, 2, 0, 0]
+    times = panel_of(figure, "step time")
+    assert times.get_yscale() == "log"
+    bars = times.containers[0].lines[2][0].get_segments()
+    np.testing.assert_allclose([bar[:, 1] for bar in bars], [[12.5, 40.0]] * 2)
+
+
+def test_settings_do_not_overlap(comparison):
+    """Looks differ in colour by cost to go, in marker by planner, and stand side by side."""
+    looks = looks_of(comparison)
+    first, second = looks[GEODESIC], looks[CONNECTED]
+    assert first.colour != second.colour and first.marker != second.marker
+    assert second.shift - first.shift == pytest.approx(first.width)
+    assert first.shift == -second.shift
+
+
+def test_unknown_metric_and_one_setting(comparison):
+    """A metric without a name here is shown by its own; a run need not have it."""
+    row = replace(comparison.rows[0], metric="heart_rate", mean=2.0, ci_low=None, ci_high=None)
+    lone = replace(comparison, runs=comparison.runs[:2], rows=(row,))
+    figure = drawn(draw_comparison(lone))
+    assert "heart rate [as is]" in labels_of(figure)

@@ -1,0 +1,42 @@
+"""Verdicts and certificates in words."""
+
+from dataclasses import replace
+
+import pytest
+
+from planopt.planning.plan import Verdict
+from planopt.report.plan_words import MEANING, plan_words
+
+
+def test_all_numbers(plan, problem):
+    """Every number of the certificate, with what was asked."""
+    assert plan_words(plan, problem.constraints) == [
+        "verdict: verified (every constraint holds)",
+        "least clearance 1.625 m of the whole swept path, 1.5 m asked",
+        "least P(connected) 0.812, 0.8 asked (posterior: exact)",
+        "motion model kept to 2.5e-09 m; KKT residual of the polish 3.5e-07",
+        "cost 101.2 s (lattice start 103.5 s); converged after 17 iterations, 42 ms; rung: plan",
+        "the bound is not met at 1 of 4 steps; missed by at most 0.75 dB",
+    ]
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_every_verdict_has_words(plan, problem, verdict):
+    """No verdict is without its meaning."""
+    assert MEANING[verdict] in plan_words(replace(plan, verdict=verdict), problem.constraints)[0]
+
+
+def test_missing_parts(plan, problem):
+    """No obstacles, no polish, no relaxation; reasons and message come last."""
+    certificate = replace(
+        plan.certificate,
+        min_clearance_m=float("inf"),
+        kkt_residual=None,
+        relaxed_steps=(),
+        relaxation_db=(),
+        reasons=("first", "second"),
+    )
+    words = plan_words(replace(plan, certificate=certificate, message="third"), problem.constraints)
+    assert words[1] == "no obstacles to keep clear of"
+    assert words[3].endswith("not polished")
+    assert words[5:] == ["first", "second", "third"]

@@ -1,0 +1,244 @@
+"""The command line: what each command prints, saves and returns."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from planopt.cli import main
+from planopt.commands.output import progress
+from planopt.problems.library import library_folder
+
+OPEN_FIELD = (library_folder() / "open_field.toml").read_text()
+
+
+@pytest.fixture
+def field(tmp_path: Path) -> Path:
+    """The open field without pictures, and with a short run."""
+    path = tmp_path / "field.toml"
+    text = OPEN_FIELD.replace("figures = true", "figures = false")
+    path.write_text(text.replace("max_steps = 200", "max_steps = 3"))
+    return path
+
+
+@pytest.fixture
+def near(tmp_path: Path) -> Path:
+    """The same with a goal two steps away."""
+    path = tmp_path / "near.toml"
+    text = OPEN_FIELD.replace("figures = true", "figures = false")
+    path.write_text(text.replace("goal_m = [88.0, 30.0]", "goal_m = [32.0, 36.0]"))
+    return path
+
+
+@pytest.fixture
+def cut_off(tmp_path: Path) -> Path:
+    """The same with a goal behind a wall from side to side."""
+    path = tmp_path / "cut_off.toml"
+    wall = '[[world.obstacles]]\nname = "bar"\npolygon = [[70, 0], [72, 0], [72, 100], [70, 100]]\n'
+    path.write_text(OPEN_FIELD.replace("[channel.truth]", f"{wall}\n[channel.truth]"))
+    return path
+
+
+def strict(text: str) -> dict:
+    """The only JSON object in `text`, without NaN or infinity."""
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is not JSON")
+
+    assert text.count("\n") == 1
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_solve_prints_one_json_object(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A verified plan: exit code 0, one object on stdout, nothing on stderr."""
+    assert main(["solve", str(field), "--horizon", "3", "--json"]) == 0
+    printed = capsys.readouterr()
+    data = strict(printed.out)
+    assert printed.err == ""
+    assert data["verdict"] == "verified" and data["horizon"] == 3
+
+
+def test_solve_prints_text(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without --json the verdict comes first, in words."""
+    assert main(["solve", str(field), "--planner", "lattice", "--cost-to-go", "geodesic"]) == 0
+    assert capsys.readouterr().out.startswith("open_field: verified (plan, lattice_only)")
+
+
+def test_solve_returns_3_if_not_verified(tmp_path: Path, field: Path, capsys) -> None:
+    """A threshold that cannot be met is said, not hidden."""
+    hard = tmp_path / "hard.toml"
+    hard.write_text(field.read_text().replace("threshold_dbm = -59.0", "threshold_dbm = 0.0"))
+    assert main(["solve", str(hard), "--horizon", "2"]) == 3
+    assert "cannot be met" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["solve", "simulate"])
+def test_no_plan_is_exit_code_4(command: str, cut_off: Path, tmp_path: Path, capsys) -> None:
+    """A goal that is cut off: every key is there, the reason in `message`, and it is saved."""
+    out = tmp_path / "out"
+    assert main([command, str(cut_off), "--json", "--out", str(out)]) == 4
+    data = strict(capsys.readouterr().out)
+    assert data.get("verdict", "none") == "none" and data.get("outcome", "no_plan") == "no_plan"
+    assert "cut" in data["message"] and data["robots"] == []
+    assert main(["check", str(out), "--json"]) == 3
+    checked = strict(capsys.readouterr().out)
+    assert checked["verdict"] == "none" and checked["certificate"]["posterior"] is None
+    assert main([command, str(cut_off)]) == 4
+    assert "no plan: obstacles cut" in capsys.readouterr().out
+
+
+def test_a_saved_plan_is_checked(field: Path, tmp_path: Path, capsys) -> None:
+    """Check agrees with what was saved, and rejects it after a waypoint was moved."""
+    out = tmp_path / "new" / "plan"
+    assert main(["solve", str(field), "--out", str(out)]) == 0
+    assert {f.name for f in out.iterdir()} == {"plan.json", "steps.csv", "belief.npz"}
+    capsys.readouterr()
+    assert main(["check", str(out), "--json"]) == 0
+    assert strict(capsys.readouterr().out) | {"certificate": 0} == {
+        "verdict": "verified",
+        "certificate": 0,
+        "reasons": [],
+    }
+    lines = (out / "steps.csv").read_text().splitlines()
+    cells = lines[3].split(",")
+    lines[3] = ",".join([*cells[:3], "30.0", "19.0", *cells[5:]])
+    (out / "steps.csv").write_text("\n".join(lines))
+    assert main(["check", str(out)]) == 3
+    assert "lies in obstacle wall" in capsys.readouterr().out
+
+
+def test_a_saved_run_is_checked(field: Path, tmp_path: Path, capsys) -> None:
+    """A run that ends early is exit code 4, and its released steps are still verified."""
+    out = tmp_path / "run"
+    assert main(["simulate", str(field), "--seed", "1", "--json", "--out", str(out)]) == 4
+    data = strict(capsys.readouterr().out)
+    assert data["outcome"] == "step_limit" and data["metrics"]["goal_time_s"] is None
+    assert main(["check", str(out / "run.json")]) == 0
+
+
+def test_a_run_that_arrives_is_exit_code_0(near: Path, capsys) -> None:
+    """The text says that it arrived."""
+    assert main(["simulate", str(near), "--horizon", "3"]) == 0
+    assert capsys.readouterr().out.startswith("open_field: reached")
+
+
+def test_compare_prints_rows(near: Path, tmp_path: Path, capsys) -> None:
+    """One row a setting and metric; one run a setting and seed; saved with the problem."""
+    arguments = ["compare", str(near), "--horizons", "2,3,2", "--seeds", "2"]
+    arguments += ["--costs-to-go", "geodesic", "--planners", "lattice"]
+    out = tmp_path / "comparison"
+    assert main([*arguments, "--json", "--out", str(out)]) == 0
+    data = strict(capsys.readouterr().out)
+    settings = {(row["horizon"], row["planner"], row["cost_to_go"]) for row in data["rows"]}
+    assert settings == {(2, "lattice", "geodesic"), (3, "lattice", "geodesic")}
+    assert set(data["rows"][0]) >= {"seeds", "stalled", "metric", "mean", "ci_low", "ci_high"}
+    assert set(data["rows"][0]) >= {"paired_ratio", "verified_rate", "p50_step_s", "p95_step_s"}
+    assert [run["seed"] for run in data["runs"]] == [0, 1, 0, 1]
+    saved = json.loads((out / "comparison.json").read_text())
+    assert saved["problem_file"]["problem"]["name"] == "open_field"
+    assert main(arguments) == 0
+    assert "lattice" in capsys.readouterr().out
+
+
+def test_compare_returns_4_if_a_run_does_not_arrive(field: Path, capsys) -> None:
+    """Three steps are not enough for this goal."""
+    arguments = ["compare", str(field), "--horizons", "2", "--seeds", "1", "--json"]
+    assert main(arguments) == 4
+    assert {row["stalled"] for row in strict(capsys.readouterr().out)["rows"]} == {1}
+
+
+def test_compare_without_a_plan(cut_off: Path, capsys) -> None:
+    """A goal that is cut off is exit code 4 with no rows."""
+    assert main(["compare", str(cut_off), "--horizons", "2", "--seeds", "1", "--json"]) == 4
+    data = strict(capsys.readouterr().out)
+    assert data["rows"] == [] and data["outcome"] == "no_plan"
+
+
+def test_pictures_are_drawn_beside_the_results(near: Path, tmp_path: Path) -> None:
+    """Where the problem asks for figures, each command saves its own, as PNG files."""
+    near.write_text(near.read_text().replace("figures = false", "figures = true"))
+    more = {"solve": [], "simulate": [], "compare": ["--horizons", "3", "--seeds", "1"]}
+    wanted = {
+        "solve": {"plan.png", "belief.png"},
+        "simulate": {"run.png", "series.png", "belief.png"},
+        "compare": {"comparison.png"},
+    }
+    for command, arguments in more.items():
+        out = tmp_path / command
+        assert main([command, str(near), *arguments, "--out", str(out)]) == 0
+        pictures = {path for path in out.iterdir() if path.suffix == ".png"}
+        assert {path.name for path in pictures} == wanted[command]
+        assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
+
+
+def test_list_and_schema(capsys) -> None:
+    """The library's names, and a JSON schema that is JSON."""
+    assert main(["list"]) == 0
+    assert "munich_courier" in capsys.readouterr().out
+    assert main(["list", "--json"]) == 0
+    names = [entry["name"] for entry in strict(capsys.readouterr().out)["problems"]]
+    assert "open_field" in names
+    assert main(["schema"]) == 0
+    readable = json.loads(capsys.readouterr().out)
+    assert main(["schema", "--json"]) == 0
+    assert strict(capsys.readouterr().out) == readable
+    assert "constraints" in readable["properties"]
+
+
+def test_help_and_version(capsys) -> None:
+    """Both are exit code 0 on stdout."""
+    assert main(["--help"]) == 0
+    assert "simulate" in capsys.readouterr().out
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.count(".") == 2
+
+
+def test_an_interrupt_is_exit_code_130(
+    field: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """Ctrl-C: no traceback, and a folder made for results is gone again."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planopt.planning.solve.solve", interrupted)
+    assert main(["solve", str(field), "--out", str(tmp_path / "out")]) == 130
+    assert "Traceback" not in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupt_that_is_swallowed_still_stops() -> None:
+    """CasADi turns a Ctrl-C into the end of one solve; the work after it must not go on."""
+    before = signal.getsignal(signal.SIGINT)
+    parts = 0
+    with pytest.raises(KeyboardInterrupt), progress("working") as advance:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            parts += 1
+        advance()
+        parts += 1
+    assert parts == 1
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_interrupt_outside_of_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C before a command has begun."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planopt.cli.app", interrupted)
+    assert main([]) == 130
+
+
+def test_a_fault_of_ours_is_not_hidden(field: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is neither bad input nor usage is a fault, and shows as one."""
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("planopt.planning.solve.solve", broken)
+    with pytest.raises(ZeroDivisionError):
+        main(["solve", str(field)])

@@ -1,0 +1,124 @@
+"""Bad input on the command line: exit code 2, one line on stderr, nothing half-written."""
+
+from pathlib import Path
+
+import pytest
+
+from planopt.cli import main
+from planopt.problems.library import library_folder
+
+OPEN_FIELD = (library_folder() / "open_field.toml").read_text()
+
+BAD_PROBLEMS = {
+    "does not parse": ("[planner]", "[planner", "is not TOML"),
+    "negative speed": ("speed_max_m_s = 2.0", "speed_max_m_s = -2.0", "robots[0].speed_max_m_s"),
+    "horizon 0": ("horizon = 10", "horizon = 0", "planner.horizon"),
+    "unknown key": ("p_min = 0.8", "p_minn = 0.8", "p_minn"),
+    "start in an obstacle": ("start_m = [32.0, 30.0]", "start_m = [20.0, 19.0]", "start_m"),
+    "no log": (
+        "count = 120",
+        'file = "no_such.csv"\ncolumns = {x = "x_m", y = "y_m", power = "power_dbm"}',
+        "no_such.csv",
+    ),
+}
+
+
+def fails(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
+    """The single line of stderr of a command that must fail with exit code 2."""
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("planopt: ") and printed.err.count("\n") == 1
+    return printed.err
+
+
+@pytest.mark.parametrize("command", ["solve", "simulate", "compare"])
+@pytest.mark.parametrize("name", BAD_PROBLEMS)
+def test_a_bad_problem(name: str, command: str, tmp_path: Path, capsys) -> None:
+    """Every command that reads a problem names file and key, and leaves no folder."""
+    old, new, word = BAD_PROBLEMS[name]
+    assert old in OPEN_FIELD
+    path, out = tmp_path / "bad.toml", tmp_path / "out"
+    path.write_text(OPEN_FIELD.replace(old, new, 1))
+    more = ["--horizons", "2"] if command == "compare" else []
+    error = fails(capsys, [command, str(path), "--json", "--out", str(out), *more])
+    assert word in error
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["frob"],
+        ["solve"],
+        ["solve", "no_such_problem"],
+        ["solve", "no/such/file.toml"],
+        ["solve", "open_field", "--horizon", "0"],
+        ["solve", "open_field", "--horizon", "10000"],
+        ["solve", "open_field", "--horizon", "ten"],
+        ["solve", "open_field", "--planner", "magic"],
+        ["solve", "open_field", "--cost-to-go", "none"],
+        ["solve", "open_field", "--seed", "-1"],
+        ["solve", "open_field", "--frob"],
+        ["simulate", "open_field", "--horizon", "501"],
+        ["compare", "open_field"],
+        ["compare", "open_field", "--horizons", ""],
+        ["compare", "open_field", "--horizons", "1,,2"],
+        ["compare", "open_field", "--horizons", "1,b"],
+        ["compare", "open_field", "--horizons", "1,0"],
+        ["compare", "open_field", "--horizons", "1,10000"],
+        ["compare", "open_field", "--horizons", "1", "--planners", "auto,"],
+        ["compare", "open_field", "--horizons", "1", "--planners", "magic"],
+        ["compare", "open_field", "--horizons", "1", "--costs-to-go", "magic"],
+        ["compare", "open_field", "--horizons", "1", "--seeds", "1,2"],
+        ["compare", "open_field", "--horizons", "1", "--seeds", "0"],
+        ["compare", "open_field", "--horizons", "1", "--workers", "0"],
+        ["compare", "open_field", "--horizons", "1", "--backend", "magic"],
+        ["check", "no_such_folder"],
+    ],
+)
+def test_bad_usage(arguments: list[str], capsys) -> None:
+    """Options and arguments that cannot be used."""
+    fails(capsys, arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["solve", "open_field"],
+        ["simulate", "open_field"],
+        ["compare", "open_field", "--horizons", "2"],
+    ],
+)
+def test_an_output_folder_that_cannot_be_written(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """It is found before any work is done."""
+
+    def work(*_: object, **__: object) -> None:
+        raise AssertionError("work was done")
+
+    for module in ("planning.solve.solve", "planning.closed_loop.simulate"):
+        monkeypatch.setattr(f"planopt.{module}", work)
+    monkeypatch.setattr("planopt.studies.compare.compare_horizons", work)
+    (tmp_path / "file").write_text("mine")
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        error = fails(capsys, [*arguments, "--out", str(out)])
+        assert str(out) in error
+    assert (tmp_path / "file").read_text() == "mine"
+    assert [f.name for f in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_bad_log_leaves_an_existing_folder_as_it_was(tmp_path: Path, capsys) -> None:
+    """A log that turns out bad after the folder was found good: nothing is written or removed."""
+    (tmp_path / "log.csv").write_text("x_m,y_m,power_dbm\n1,2,many\n")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "plan.json").write_text("mine")
+    path = tmp_path / "field.toml"
+    columns = 'columns = {x = "x_m", y = "y_m", power = "power_dbm"}'
+    path.write_text(OPEN_FIELD.replace("count = 120", f'file = "log.csv"\n{columns}'))
+    error = fails(capsys, ["solve", str(path), "--out", str(tmp_path / "out")])
+    assert "log.csv, line 2, key power_dbm" in error
+    assert (tmp_path / "out" / "plan.json").read_text() == "mine"
+    assert len(list((tmp_path / "out").iterdir())) == 1

@@ -1,0 +1,133 @@
+"""``planopt fit``: results, options and pictures."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planopt.cli import main
+
+CONTRACT = {
+    "method",
+    "status",
+    "k_pl_db",
+    "n_pl",
+    "shadow_std_db",
+    "decorrelation_m",
+    "multipath_std_db",
+    "station",
+    "standard_errors",
+    "measurements",
+    "censored",
+    "warnings",
+}
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Sixty noisy powers along a path loss of exponent 3, station at (0, 0), floor -95 dBm."""
+    generator = np.random.default_rng(8)
+    places = generator.uniform(10.0, 200.0, (60, 2))
+    power = -30.0 - 30.0 * np.log10(np.hypot(*places.T)) + generator.normal(0.0, 1.0, 60)
+    rows = [
+        f"{x:.3f},{y:.3f},{max(p, -95.0):.3f},{int(p <= -95.0)}"
+        for (x, y), p in zip(places, power, strict=True)
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["east,north,rssi,low", *rows]))
+    return path
+
+
+COLUMNS = ["--columns", "x=east,y=north,power=rssi"]
+
+
+def test_fit_prints_the_keys_of_the_contract(log: Path, capsys) -> None:
+    """The exponent is found to within its error; every standard error is a number or null."""
+    arguments = ["fit", str(log), "--station", "0,0,0.5", *COLUMNS, "--censored", "low"]
+    assert main([*arguments, "--json"]) == 0
+    printed = capsys.readouterr()
+    data = json.loads(printed.out)
+    assert printed.err == "" and set(data) >= CONTRACT
+    assert abs(data["n_pl"] - 3.0) < 0.5
+    assert data["station"] == [0.0, 0.0] and data["measurements"] == 60
+    assert 0 < data["censored"] < 60
+    assert set(data["standard_errors"]) < CONTRACT
+
+
+def test_floor_marks_the_same_rows(log: Path, capsys) -> None:
+    """--floor at the floor censors what the column marks."""
+    for option in (["--censored", "low"], ["--floor", "-95"]):
+        arguments = ["fit", str(log), "--station", "0,0", "--method", "capped", "--json"]
+        assert main([*arguments, *COLUMNS, *option]) == 0
+    first, second = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    assert first == second and first["method"] == "capped"
+
+
+def test_fit_prints_text(log: Path, capsys) -> None:
+    """Each parameter with its error and unit, then the warnings."""
+    assert main(["fit", str(log), "--station", "unknown", *COLUMNS, "--floor=-95"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("reml: ") and "decorrelation_m" in text
+    assert "is estimated, not given" in text
+
+
+def test_fit_draws_its_picture(log: Path, tmp_path: Path) -> None:
+    """With --out there is a picture, and the JSON beside it."""
+    out = tmp_path / "fit"
+    assert main(["fit", str(log), "--station", "0,0", *COLUMNS, "--out", str(out)]) == 0
+    assert {f.name for f in out.iterdir()} == {"fit.json", "fit.png"}
+    assert (out / "fit.png").read_bytes().startswith(b"\x89PNG")
+
+
+BAD_LOGS = {
+    "missing column": ("x_m,y_m\n1,2\n", "power_dbm"),
+    "text in a number": ("x_m,y_m,power_dbm\n1,2,-60\n1,b,-60\n", "line 3"),
+    "NaN": ("x_m,y_m,power_dbm\n1,2,-60\n1,3,nan\n", "line 3"),
+    "empty file": ("", "empty"),
+    "no rows": ("x_m,y_m,power_dbm\n", "no rows"),
+    "all in one place": ("x_m,y_m,power_dbm\n" + "4,5,-60\n" * 9, "one place"),
+    "at the station": ("x_m,y_m,power_dbm\n1,2,-60\n0,0,-20\n3,4,-61\n", "line 3"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_LOGS)
+def test_a_bad_log_is_one_line(name: str, tmp_path: Path, capsys) -> None:
+    """Exit code 2, the file and what is wrong on one line of stderr, and no folder is left."""
+    text, word = BAD_LOGS[name]
+    path, out = tmp_path / "bad.csv", tmp_path / "out"
+    path.write_text(text)
+    assert main(["fit", str(path), "--station", "0,0", "--json", "--out", str(out)]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert "bad.csv" in printed.err and word in printed.err
+    assert not out.exists()
+
+
+def test_repeated_places_are_data(tmp_path: Path, capsys) -> None:
+    """The same place measured several times is no error."""
+    path = tmp_path / "log.csv"
+    rows = [f"{x},{y},{-60 - x - 0.1 * k}" for x in (1, 5, 9) for y in (2, 7) for k in range(3)]
+    path.write_text("\n".join(["x_m,y_m,power_dbm", *rows]))
+    assert main(["fit", str(path), "--station=-20,0", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["measurements"] == 18
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--station", "0"],
+        ["--station", "0,a"],
+        ["--station", "0,0", "--method", "magic"],
+        ["--station", "0,0", "--columns", "x=east,z=north"],
+        ["--station", "0,0", "--columns", "x=est"],
+        ["--station", "0,0", "--floor", "low"],
+        ["--station", "0,0", *COLUMNS, "--censored", "high"],
+        [],
+    ],
+)
+def test_a_bad_option_is_one_line(log: Path, arguments: list[str], capsys) -> None:
+    """Exit code 2 and one line on stderr."""
+    assert main(["fit", str(log), *arguments]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1

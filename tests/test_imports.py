@@ -1,0 +1,78 @@
+"""What imports what, at run time: import-linter (``make imports``) checks the source."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import planopt
+
+HEAVY = {"casadi", "cvxpy", "matplotlib", "networkx", "sklearn"}
+SOLVING = {
+    f"planopt.planning.{name}"
+    for name in (
+        "candidate",
+        "global_search",
+        "lattice_search",
+        "polish",
+        "reach_nlp",
+        "reach_planner",
+        "refine",
+        "road_map",
+        "scene",
+        "stage_kernel",
+    )
+}
+
+
+def modules_after(statement: str) -> set[str]:
+    """Modules that a fresh interpreter has loaded after `statement`."""
+    printed = subprocess.run(
+        [sys.executable, "-c", f"{statement}\nimport sys\nprint(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(printed.stdout.split())
+
+
+def test_import_of_package_is_light() -> None:
+    """`import planopt` loads none of its rooms."""
+    loaded = modules_after("import planopt")
+    assert {name for name in loaded if name.startswith("planopt")} == {"planopt"}
+    assert not loaded & {"numpy", *HEAVY}
+
+
+def test_command_line_is_light() -> None:
+    """Nothing heavy is loaded to print a help page."""
+    assert not modules_after("import planopt.cli") & HEAVY
+
+
+@pytest.mark.parametrize("module", ["verify", "reachability"])
+def test_verifier_stands_alone(module: str) -> None:
+    """Loading the verifier loads no solver and nothing of the transcription or the search."""
+    loaded = modules_after(f"import planopt.planning.{module}")
+    assert f"planopt.planning.{module}" in loaded
+    assert not loaded & (HEAVY | SOLVING)
+
+
+def test_check_plans_nothing() -> None:
+    """`planopt check` loads nothing that plans."""
+    loaded = modules_after("import planopt.planning.check")
+    assert not loaded & (HEAVY | SOLVING)
+
+
+@pytest.mark.parametrize("name", planopt.__all__)
+def test_public_name(name: str) -> None:
+    """Every public name can be had from the package, under its own name."""
+    found = getattr(planopt, name)
+    assert found.__name__ == name
+    assert name in dir(planopt)
+
+
+def test_unknown_name() -> None:
+    """A name that is not public is an ordinary AttributeError."""
+    with pytest.raises(AttributeError, match="no_such_name"):
+        planopt.no_such_name  # noqa: B018

@@ -5,7 +5,8 @@ long as the bound holds it may not enter; once it stands before the gap and has 
 learn, it would stand there for ever. So it first measures at the unmeasured places near the gap
 that keep the bound (each lowers the uncertainty that the bound is tightened by); if the gap is
 still there then, it is closed and the next cheapest one draws the robot. A gap that measurements
-bring within the bound is none any more, closed or not.
+bring within the bound is none any more, closed or not. When every gap is closed, no way to the goal
+keeps the bound, and the cheapest one is crossed.
 """
 
 from __future__ import annotations
@@ -43,18 +44,36 @@ class Frontier:
         self._radius_m = GAP_RADIUS_STEPS * step_length_m
         self._spacing_m = PROBE_SPACING_STEPS * step_length_m
         self._closed = np.zeros(len(road_map.nodes_m), dtype=bool)
-        self._useless = np.zeros(len(road_map.nodes_m), dtype=bool)
         self._gap_m: NDArray[np.float64] | None = None
+        self._crossing = False
+        self._entered = False
 
     @property
     def probing(self) -> bool:
         """Whether the robot is measuring around a gap."""
         return self._gap_m is not None
 
+    @property
+    def crossing(self) -> bool:
+        """Whether the robot is crossing a gap, because no way is left that keeps the bound."""
+        return self._crossing
+
+    def cross(self) -> None:
+        """Begin to cross the cheapest gap."""
+        self._gap_m = None
+        self._crossing, self._entered = True, False
+
+    def follow(self, is_outside: bool) -> None:
+        """Note whether the robot is below the bound now: a gap ends where it comes out again."""
+        if self._crossing and self._entered and not is_outside:
+            self._crossing = False
+        self._entered = self._crossing and is_outside
+
     def node_factor(self, outside: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Cost of a metre at each node, given which nodes are below the bound."""
         factor = np.where(outside, OUT_OF_BOUND_FACTOR, 1.0)
-        factor[outside & self._closed] = CLOSED_FACTOR
+        if not self._crossing:
+            factor[outside & self._closed] = CLOSED_FACTOR
         return factor
 
     def stand_before_gap(self, ways: Ways, node: int, outside: NDArray[np.bool_]) -> bool:
@@ -74,27 +93,34 @@ class Frontier:
 
     def probe(
         self,
-        position_m: NDArray[np.float64],
+        from_here: Ways,
         measured_m: NDArray[np.float64],
         outside: NDArray[np.bool_],
     ) -> int | None:
-        """Nearest unmeasured node about the gap that keeps the bound; None if there is none."""
+        """Nearest unmeasured node about the gap that keeps the bound; None if there is none.
+
+        Parameters
+        ----------
+        from_here
+            Ways between the robot's place and every node, the bound's factors included.
+        measured_m
+            ``(m, 2)`` measured places.
+        outside
+            ``(n,)`` nodes below the bound.
+        """
         if self._gap_m is None:
             return None
         nodes_m = self._road_map.nodes_m
         near = np.linalg.norm(nodes_m - self._gap_m, axis=1) <= self._radius_m
-        candidates = np.nonzero(near & ~outside & ~self._useless)[0]
+        # A way that costs as much as a metre below the bound may well be one.
+        within = from_here.cost_m < OUT_OF_BOUND_FACTOR
+        candidates = np.nonzero(near & ~outside & within)[0]
         if candidates.size and len(measured_m):
             spacing = pairwise_distance_m(nodes_m[candidates], measured_m).min(axis=1)
             candidates = candidates[spacing >= self._spacing_m]
         if candidates.size == 0:
             return None
-        distance = np.linalg.norm(nodes_m[candidates] - position_m, axis=1)
-        return int(candidates[np.argmin(distance)])
-
-    def skip(self, node: int) -> None:
-        """Give up a probe that cannot be reached within the bound."""
-        self._useless[node] = True
+        return int(candidates[np.argmin(from_here.cost_m[candidates])])
 
     def leave(self) -> None:
         """Stop measuring around the gap: it is open."""

@@ -19,8 +19,11 @@ from planopt.problems.problem import Problem
 STAGNANT_STEPS = 0.75
 """A path that stays within this many longest steps of the robot gets nowhere; a lattice path can
 only end on a node, so that even one that wants to stay moves a little."""
-MAX_DECISIONS = 20
-"""How many gaps and probes may be given up in one step."""
+MAX_CLOSINGS = 50
+"""How many gaps may be given up in one step."""
+CROSSING_SHARE = 0.5
+"""What a step through a gap is charged when it must be crossed, as a share of what the cost to go
+charges for a longest step there: less, or crossing would never pay within the horizon."""
 OUT_OF_BOUND_STEP_S = 1e5
 """Penalty of a step below the bound: no saving of time is worth one."""
 MISSING_DB_S = 1e3
@@ -45,6 +48,8 @@ class GlobalStart:
         ``(b, 2)`` the way beyond its end, as far as it keeps the bound.
     ways
         Cost to go of every node.
+    crossing
+        Whether it crosses a gap on purpose, because no way to the goal keeps the bound.
     """
 
     nodes: NDArray[np.intp]
@@ -52,6 +57,7 @@ class GlobalStart:
     margin_db: NDArray[np.float64]
     beyond_m: NDArray[np.float64]
     ways: Ways
+    crossing: bool
 
 
 class GlobalSearch:
@@ -90,9 +96,11 @@ class GlobalSearch:
         """
         if self._problem.objective.cost_to_go == "geodesic":
             return self._search(position_m, self._scene.goal_node, self._scene.ways)
+        if self._frontier.crossing:
+            self._frontier.follow(self._margins.at(position_m) < 0.0)
         start = self._towards_goal(position_m)
-        for _ in range(MAX_DECISIONS):
-            if start is None:
+        for _ in range(MAX_CLOSINGS):
+            if start is None or self._frontier.crossing:
                 break
             end, outside = int(start.nodes[-1]), self._outside()
             if not self._frontier.probing:
@@ -103,17 +111,15 @@ class GlobalSearch:
             if not self._frontier.still_there(start.ways, end, outside):
                 self._frontier.leave()
                 break
-            probe = self._frontier.probe(position_m, measured_m, outside)
-            if probe is None:
-                if not self._frontier.close(outside):
-                    break
-                start = self._towards_goal(position_m)
-                continue
-            ways = shortest_ways(self._scene.road_map, probe, self._frontier.node_factor(outside))
-            probing = self._search(position_m, probe, ways)
-            if probing is not None and ways.cost_m[probing.nodes[0]] < OUT_OF_BOUND_FACTOR:
-                return probing
-            self._frontier.skip(probe)
+            factor = self._frontier.node_factor(outside)
+            from_here = shortest_ways(self._scene.road_map, int(start.nodes[0]), factor)
+            probe = self._frontier.probe(from_here, measured_m, outside)
+            if probe is not None:
+                ways = shortest_ways(self._scene.road_map, probe, factor)
+                return self._search(position_m, probe, ways)
+            if not self._frontier.close(outside):
+                self._frontier.cross()
+            start = self._towards_goal(position_m)
         return start
 
     def _towards_goal(self, position_m: NDArray[np.float64]) -> GlobalStart | None:
@@ -141,7 +147,6 @@ class GlobalSearch:
             return None
         nodes: NDArray[np.intp] | None = None
         for _ in range(CORRECTION_ROUNDS):
-            missing = np.maximum(MARGIN_PAD_DB - margins.margin_db, 0.0)
             found = search_lattice(
                 scene.road_map,
                 first_nodes,
@@ -150,7 +155,7 @@ class GlobalSearch:
                 settings.step_s,
                 self._problem.objective.effort_weight_s2_m2,
                 target,
-                np.where(missing > 0.0, OUT_OF_BOUND_STEP_S, 0.0) + MISSING_DB_S * missing,
+                self._penalty_s(),
                 self._rate * ways.cost_m,
             )
             if found is None:
@@ -164,7 +169,22 @@ class GlobalSearch:
             raise AssertionError("at least one round is searched")
         places = scene.road_map.nodes_m
         beyond = self._beyond(ways, int(nodes[-1]))
-        return GlobalStart(nodes, places[nodes], margins.margin_db[nodes], places[beyond], ways)
+        return GlobalStart(
+            nodes=nodes,
+            path_m=places[nodes],
+            margin_db=margins.margin_db[nodes],
+            beyond_m=places[beyond],
+            ways=ways,
+            crossing=self._frontier.crossing,
+        )
+
+    def _penalty_s(self) -> NDArray[np.float64]:
+        """Penalty of a step that ends at each node."""
+        missing = np.maximum(MARGIN_PAD_DB - self._margins.margin_db, 0.0)
+        if self._frontier.crossing:
+            longest = self._rate * OUT_OF_BOUND_FACTOR * self._problem.step_length_m
+            return np.where(missing > 0.0, CROSSING_SHARE * longest, 0.0)
+        return np.where(missing > 0.0, OUT_OF_BOUND_STEP_S, 0.0) + MISSING_DB_S * missing
 
     def _beyond(self, ways: Ways, end: int) -> NDArray[np.intp]:
         """Nodes beyond a path's end that a faster path could come to within the horizon."""

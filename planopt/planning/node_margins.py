@@ -55,6 +55,16 @@ class NodeMargins:
         )
         self._exact[:] = False
 
+    def at(self, position_m: NDArray[np.float64]) -> float:
+        """Exact margin at one place."""
+        if self._posterior is None:
+            raise AssertionError("refresh first")
+        power = certified_prediction(self._posterior, position_m[None])[0]
+        margin = bound_margin_db(
+            power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min
+        )
+        return float(margin[0])
+
     def correct(self, nodes: NDArray[np.intp]) -> bool:
         """Put exact values at these nodes; true if any of them had not been exact before."""
         if self._posterior is None:

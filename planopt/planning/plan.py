@@ -70,7 +70,10 @@ class Certificate:
         By how many dB at each of them the bound is missed.
     best_margin_db
         At each of them, the best margin (dB, negative) found over every place that the robot
-        could reach by then: the proof that the bound could not be met.
+        could reach by then: negative is the proof that the bound could not be met.
+    no_connected_way
+        True if the bound was missed at a step although it could be met there, and a search showed
+        that no way to the goal keeps it; False if that was not needed, or not so.
     reasons
         Why the verdict is not ``verified``; empty if it is.
     """
@@ -83,6 +86,7 @@ class Certificate:
     relaxed_steps: tuple[int, ...] = ()
     relaxation_db: tuple[float, ...] = ()
     best_margin_db: tuple[float, ...] = ()
+    no_connected_way: bool = False
     reasons: tuple[str, ...] = ()
 
 

@@ -1,9 +1,10 @@
-"""Whether the connectivity bound can be met at all within reach: the verifier's own search.
+"""Whether the connectivity bound can be met at all: the verifier's own searches.
 
-The places searched contain every place that the robot could reach by a step (a disc about it, cut
-to the free part connected with it), so a negative best margin says that the bound cannot be met
-there, up to the resolution of the search: a grid over the disc, refined twice about its best
-places.
+Within reach: the places searched contain every place that the robot could reach by a step (a disc
+about it, cut to the free part connected with it), so a negative best margin says that the bound
+cannot be met there. On the way to the goal: a flood of the places that keep the bound either comes
+to the goal or shows that no such way is left. Both are as good as their grids, which the functions
+name.
 """
 
 from __future__ import annotations
@@ -23,6 +24,59 @@ REFINED_NODES = 24
 """How many of the best nodes each refinement looks around."""
 REFINEMENTS = 2
 """How often the grid is refined, each time to a quarter of the spacing."""
+
+FLOOD_SPACING_STEPS = 0.5
+"""Grid spacing of the flood in longest steps."""
+
+
+def connected_way_exists(
+    index: ObstacleIndex,
+    bounds_m: tuple[float, float, float, float],
+    margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    start_m: NDArray[np.float64],
+    goal_m: NDArray[np.float64],
+    clearance: float,
+    step_length_m: float,
+) -> bool:
+    """Whether a way from start to goal keeps the connectivity bound, beyond the start itself.
+
+    Floods a grid of half a step's spacing over the workspace, corners included, so that what it
+    finds is at least what there is, but for ways narrower than the grid.
+
+    Parameters
+    ----------
+    index, bounds_m
+        The obstacles and the workspace.
+    margin_db
+        Positions (n, 2) to margins (n,).
+    start_m, goal_m
+        ``(2,)`` each.
+    clearance, step_length_m
+        The clearance that the robot must keep and its longest step, in metres.
+    """
+    spacing = FLOOD_SPACING_STEPS * step_length_m
+    x_min, y_min, x_max, y_max = bounds_m
+    # Anchored at the start, so that it is a node.
+    columns = np.arange(np.ceil((x_min - start_m[0]) / spacing), (x_max - start_m[0]) / spacing)
+    rows = np.arange(np.ceil((y_min - start_m[1]) / spacing), (y_max - start_m[1]) / spacing)
+    x, y = np.meshgrid(start_m[0] + spacing * columns, start_m[1] + spacing * rows)
+    grid = np.stack([x, y], axis=-1)
+    open_ = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape) >= clearance - 0.5 * spacing
+    open_[open_] = margin_db(grid[open_]) >= 0.0
+    from_start = np.hypot(x - start_m[0], y - start_m[1])
+    open_[from_start < 0.5 * spacing] = True
+    parts = _parts(open_)
+    here = parts[np.unravel_index(np.argmin(from_start), x.shape)]
+    at_goal = np.hypot(x - goal_m[0], y - goal_m[1]) <= spacing
+    return bool((parts[at_goal] == here).any())
+
+
+def _parts(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Number the connected parts of a grid, corners connect; 0 where it is not passable."""
+    numbered = cast(
+        "tuple[object, int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
+    )
+    return np.asarray(numbered[0], dtype=np.int32)
 
 
 def best_margin_within_reach(
@@ -54,9 +108,7 @@ def best_margin_within_reach(
     # A path may pass between nodes that are all a little too near to an obstacle.
     passable = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape) >= clearance - spacing
     passable[GRID_STEPS, GRID_STEPS] = True
-    parts, _ = cast(
-        "tuple[NDArray[np.int32], int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
-    )
+    parts = _parts(passable)
     reachable = (parts == parts[GRID_STEPS, GRID_STEPS]) & (np.hypot(x, y) <= radius_m)
     places = grid[reachable]
     margins = margin_db(places)

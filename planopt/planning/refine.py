@@ -124,7 +124,7 @@ class Refiner:
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
         iterations = 0
-        if rung is Rung.RELAXED:
+        if rung is Rung.RELAXED and not self._start.crossing:
             elastic = polish(
                 self._nlp,
                 replace(
@@ -144,9 +144,11 @@ class Refiner:
                 bound = np.minimum(wanted, local)
                 missing = np.maximum(-exact, 0.0)
         else:
-            # The start stays feasible where it keeps the bound, be it with less than is wanted.
-            bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
-            missing = np.zeros_like(bound)
+            # The start stays feasible where it keeps the bound, be it with less than is wanted; a
+            # path that crosses a gap misses no more than its start does.
+            missing = np.maximum(-exact, 0.0) if rung is Rung.RELAXED else np.zeros_like(exact)
+            kept = (exact >= 0.0) | (missing > 0.0)
+            bound = np.where(kept, np.minimum(wanted, local), wanted)
         for _ in range(REPAIRS):
             polished = polish(self._nlp, replace(task, bound_db=bound))
             iterations += polished.iterations

@@ -3,13 +3,12 @@
 Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
 keeps the clearance and the workspace, every step keeps the speed, and the probability of connection
 (exact posterior, today's deviation: theory 4.1) is at least p_min at every step where that is
-possible. Where it is not possible is proven, not assumed: the bound may be missed only in the first
-steps, only if no place within reach meets it by then, and it must be met again by the last step.
+possible. Where it is not possible is proven, not assumed. A step may miss the bound only if no
+place within reach meets it by then, or if no way to the goal keeps it at all; and the bound must be
+met again at some step of the plan: a threshold that cannot be met is an answer, not a plan.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.neighbours import neighbour_model, predict_locally
 from planopt.channel.posterior import ChannelPosterior, Prediction, predict
 from planopt.planning.plan import Certificate, Verdict
-from planopt.planning.reachability import best_margin_within_reach
+from planopt.planning.reachability import best_margin_within_reach, connected_way_exists
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
     DYNAMICS_TOLERANCE_M,
@@ -96,7 +95,35 @@ def verify(
         power.mean_db, power.deviation_db, radio.threshold_dbm, constraints.p_min
     )
     relaxed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0]
-    best = _best_margins(problem, index, margin_db, start_m, relaxed, reasons, len(margins))
+    best: list[float] = []
+    no_connected_way = False
+    for k in relaxed:
+        reach = (int(k) + 1) * problem.step_length_m
+        best.append(
+            best_margin_within_reach(index, margin_db, start_m, reach, constraints.clearance_m)
+        )
+        if best[-1] >= 0.0:
+            no_connected_way = not connected_way_exists(
+                index,
+                problem.workspace.bounds_m,
+                margin_db,
+                start_m,
+                np.asarray(problem.robots[0].goal_m),
+                constraints.clearance_m,
+                problem.step_length_m,
+            )
+            if not no_connected_way:
+                reasons.append(
+                    f"connectivity at step {int(k) + 1} is below constraints.p_min "
+                    f"{constraints.p_min:g} although a place with {best[-1]:.2f} dB to spare is "
+                    "within reach, and so is a way to the goal that keeps it"
+                )
+            break
+    if len(relaxed) == len(margins):
+        reasons.append(
+            f"constraints.p_min {constraints.p_min:g} cannot be met at any of the {len(margins)} "
+            f"steps: the best place found within reach misses it by {max(-max(best), 0.0):.2f} dB"
+        )
     certificate = Certificate(
         min_clearance_m=clearance,
         min_connectivity=float(probability.min()),
@@ -105,42 +132,8 @@ def verify(
         posterior=kind,
         relaxed_steps=tuple(int(k) + 1 for k in relaxed),
         relaxation_db=tuple(float(-margins[k]) for k in relaxed),
-        best_margin_db=best,
+        best_margin_db=tuple(best),
+        no_connected_way=no_connected_way,
         reasons=tuple(reasons),
     )
     return certificate, Verdict.VIOLATED if reasons else Verdict.VERIFIED
-
-
-def _best_margins(
-    problem: Problem,
-    index: ObstacleIndex,
-    margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    start_m: NDArray[np.float64],
-    relaxed: NDArray[np.intp],
-    reasons: list[str],
-    horizon: int,
-) -> tuple[float, ...]:
-    """Best attainable margin at each relaxed step; adds a reason where relaxing was not needed."""
-    p_min = problem.constraints.p_min
-    best: list[float] = []
-    for k in relaxed:
-        margin = best_margin_within_reach(
-            index,
-            margin_db,
-            start_m,
-            (int(k) + 1) * problem.step_length_m,
-            problem.constraints.clearance_m,
-        )
-        best.append(margin)
-        if margin >= 0.0:
-            reasons.append(
-                f"connectivity at step {int(k) + 1} is below constraints.p_min {p_min:g} although "
-                f"a place with {margin:.2f} dB to spare is within reach"
-            )
-            return tuple(best)
-    if len(relaxed) == horizon:
-        reasons.append(
-            f"constraints.p_min {p_min:g} cannot be met at any of the {horizon} steps: the best "
-            f"place within reach misses it by {-max(best):.2f} dB"
-        )
-    return tuple(best)

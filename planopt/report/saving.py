@@ -20,7 +20,7 @@ UNDATED: dict[str, dict[str, None]] = {
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
 }
-"""Formats, and what is left out of each so that the same figure gives the same file."""
+"""Formats, and the date that is left out of their metadata."""
 
 
 def save_figure(figure: Figure, path: Path) -> None:

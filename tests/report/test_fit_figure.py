@@ -52,7 +52,7 @@ def test_fitted_line_and_band(figure):
 
 
 def test_covariance_against_pairs(measurements, fit):
-    """Dots and bars are mean product and number of uncensored pairs in a hundredth of the extent."""
+    """Dots and bars: mean product and number of uncensored pairs, in 1 % bins of the extent."""
     figure = draw_fit(measurements, fit, fit.parameters.station)
     axes = panel_of(figure, "covariance")
     exact = measurements.positions_m[:25]

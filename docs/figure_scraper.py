@@ -1,0 +1,27 @@
+"""Pictures of the gallery: every new figure among an example's variables, in their order.
+
+planopt's figures do not belong to pyplot, where Sphinx-Gallery looks for them by itself.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from sphinx_gallery.scrapers import figure_rst
+
+from planopt.report.saving import save_figure
+
+
+def scrape(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Save the figures that a block made, and return the text that shows them."""
+    seen: set[int] = block_vars["example_globals"].setdefault("__figures_seen__", set())
+    paths: list[str] = []
+    for value in block_vars["example_globals"].values():
+        if isinstance(value, Figure) and id(value) not in seen:
+            seen.add(id(value))
+            path = next(block_vars["image_path_iterator"])
+            save_figure(value, Path(path))
+            paths.append(path)
+    return figure_rst(paths, gallery_conf["src_dir"])

@@ -8,7 +8,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --constraint constraints.txt
+PIP := $(BIN)/python -m pip install -qq --constraint constraints.txt
 DEMO := demo
 PROBLEM := munich_courier
 WORKERS := 2
@@ -69,12 +69,12 @@ docs: $(VENV)/.installed-docs
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist .coverage .coverage.* .pytest_cache .ruff_cache .benchmarks \
-		.hypothesis .import_linter_cache docs/_build docs/auto_examples docs/gen_modules \
-		docs/generated docs/sg_execution_times.rst
+		.hypothesis .import_linter_cache docs/_build docs/auto_examples \
+		docs/sg_execution_times.rst
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
-		echo "planopt needs Python 3.11, 3.12 or 3.13; $(PYTHON) is $$($(PYTHON) --version 2>&1)." \
+		echo "planopt needs Python 3.11, 3.12 or 3.13; $(PYTHON) is $$($(PYTHON) --version 2> /dev/null || echo not there)." \
 		"Name another: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 

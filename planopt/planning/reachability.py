@@ -57,18 +57,26 @@ def connected_way_exists(
     spacing = FLOOD_SPACING_STEPS * step_length_m
     x_min, y_min, x_max, y_max = bounds_m
     # Anchored at the start, so that it is a node.
-    columns = np.arange(np.ceil((x_min - start_m[0]) / spacing), (x_max - start_m[0]) / spacing)
-    rows = np.arange(np.ceil((y_min - start_m[1]) / spacing), (y_max - start_m[1]) / spacing)
-    x, y = np.meshgrid(start_m[0] + spacing * columns, start_m[1] + spacing * rows)
-    grid = np.stack([x, y], axis=-1)
+    columns = _steps_within(x_min - start_m[0], x_max - start_m[0], spacing)
+    rows = _steps_within(y_min - start_m[1], y_max - start_m[1], spacing)
+    grid = np.empty((len(rows), len(columns), 2))
+    grid[..., 0] = start_m[0] + columns
+    grid[..., 1] = start_m[1] + rows[:, None]
+    x, y = grid[..., 0], grid[..., 1]
     open_ = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape) >= clearance - 0.5 * spacing
     open_[open_] = margin_db(grid[open_]) >= 0.0
     from_start = np.hypot(x - start_m[0], y - start_m[1])
     open_[from_start < 0.5 * spacing] = True
     parts = _parts(open_)
-    here = parts[np.unravel_index(np.argmin(from_start), x.shape)]
+    here = parts.ravel()[np.argmin(from_start)]
     at_goal = np.hypot(x - goal_m[0], y - goal_m[1]) <= spacing
     return bool((parts[at_goal] == here).any())
+
+
+def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64]:
+    """Multiples of the spacing between two offsets."""
+    first, last = int(np.ceil(low / spacing)), int(np.floor(high / spacing))
+    return spacing * np.arange(first, last + 1, dtype=np.float64)
 
 
 def _parts(passable: NDArray[np.bool_]) -> NDArray[np.int32]:

@@ -24,5 +24,5 @@ def test_step(benchmark: BenchmarkFixture, table: Table, cost_to_go: str, count:
     drive = Drive(count, HORIZON, cost_to_go)
     plan = benchmark.pedantic(drive.step, setup=drive.learn, rounds=STEPS)
     table.add(f"step, {cost_to_go}", count, drive.step_s)
-    table.add(f"update of the factor, {cost_to_go} run", count, drive.update_s)
+    table.add("update of the factor", count, drive.update_s)
     assert plan.verdict is Verdict.VERIFIED

@@ -225,7 +225,7 @@ class Refiner:
 
     def _judged(self, polished: Polished, rung: Rung, solve_s: float, iterations: int) -> Candidate:
         candidate = self._judge.candidate(polished.path_m, rung, polished.termination)
-        return self._judge.judged(
+        judged = self._judge.judged(
             replace(
                 candidate,
                 lattice_objective=self._lattice_objective,
@@ -235,6 +235,9 @@ class Refiner:
                 multipliers=polished.multipliers,
             )
         )
+        # The elastic solve may have shown that nothing needs relaxing after all.
+        met_after_all = rung is Rung.RELAXED and not judged.relaxes
+        return replace(judged, rung=Rung.PLAN) if met_after_all else judged
 
     def _with_offenders(
         self,

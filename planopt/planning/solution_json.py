@@ -134,6 +134,7 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
         "relaxed_steps": list(certificate.relaxed_steps),
         "relaxation_db": finite_list(certificate.relaxation_db),
         "best_margin_db": finite_list(certificate.best_margin_db),
+        "no_connected_way": certificate.no_connected_way,
         "reasons": list(certificate.reasons),
     }
 
@@ -147,6 +148,7 @@ def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
         "relaxed_steps": [],
         "relaxation_db": [],
         "best_margin_db": [],
+        "no_connected_way": False,
         "reasons": list(reasons),
     }
 

@@ -83,46 +83,25 @@ def verify(
     if defect > DYNAMICS_TOLERANCE_M:
         reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
 
-    def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        power = certified_prediction(posterior, places)[0]
-        return bound_margin_db(
-            power.mean_db, power.deviation_db, radio.threshold_dbm, constraints.p_min
-        )
-
     power, kind = certified_prediction(posterior, positions_m[1:])
     probability = connection_probability(power.mean_db, power.deviation_db, radio.threshold_dbm)
     margins = bound_margin_db(
         power.mean_db, power.deviation_db, radio.threshold_dbm, constraints.p_min
     )
-    relaxed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0]
-    best: list[float] = []
-    no_connected_way = False
-    for k in relaxed:
-        reach = (int(k) + 1) * problem.step_length_m
-        best.append(
-            best_margin_within_reach(index, margin_db, start_m, reach, constraints.clearance_m)
-        )
-        if best[-1] >= 0.0:
-            no_connected_way = not connected_way_exists(
-                index,
-                problem.workspace.bounds_m,
-                margin_db,
-                start_m,
-                np.asarray(problem.robots[0].goal_m),
-                constraints.clearance_m,
-                problem.step_length_m,
-            )
-            if not no_connected_way:
-                reasons.append(
-                    f"connectivity at step {int(k) + 1} is below constraints.p_min "
-                    f"{constraints.p_min:g} although a place with {best[-1]:.2f} dB to spare is "
-                    "within reach, and so is a way to the goal that keeps it"
-                )
-            break
-    if len(relaxed) == len(margins):
+    missed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0] + 1
+    best, no_connected_way = _what_is_possible(problem, index, posterior, start_m, missed)
+    if not no_connected_way:
+        reasons += [
+            f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "
+            f"although a place with {margin:.2f} dB to spare is within reach, and so is a way to "
+            "the goal that keeps it"
+            for step, margin in zip(missed, best, strict=True)
+            if margin >= 0.0
+        ][:1]
+    if len(missed) == len(margins):
         reasons.append(
-            f"constraints.p_min {constraints.p_min:g} cannot be met at any of the {len(margins)} "
-            f"steps: the best place found within reach misses it by {max(-max(best), 0.0):.2f} dB"
+            f"constraints.p_min {constraints.p_min:g} is met at none of the {len(margins)} steps, "
+            f"the best place found within reach has a margin of {max(best):.2f} dB"
         )
     certificate = Certificate(
         min_clearance_m=clearance,
@@ -130,10 +109,57 @@ def verify(
         dynamics_defect=defect,
         kkt_residual=kkt_residual,
         posterior=kind,
-        relaxed_steps=tuple(int(k) + 1 for k in relaxed),
-        relaxation_db=tuple(float(-margins[k]) for k in relaxed),
-        best_margin_db=tuple(best),
+        relaxed_steps=tuple(int(step) for step in missed),
+        relaxation_db=tuple(float(-margins[step - 1]) for step in missed),
+        best_margin_db=best,
         no_connected_way=no_connected_way,
         reasons=tuple(reasons),
     )
     return certificate, Verdict.VIOLATED if reasons else Verdict.VERIFIED
+
+
+def _what_is_possible(
+    problem: Problem,
+    index: ObstacleIndex,
+    posterior: ChannelPosterior,
+    start_m: NDArray[np.float64],
+    missed: NDArray[np.intp],
+) -> tuple[tuple[float, ...], bool]:
+    """Best margin within reach at each missed step; whether no way to the goal keeps the bound.
+
+    The second is only searched for where some missed step could have been met.
+    """
+    constraints, length = problem.constraints, problem.step_length_m
+
+    def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        power = certified_prediction(posterior, places)[0]
+        return bound_margin_db(
+            power.mean_db,
+            power.deviation_db,
+            problem.stations[0].threshold_dbm,
+            constraints.p_min,
+        )
+
+    def best_by(step: int) -> float:
+        return best_margin_within_reach(
+            index, margin_db, start_m, step * length, constraints.clearance_m
+        )
+
+    if missed.size == 0:
+        return (), False
+    # What cannot be met by the last of these steps cannot be met by an earlier one.
+    best = (best_by(int(missed[-1])),) * len(missed)
+    if best[0] < 0.0:
+        return best, False
+    best = tuple(best_by(int(step)) for step in missed)
+    if max(best) < 0.0:
+        return best, False
+    return best, not connected_way_exists(
+        index,
+        problem.workspace.bounds_m,
+        margin_db,
+        start_m,
+        np.asarray(problem.robots[0].goal_m),
+        constraints.clearance_m,
+        length,
+    )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.belief_file import (
     SavedBelief,
@@ -71,6 +72,7 @@ class CheckResult:
         return _worst(self.certificates)
 
 
+@one_blas_thread()
 def check(path: Path | str) -> CheckResult:
     """Judge a saved plan or run from its files.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief, update
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.truth import Truth, measure, true_power_dbm
 from planopt.errors import InputError
 from planopt.planning.metrics import metrics_of
@@ -26,6 +27,7 @@ STALL_STEPS = 30
 place has stalled."""
 
 
+@one_blas_thread()
 def simulate(
     problem: Problem,
     *,

@@ -34,6 +34,8 @@ def kkt_residual(
 ) -> float:
     """Largest of stationarity, primal violation, wrong sign and complementarity, unscaled.
 
+    Infinite where any of them is not a number.
+
     Parameters
     ----------
     gradient, jacobian
@@ -49,18 +51,16 @@ def kkt_residual(
     parts = [np.abs(stationarity[free])]
     for value, bounds, multiplier in (
         (rows, row_bounds, row_multipliers),
-        (variables[free], _take(variable_bounds, free), variable_multipliers[free]),
+        (variables, variable_bounds, variable_multipliers),
     ):
         below, above = value - bounds.lower, bounds.upper - value
         parts += [np.maximum(-below, 0.0), np.maximum(-above, 0.0)]
         # A multiplier may only push against the bound that it touches.
         parts += [np.maximum(multiplier, 0.0) * _gap(above)]
         parts += [np.maximum(-multiplier, 0.0) * _gap(below)]
-    return float(max((part.max(initial=0.0) for part in parts), default=0.0))
-
-
-def _take(bounds: Bounds, which: NDArray[np.bool_]) -> Bounds:
-    return Bounds(bounds.lower[which], bounds.upper[which])
+    # NumPy's maximum: Python's would lose a NaN, and a point without a residual would look exact.
+    worst = float(np.concatenate(parts).max(initial=0.0))
+    return worst if np.isfinite(worst) else float("inf")
 
 
 def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.fit import fit_channel
 from planopt.channel.log_file import read_log
 from planopt.channel.measurements import Measurements
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
 from planopt.channel.truth import Truth, measure, model_truth, raster_truth
@@ -36,6 +37,7 @@ class Prepared:
     belief: Belief
 
 
+@one_blas_thread()
 def prepare(problem: Problem, seed: int) -> Prepared:
     """Draw the truth, take or read the first measurements, fit the channel, condition on them.
 

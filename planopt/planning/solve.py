@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
@@ -13,6 +14,7 @@ from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
 
+@one_blas_thread()
 def solve(
     problem: Problem,
     *,

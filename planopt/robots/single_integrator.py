@@ -18,4 +18,5 @@ def dynamics_defect_m(
     """
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     jump = float(np.linalg.norm(positions_m[0] - start_m))
-    return max(jump, float(np.max(lengths - step_length_m, initial=0.0)))
+    # NumPy's maximum: Python's would lose a NaN.
+    return float(np.max(lengths - step_length_m, initial=jump))

@@ -11,7 +11,6 @@ import numpy as np
 from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableType]
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
-from threadpoolctl import threadpool_limits
 
 from planopt.planning.closed_loop import simulate
 from planopt.planning.prepare import prepare
@@ -153,10 +152,9 @@ def _apply(problem: Problem, setting: Setting) -> Problem:
 
 
 def _runs_of_seed(problem: Problem, settings: Sequence[Setting], seed: int) -> list[Run]:
-    """Closed loops of all settings on one seed, one BLAS thread; they share scene and belief."""
-    with threadpool_limits(limits=1):
-        scene, prepared = build_scene(problem), prepare(problem, seed)
-        return [
-            simulate(_apply(problem, setting), seed=seed, scene=scene, prepared=prepared).run
-            for setting in settings
-        ]
+    """Closed loops of all settings on one seed; they share scene and first belief."""
+    scene, prepared = build_scene(problem), prepare(problem, seed)
+    return [
+        simulate(_apply(problem, setting), seed=seed, scene=scene, prepared=prepared).run
+        for setting in settings
+    ]

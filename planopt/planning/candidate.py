@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.posterior import Prediction
 from planopt.objectives.reach import cost_rate_s_m, path_cost_s
 from planopt.planning.pivot import Pivot
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
@@ -18,7 +19,7 @@ from planopt.planning.tolerances import (
     DYNAMICS_TOLERANCE_M,
     STANDSTILL_M,
 )
-from planopt.planning.verify import certified_prediction, verify
+from planopt.planning.verify import judge
 from planopt.problems.problem import Problem
 
 
@@ -38,6 +39,10 @@ class Candidate:
         What the verifier says; None and ``feasible_unverified`` before it was asked.
     solve_s, iterations, multipliers, kkt_residual
         Of the solver.
+    sound
+        Whether clearance and motion model are kept, whatever connectivity is.
+    power
+        What the verifier predicted along the path, the robot's own place first.
     """
 
     path_m: NDArray[np.float64]
@@ -54,6 +59,7 @@ class Candidate:
         default_factory=dict[str, NDArray[np.float64]]
     )
     sound: bool = False
+    power: Prediction | None = None
 
     @property
     def relaxes(self) -> bool:
@@ -103,6 +109,15 @@ class Judge:
         to_pivot = float(np.linalg.norm(path_m[-1] - self.pivot.position_m))
         return cost + self.rate_s_m * (to_pivot + self.pivot.cost_m)
 
+    def margins_db(self, power: Prediction) -> NDArray[np.float64]:
+        """Connectivity margins of the step's problem."""
+        return bound_margin_db(
+            power.mean_db,
+            power.deviation_db,
+            self.problem.stations[0].threshold_dbm,
+            self.problem.constraints.p_min,
+        )
+
     def candidate(
         self, path_m: NDArray[np.float64], rung: Rung, termination: Termination
     ) -> Candidate:
@@ -112,7 +127,7 @@ class Judge:
 
     def judged(self, candidate: Candidate) -> Candidate:
         """Ask the verifier."""
-        certificate, verdict = verify(
+        judgement = judge(
             self.problem,
             self.scene.index,
             self.belief.posterior,
@@ -120,19 +135,26 @@ class Judge:
             np.vstack([self.position_m, candidate.path_m]),
             candidate.kkt_residual,
         )
+        certificate = judgement.certificate
         sound = (
             certificate.min_clearance_m
             >= self.problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
             and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
         )
-        return replace(candidate, certificate=certificate, verdict=verdict, sound=sound)
+        return replace(
+            candidate,
+            certificate=certificate,
+            verdict=judgement.verdict,
+            sound=sound,
+            power=judgement.power,
+        )
 
     def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
         """Write a judged candidate out as a plan."""
-        if chosen.certificate is None:
+        if chosen.certificate is None or chosen.power is None:
             raise AssertionError("only judged candidates are released")
+        power = chosen.power
         positions = np.vstack([self.position_m, chosen.path_m])
-        power = certified_prediction(self.belief.posterior, positions)[0]
         radio = self.problem.stations[0]
         return Plan(
             robot=self.problem.robots[0].name,

@@ -24,12 +24,13 @@ from planopt.planning.belief_file import (
     grown_posterior,
 )
 from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.predictions import certified_prediction
 from planopt.planning.run import Outcome
 from planopt.planning.run_json import RunRecord
 from planopt.planning.saved import STEPS_FILE, Saved, Steps, read_saved
 from planopt.planning.solution_json import PlanRecord, RobotRecord
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.planning.verify import certified_prediction, verify
+from planopt.planning.verify import verify
 from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.road_map import RoadMap
+from planopt.world.lattice import REACH_TOLERANCE_M
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def search_lattice(
         return None
     count = len(road_map.nodes_m)
     # A step is at most the longest move, so stage k cannot leave this disc about the first nodes.
-    reach = float(road_map.lengths_m.max())
+    reach = float(road_map.lengths_m.max()) + REACH_TOLERANCE_M
     distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[first_nodes[0]], axis=1)
     near = np.nonzero(distance <= reach * (horizon + 1))[0]
     near = near[np.argsort(distance[near], kind="stable")]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.tile_map import TileMap
+from planopt.planning.predictions import search_prediction
 from planopt.planning.road_map import RoadMap
-from planopt.planning.verify import certified_prediction
 
 
 class NodeMargins:
@@ -59,7 +59,7 @@ class NodeMargins:
         """Exact margin at one place."""
         if self._posterior is None:
             raise AssertionError("refresh first")
-        power = certified_prediction(self._posterior, position_m[None])[0]
+        power = search_prediction(self._posterior, position_m[None])
         margin = bound_margin_db(
             power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min
         )
@@ -72,7 +72,7 @@ class NodeMargins:
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
-        power = certified_prediction(self._posterior, self._road_map.nodes_m[new])[0]
+        power = search_prediction(self._posterior, self._road_map.nodes_m[new])
         self.margin_db[new] = bound_margin_db(
             power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min
         )

@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, bound_quantile
+from planopt.channel.connectivity import bound_quantile
 from planopt.channel.neighbours import neighbour_model
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.candidate import Candidate, Judge
@@ -17,6 +17,7 @@ from planopt.planning.global_search import GlobalStart
 from planopt.planning.margin_source import MarginFunction
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.polish import Polished, ReachTask, polish
+from planopt.planning.predictions import search_prediction
 from planopt.planning.reach_nlp import ReachNlp
 from planopt.planning.retime import retime
 from planopt.planning.stage_kernel import StageMargins, stage_margins
@@ -26,7 +27,6 @@ from planopt.planning.tolerances import (
     STANDSTILL_M,
     STEP_PAD_M,
 )
-from planopt.planning.verify import certified_prediction
 from planopt.world.separation import SeparatingLines, lines_for, separating_lines
 
 LINE_REACH_STEPS = 2.0
@@ -74,7 +74,7 @@ class Refiner:
         )
         if shifted_m is not None and len(shifted_m) == self._nlp.horizon:
             cheaper = not relaxing and self._judge.objective(shifted_m) < self._lattice_objective
-            if cheaper and bool((self._exact_margins(shifted_m) >= 0.0).all()):
+            if cheaper and bool((self._start_margins(shifted_m) >= 0.0).all()):
                 starts.insert(0, (shifted_m, Rung.PLAN))
             else:
                 starts.append((shifted_m, Rung.COLD_RETRY))
@@ -118,7 +118,7 @@ class Refiner:
     def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
         """Polish from a path, repeating with what the verifier objects to built in."""
         task = self._task(path_m)
-        exact = self._exact_margins(path_m)
+        exact = self._start_margins(path_m)
         local = task.margins(path_m).value
         # Where the local model is too optimistic by e, ask it for e more.
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
@@ -159,7 +159,9 @@ class Refiner:
                 if lines is None:
                     return
                 task = replace(task, lines=lines)
-            lacking = -missing - self._exact_margins(polished.path_m)
+            if candidate.power is None:
+                return
+            lacking = -missing - self._judge.margins_db(candidate.power)[1:]
             if candidate.sound and not (lacking > 0.0).any():
                 return
             bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
@@ -213,15 +215,9 @@ class Refiner:
 
         return margins
 
-    def _exact_margins(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        judge = self._judge
-        power = certified_prediction(judge.belief.posterior, path_m)[0]
-        return bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            judge.problem.stations[0].threshold_dbm,
-            judge.problem.constraints.p_min,
-        )
+    def _start_margins(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Margins of a start path."""
+        return self._judge.margins_db(search_prediction(self._judge.belief.posterior, path_m))
 
     def _judged(self, polished: Polished, rung: Rung, solve_s: float, iterations: int) -> Candidate:
         candidate = self._judge.candidate(polished.path_m, rung, polished.termination)

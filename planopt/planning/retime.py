@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.world.lattice import REACH_TOLERANCE_M
+
 
 def retime(
     start_m: NDArray[np.float64],
@@ -44,7 +46,8 @@ def retime(
     total = float(travelled[-1])
     if total == 0.0:
         return path_m
-    steps = max(int(np.ceil(total / step_m)), 1)
+    # A lattice path of n longest moves is n steps long but for rounding, and takes n steps.
+    steps = max(int(np.ceil((total - REACH_TOLERANCE_M) / step_m)), 1)
     if steps <= horizon:
         step_m = total / steps
     stops = np.minimum(step_m * np.arange(1, horizon + 1), total)

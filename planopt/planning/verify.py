@@ -10,13 +10,15 @@ met again at some step of the plan: a threshold that cannot be met is an answer,
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.channel.neighbours import neighbour_model, predict_locally
-from planopt.channel.posterior import ChannelPosterior, Prediction, predict
+from planopt.channel.posterior import ChannelPosterior, Prediction
 from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.predictions import certified_prediction, search_prediction
 from planopt.planning.reachability import best_margin_within_reach, connected_way_exists
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
@@ -27,20 +29,22 @@ from planopt.problems.problem import Problem
 from planopt.robots.single_integrator import dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, swept_clearance_m
 
-EXACT_LIMIT = 5000
-"""Up to this many measurements the full posterior is used (design 4.2)."""
-NEIGHBOURS_BEYOND = 512
-"""Nearest measurements a point beyond that: a true posterior of less data."""
 
+@dataclass(frozen=True)
+class Judgement:
+    """What the verifier says of a path, and the prediction that it rests on.
 
-def certified_prediction(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64]
-) -> tuple[Prediction, str]:
-    """Prediction that certificates rest on, and its name in them."""
-    if len(posterior.measurements) <= EXACT_LIMIT:
-        return predict(posterior, positions_m), "exact"
-    model = neighbour_model(posterior, positions_m, NEIGHBOURS_BEYOND)
-    return predict_locally(model, positions_m), f"neighbours:{NEIGHBOURS_BEYOND}"
+    Attributes
+    ----------
+    certificate, verdict
+        See their types.
+    power
+        At every place of the path, the robot's own first; None if the path is not finite.
+    """
+
+    certificate: Certificate
+    verdict: Verdict
+    power: Prediction | None
 
 
 def verify(
@@ -51,6 +55,19 @@ def verify(
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
 ) -> tuple[Certificate, Verdict]:
+    """Certificate and verdict of a path: see :func:`judge`."""
+    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual)
+    return judgement.certificate, judgement.verdict
+
+
+def judge(
+    problem: Problem,
+    index: ObstacleIndex,
+    posterior: ChannelPosterior,
+    start_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    kkt_residual: float | None = None,
+) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
 
     Parameters
@@ -68,7 +85,7 @@ def verify(
     radio = problem.stations[0]
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
-        return broken, Verdict.VIOLATED
+        return Judgement(broken, Verdict.VIOLATED, None)
     reasons: list[str] = []
 
     clearance = float(np.min(swept_clearance_m(index, positions_m), initial=np.inf))
@@ -83,11 +100,10 @@ def verify(
     if defect > DYNAMICS_TOLERANCE_M:
         reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
 
-    power, kind = certified_prediction(posterior, positions_m[1:])
-    probability = connection_probability(power.mean_db, power.deviation_db, radio.threshold_dbm)
-    margins = bound_margin_db(
-        power.mean_db, power.deviation_db, radio.threshold_dbm, constraints.p_min
-    )
+    power, kind = certified_prediction(posterior, positions_m)
+    mean, deviation = power.mean_db[1:], power.deviation_db[1:]
+    probability = connection_probability(mean, deviation, radio.threshold_dbm)
+    margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
     missed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0] + 1
     best, no_connected_way = _what_is_possible(problem, index, posterior, start_m, missed)
     if not no_connected_way:
@@ -115,7 +131,8 @@ def verify(
         no_connected_way=no_connected_way,
         reasons=tuple(reasons),
     )
-    return certificate, Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    return Judgement(certificate, verdict, power)
 
 
 def _what_is_possible(
@@ -132,7 +149,7 @@ def _what_is_possible(
     constraints, length = problem.constraints, problem.step_length_m
 
     def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        power = certified_prediction(posterior, places)[0]
+        power = search_prediction(posterior, places)
         return bound_margin_db(
             power.mean_db,
             power.deviation_db,

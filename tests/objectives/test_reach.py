@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planopt.objectives.reach import (
@@ -17,6 +17,7 @@ SPEEDS = st.floats(0.05, 50.0)
 GOAL = np.array([100.0, 0.0])
 
 
+@settings(deadline=None)
 @given(WEIGHTS, SPEEDS)
 def test_cost_rate_is_the_minimum_over_speeds(weight, speed_max):
     """No speed allowed costs less a metre, and the cruising speed costs exactly the rate."""
@@ -48,6 +49,7 @@ def test_step_cost_is_the_integral_at_constant_speed():
     )
 
 
+@settings(deadline=None)
 @given(WEIGHTS, SPEEDS, st.floats(0.01, 10.0), st.floats(0.001, 1.0))
 def test_a_step_costs_at_least_its_way_at_the_rate(weight, speed_max, step_s, share):
     """The rate is a lower bound of a moving step's cost: the cost to go never overestimates."""
@@ -76,6 +78,7 @@ def test_standing_short_of_the_goal_costs_time():
     assert path_cost_s(np.zeros((4, 2)), GOAL, 1.0, 0.5, 0.1) == 1.5
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=2, max_size=8),
     st.floats(0.0, 2.0 * np.pi),

@@ -1,5 +1,7 @@
 """The lattice search against every path there is, on lattices small enough to list them all."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import shapely
@@ -43,9 +45,9 @@ def targets_of(road_map, node):
 
 def cost_of(road_map, nodes, first_nodes, first_lengths, goal, penalty, terminal):
     """Cost of one path; infinite where a move of it is closed."""
-    first = {int(n): step_cost(length) for n, length in zip(first_nodes, first_lengths, strict=True)}
+    first = dict(zip(map(int, first_nodes), map(step_cost, first_lengths), strict=True))
     total = first.get(int(nodes[0]), np.inf) + penalty[nodes[0]]
-    for a, b in zip(nodes[:-1], nodes[1:], strict=True):
+    for a, b in pairwise(nodes):
         moves = dict(targets_of(road_map, a))
         if a == b == goal:
             moves[b] = 0.0
@@ -87,7 +89,7 @@ def search(road_map, first_nodes, first_lengths, horizon, goal, penalty, termina
 @example(0, 1)
 @example(1, 4)
 def test_the_cheapest_of_all_paths(seed, horizon):
-    """Random lattices, penalties and terminal costs: exactly the brute-force cost, by such a path."""
+    """Random lattices, penalties and terminal costs: exactly the least cost, by such a path."""
     generator = np.random.default_rng(seed)
     road_map = random_road_map(generator)
     count = len(road_map.nodes_m)

@@ -15,11 +15,10 @@ class Counter:
         self.asked = []
 
     def __call__(self, positions_m):
+        """Sum of the coordinates plus the offset."""
         self.asked.append(positions_m.copy())
         n = len(positions_m)
-        return StageMargins(
-            positions_m.sum(1) + self.offset, np.ones((n, 2)), np.zeros((n, 3))
-        )
+        return StageMargins(positions_m.sum(1) + self.offset, np.ones((n, 2)), np.zeros((n, 3)))
 
 
 FLAT = np.array([1.0, 2.0, 3.0, 4.0])

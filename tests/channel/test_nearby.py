@@ -1,0 +1,51 @@
+"""Prediction from nearby measurements against the full posterior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planopt.channel.measurements import Measurements
+from planopt.channel.nearby import GROUP, predict_nearby
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import ChannelPosterior, condition, predict
+
+
+@pytest.fixture(scope="module")
+def posterior() -> ChannelPosterior:
+    """400 measurements on a square of 200 m."""
+    generator = np.random.default_rng(3)
+    parameters = ChannelParameters(-20.0, 3.0, 8.0, 40.0, 2.0, Station((20.0, 30.0), 10.0))
+    places = generator.uniform(0.0, 200.0, (400, 2))
+    power = -70.0 + 8.0 * generator.standard_normal(400)
+    return condition(parameters, Measurements(places, power, np.zeros(400, dtype=bool)))
+
+
+@pytest.fixture(scope="module")
+def places() -> np.ndarray:
+    """More places than one group holds, along a path."""
+    along = np.linspace(0.0, 1.0, 2 * GROUP + 5)[:, None]
+    return np.array([10.0, 20.0]) + along * np.array([150.0, 90.0])
+
+
+def test_all_measurements_are_the_full_posterior(posterior, places):
+    """With every measurement in use nothing is left out."""
+    nearby, full = predict_nearby(posterior, places, 400), predict(posterior, places)
+    np.testing.assert_allclose(nearby.mean_db, full.mean_db, atol=1e-9)
+    np.testing.assert_allclose(nearby.deviation_db, full.deviation_db, atol=1e-9)
+
+
+def test_error_falls_with_the_number_of_neighbours(posterior, places):
+    """More neighbours come nearer to the full posterior, and 128 come within 0.01 dB."""
+    full = predict(posterior, places).mean_db
+    errors = [
+        np.abs(predict_nearby(posterior, places, m).mean_db - full).max() for m in (8, 32, 128)
+    ]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 0.01
+
+
+def test_deviation_is_never_below_the_full_one(posterior, places):
+    """Less data leaves more variance, theta's share apart, which is far below this tolerance."""
+    nearby, full = predict_nearby(posterior, places, 64), predict(posterior, places)
+    assert (nearby.deviation_db >= full.deviation_db - 1e-6).all()

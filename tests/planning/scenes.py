@@ -1,0 +1,164 @@
+"""Small hand-made problems with a power that the tests choose: no file, no truth, no chance.
+
+The channel is believed from readings on a 2 m grid of whatever the test says the power is; mean
+and parameters are known, so that nothing is fitted. `GOOD` is far above the threshold, `BAD` far
+below, so that the bound changes about half-way between two readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from planopt.channel.belief import Belief
+from planopt.channel.fit import ChannelFit
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import condition
+from planopt.channel.truth import Truth
+from planopt.planning.pivot import Pivot
+from planopt.planning.prepare import Prepared
+from planopt.problems.problem import (
+    ChannelSetup,
+    Constraints,
+    LoggedMeasurements,
+    PlannerSettings,
+    Problem,
+    RadioStation,
+    ReachObjective,
+    Robot,
+)
+from planopt.world.raster import Raster
+from planopt.world.workspace import Obstacle, Workspace
+
+PowerAt = Callable[[np.ndarray], np.ndarray]
+
+GOOD, BAD = -60.0, -100.0
+THRESHOLD_DBM = -80.0
+SPACING_M = 2.0
+
+# A thin wall, a U that opens to the left, and a ring: a block with a courtyard.
+WALL = shapely.box(19.9, 5.0, 20.1, 25.0)
+CUP = shapely.Polygon(
+    [(14, 8), (26, 8), (26, 22), (14, 22), (14, 20), (24, 20), (24, 10), (14, 10)]
+)
+RING = shapely.Polygon(
+    [(10, 5), (30, 5), (30, 25), (10, 25)], [[(14, 9), (26, 9), (26, 21), (14, 21)]]
+)
+
+
+def small_problem(
+    *polygons: shapely.Polygon,
+    bounds_m: tuple[float, float, float, float] = (0.0, 0.0, 40.0, 30.0),
+    start_m: tuple[float, float] = (5.0, 15.0),
+    goal_m: tuple[float, float] = (35.0, 15.0),
+    speed_max_m_s: float = 2.0,
+    clearance_m: float = 0.5,
+    goal_radius_m: float = 1.0,
+    p_min: float = 0.9,
+    threshold_dbm: float = THRESHOLD_DBM,
+    cost_to_go: str = "connected",
+    effort_weight_s2_m2: float = 0.1,
+    horizon: int = 4,
+    step_s: float = 1.0,
+    planner: str = "auto",
+    max_steps: int = 80,
+) -> Problem:
+    """A robot in a rectangle with the given obstacles; steps of 2 m."""
+    return Problem(
+        name="small",
+        description="",
+        workspace=Workspace(
+            bounds_m, tuple(Obstacle(f"obstacle {k}", p) for k, p in enumerate(polygons))
+        ),
+        channel=ChannelSetup(
+            None,
+            LoggedMeasurements(Path("none.csv"), ("x_m", "y_m", "power_dbm"), None, None),
+            "reml",
+            1.0,
+        ),
+        robots=(Robot("robot", start_m, goal_m, speed_max_m_s),),
+        stations=(RadioStation("station", Station((0.0, 15.0), 5.0), 0.0, threshold_dbm),),
+        objective=ReachObjective(effort_weight_s2_m2, cost_to_go),
+        constraints=Constraints(p_min, clearance_m, goal_radius_m),
+        planner=PlannerSettings(planner, horizon, step_s, 32, max_steps),
+    )
+
+
+def good_everywhere(positions_m: np.ndarray) -> np.ndarray:
+    """Connected everywhere."""
+    return np.full(len(positions_m), GOOD)
+
+
+def bad_everywhere(positions_m: np.ndarray) -> np.ndarray:
+    """Connected nowhere."""
+    return np.full(len(positions_m), BAD)
+
+
+def bad_where(is_bad: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> PowerAt:
+    """Connected but where `is_bad(x, y)` holds."""
+
+    def power(positions_m: np.ndarray) -> np.ndarray:
+        return np.where(is_bad(positions_m[:, 0], positions_m[:, 1]), BAD, GOOD)
+
+    return power
+
+
+def bad_disc(x_m: float, y_m: float, radius_m: float) -> PowerAt:
+    """Connected but in a disc."""
+    return bad_where(lambda x, y: np.hypot(x - x_m, y - y_m) < radius_m)
+
+
+def bad_band(low_m: float, high_m: float, open_above_m: float = np.inf) -> PowerAt:
+    """Connected but in an upright band, which ends at a height if one is given."""
+    return bad_where(lambda x, y: (x > low_m) & (x < high_m) & (y < open_above_m))
+
+
+def grid_m(problem: Problem, spacing_m: float = SPACING_M) -> np.ndarray:
+    """Places on a grid over the workspace, symmetric about its middle."""
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    x = np.arange(x_min + spacing_m / 2, x_max, spacing_m)
+    y = np.arange(y_min + spacing_m / 2, y_max, spacing_m)
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def belief_of(problem: Problem, power_at: PowerAt = good_everywhere, scale: float = 1.0) -> Belief:
+    """What readings of `power_at` on a grid tell; `scale` stretches grid and decorrelation."""
+    places = grid_m(problem, SPACING_M * scale)
+    measurements = Measurements(places, power_at(places), np.zeros(len(places), dtype=bool))
+    parameters = ChannelParameters(
+        k_pl_db=THRESHOLD_DBM,
+        n_pl=0.0,
+        shadow_std_db=8.0,
+        decorrelation_m=20.0 * scale,
+        multipath_std_db=0.3,
+        station=problem.stations[0].site,
+    )
+    names = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
+    fit = ChannelFit(
+        "reml", "ok", parameters, dict.fromkeys(names, 0.1), np.eye(2), len(places), 0, (), 0.0
+    )
+    return Belief(fit, condition(parameters, measurements, theta="known"))
+
+
+def prepared_of(problem: Problem, power_at: PowerAt = good_everywhere) -> Prepared:
+    """The belief of :func:`belief_of` and a truth that is just that power, by 1 m cells."""
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    x, y = np.arange(x_min + 0.5, x_max), np.arange(y_min + 0.5, y_max)
+    cells = np.stack(np.meshgrid(x, y), axis=-1)
+    values = power_at(cells.reshape(-1, 2)).reshape(cells.shape[:2])
+    return Prepared(Truth(Raster(x, y, values), None), belief_of(problem, power_at))
+
+
+def straight_path(problem: Problem, step_m: float = 1.9) -> np.ndarray:
+    """``(N + 1, 2)`` from the start straight towards the goal in equal steps."""
+    robot = problem.robots[0]
+    start, goal = np.asarray(robot.start_m), np.asarray(robot.goal_m)
+    heading = (goal - start) / np.linalg.norm(goal - start)
+    return start + step_m * np.arange(problem.planner.horizon + 1)[:, None] * heading
+
+
+NO_PIVOT = Pivot(np.zeros(2), 0.0)

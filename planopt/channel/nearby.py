@@ -1,4 +1,4 @@
-"""Prediction from the measurements near a group of places: fast however many measurements there are.
+"""Prediction from the measurements near a group of places, at a cost that does not grow with all.
 
 A group shares one set of measurements, the union of every place's nearest, and so one factor. Each
 place is conditioned on at least its own nearest ones: a true posterior of less data, whose variance

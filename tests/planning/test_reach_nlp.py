@@ -14,7 +14,7 @@ from planopt.planning.reach_nlp import (
 from planopt.planning.stage_kernel import StageMargins
 
 N, LINES = 3, 2
-ROWS = 3 * N + 2 * N * LINES - LINES - N  # speed, line ends, line starts; then connectivity
+ROWS = N + N * LINES + (N - 1) * LINES  # speed, line ends, line starts; then connectivity
 
 
 def saddle(positions_m):

@@ -70,7 +70,9 @@ def casadi_margin(posterior, used):
     if len(at):
         r = [ca.sqrt(ca.sumsqr(q - ca.DM(p)) + (CUSP_ROUNDING * beta) ** 2) for p in at]
         phi = variance * ca.exp(-ca.vertcat(*r) / beta)
-        mean += ca.dot(np.linalg.solve(u, posterior.values_db[used] - gamma_m @ posterior.theta), phi)
+        mean += ca.dot(
+            np.linalg.solve(u, posterior.values_db[used] - gamma_m @ posterior.theta), phi
+        )
         b = gamma - ca.DM(np.linalg.solve(u, gamma_m)).T @ phi
         explained = phi.T @ ca.DM(np.linalg.inv(u)) @ phi
     total = variance + parameters.multipath_std_db**2 - explained

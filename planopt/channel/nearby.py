@@ -14,7 +14,8 @@ from planopt.channel.cholesky import lower_factor, solve_lower
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.neighbours import nearest
 from planopt.channel.path_loss import regressors
-from planopt.channel.posterior import ChannelPosterior, KrigingTerms, Prediction, combine
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 GROUP = 16
 """Consecutive places that share measurements: a path's places, a row of a grid."""

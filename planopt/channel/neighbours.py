@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
-from planopt.channel.posterior import ChannelPosterior, KrigingTerms, Prediction, combine
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 PADDING_DISTANCE_M = 1e7
 """Where there are fewer measurements than asked for, the rest stands this far from the centre."""

@@ -18,12 +18,13 @@ from planopt.channel.censoring import (
     censored_sites,
     gaussian_sites,
 )
-from planopt.channel.cholesky import solve_lower
 from planopt.channel.connectivity import connection_probability
+from planopt.channel.factor import FactorBuffer, spacious, whiten
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
+from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 WEAK_THETA_DEVIATION = (20.0, 1.0)
 """Prior deviation of K_PL (dB) and n_PL, used only where the measurements do not identify theta."""
@@ -33,52 +34,7 @@ MAX_INFORMATION_CONDITION = 1e10
 `WEAK_THETA_DEVIATION`, is below this."""
 
 FACTOR_BLOCK = 512
-SOLVE_BLOCK = 128
 PREDICTION_ELEMENTS = 2**21
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted received power.
-
-    Attributes
-    ----------
-    mean_db
-        ``(n,)`` dBm.
-    deviation_db
-        ``(n,)`` of the power that would be measured: shadowing, multipath and the uncertainty of
-        theta.
-    """
-
-    mean_db: NDArray[np.float64]
-    deviation_db: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class KrigingTerms:
-    """Parts of a prediction that do not depend on theta (theory 4.0), for n places.
-
-    Attributes
-    ----------
-    data_db
-        ``(n,)`` a = phi' U^-1 y.
-    trend
-        ``(n, 2)`` varphi = gamma - Gamma' U^-1 phi.
-    variance_db2
-        ``(n,)`` s = xi^2 + omega^2 - phi' U^-1 phi.
-    """
-
-    data_db: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    variance_db2: NDArray[np.float64]
-
-
-class FactorBuffer:
-    """Lower Cholesky factor with spare rows; rows from `used` on are free."""
-
-    def __init__(self, capacity: int) -> None:
-        self.lower: NDArray[np.float64] = np.zeros((capacity, capacity))
-        self.used = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +127,7 @@ def condition(
         np.zeros(0),
         np.zeros((0, 3)),
         theta == "known",
-        FactorBuffer(_spacious(len(measurements))),
+        FactorBuffer(spacious(len(measurements))),
     )
     return _append(empty, measurements, sites)
 
@@ -226,7 +182,7 @@ def kriging_terms(posterior: ChannelPosterior, positions_m: NDArray[np.float64])
     block = max(1, PREDICTION_ELEMENTS // max(1, len(posterior.measurements)))
     for start in range(0, count, block):
         part = slice(start, start + block)
-        whitened = _whiten(
+        whitened = whiten(
             posterior.factor,
             shadow_covariance_db2(
                 posterior.measurements.positions_m, positions_m[part], posterior.parameters
@@ -238,35 +194,6 @@ def kriging_terms(posterior: ChannelPosterior, positions_m: NDArray[np.float64])
     # Rounding alone can make the latent variance negative, at a place that is known exactly.
     variance = np.maximum(variance, 0.0) + posterior.parameters.multipath_std_db**2
     return KrigingTerms(data, trend, variance)
-
-
-def combine(
-    terms: KrigingTerms, theta: NDArray[np.float64], theta_covariance: NDArray[np.float64]
-) -> Prediction:
-    """Mean a + varphi' theta and variance s + varphi' M varphi (theory 4.1)."""
-    first, second = terms.trend[..., 0], terms.trend[..., 1]
-    mean = terms.data_db + first * theta[0] + second * theta[1]
-    variance = terms.variance_db2 + (
-        theta_covariance[0, 0] * first**2
-        + 2.0 * theta_covariance[0, 1] * first * second
-        + theta_covariance[1, 1] * second**2
-    )
-    return Prediction(mean, np.sqrt(variance))
-
-
-def _spacious(count: int) -> int:
-    """Capacity for `count` rows and more to come; zeroed pages cost nothing until written."""
-    return count + count // 2 + 64
-
-
-def _whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L^-1 `columns` (n, m), by blocks, because LAPACK would copy a view of a larger buffer."""
-    solved = np.array(columns, dtype=np.float64)
-    for start in range(0, len(lower), SOLVE_BLOCK):
-        rows = slice(start, start + SOLVE_BLOCK)
-        solved[rows] -= lower[rows, :start] @ solved[:start]
-        solved[rows] = solve_lower(lower[rows, rows], solved[rows])
-    return solved
 
 
 def _append(
@@ -281,7 +208,7 @@ def _append(
     count = old + len(more)
     buffer = posterior.buffer
     if buffer.used != old or len(buffer.lower) < count:
-        grown = FactorBuffer(_spacious(count))
+        grown = FactorBuffer(spacious(count))
         grown.lower[:old, :old] = posterior.factor
         grown.used = old
         buffer = grown
@@ -295,7 +222,7 @@ def _append(
     lower = buffer.lower
     for start in range(old, count, FACTOR_BLOCK):
         stop = min(start + FACTOR_BLOCK, count)
-        across = _whiten(
+        across = whiten(
             lower[:start, :start],
             shadow_covariance_db2(positions[:start], positions[start:stop], parameters),
         )
@@ -303,7 +230,7 @@ def _append(
         within[np.diag_indices_from(within)] += noise[start - old : stop - old]
         lower[start:stop, :start] = across.T
         lower[start:stop, start:stop] = np.linalg.cholesky(within - across.T @ across)
-        whitened[start:stop] = _whiten(
+        whitened[start:stop] = whiten(
             lower[start:stop, start:stop],
             whitened[start:stop] - across.T @ whitened[:start],
         )

@@ -14,7 +14,8 @@ from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.neighbours import local_precision, local_terms, nearest
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
-from planopt.channel.posterior import ChannelPosterior, KrigingTerms, combine, kriging_terms
+from planopt.channel.posterior import ChannelPosterior, kriging_terms
+from planopt.channel.prediction import KrigingTerms, combine
 
 TILES_AT_ONCE = 64
 """Tiles solved together: their matrices fit into a processor's cache."""

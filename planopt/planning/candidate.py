@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.channel.posterior import Prediction
+from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import cost_rate_s_m, path_cost_s
 from planopt.planning.pivot import Pivot
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict

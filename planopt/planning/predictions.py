@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.nearby import predict_nearby
-from planopt.channel.posterior import ChannelPosterior, Prediction, predict
+from planopt.channel.posterior import ChannelPosterior, predict
+from planopt.channel.prediction import Prediction
 
 EXACT_LIMIT = 5000
 """Up to this many measurements certificates use the full posterior (design 4.2)."""

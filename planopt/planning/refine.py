@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -35,6 +35,16 @@ REPAIRS = 3
 """How often a polish whose proof objects is repeated with the objection built in."""
 SLACK_TOLERANCE_DB = 1e-3
 """Missing dB below this count as none: the bound can be met after all."""
+
+
+@dataclass(frozen=True)
+class _Eased:
+    """Outcome of an elastic solve: where to go on from, and what must be missed at each step."""
+
+    task: ReachTask
+    missing_db: NDArray[np.float64]
+    iterations: int
+    converged: bool
 
 
 class Refiner:
@@ -125,24 +135,9 @@ class Refiner:
         begun = perf_counter()
         iterations = 0
         if rung is Rung.RELAXED and not self._start.crossing:
-            elastic = polish(
-                self._nlp,
-                replace(
-                    task,
-                    bound_db=wanted,
-                    slack_limit_db=np.where(exact < 0.0, np.inf, 0.0),
-                    elastic=True,
-                ),
-            )
-            iterations += elastic.iterations
-            missing = np.where(elastic.slack_db > SLACK_TOLERANCE_DB, elastic.slack_db, 0.0)
-            usable = elastic.termination is Termination.CONVERGED
-            if usable:
-                bound = wanted - missing
-                task = replace(task, path_m=elastic.path_m)
-            else:
-                bound = np.minimum(wanted, local)
-                missing = np.maximum(-exact, 0.0)
+            eased = self._ease(task, exact, wanted)
+            task, missing, iterations = eased.task, eased.missing_db, eased.iterations
+            bound = wanted - missing if eased.converged else np.minimum(wanted, local)
         else:
             # The start stays feasible where it keeps the bound, be it with less than is wanted; a
             # path that crosses a gap misses no more than its start does.
@@ -165,6 +160,25 @@ class Refiner:
             if candidate.sound and not (lacking > 0.0).any():
                 return
             bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
+
+    def _ease(
+        self, task: ReachTask, exact: NDArray[np.float64], wanted: NDArray[np.float64]
+    ) -> _Eased:
+        """Find the least missing dB over the steps at which the start path misses the bound."""
+        elastic = polish(
+            self._nlp,
+            replace(
+                task,
+                bound_db=wanted,
+                slack_limit_db=np.where(exact < 0.0, np.inf, 0.0),
+                elastic=True,
+            ),
+        )
+        if elastic.termination is not Termination.CONVERGED:
+            return _Eased(task, np.maximum(-exact, 0.0), elastic.iterations, converged=False)
+        missing = np.where(elastic.slack_db > SLACK_TOLERANCE_DB, elastic.slack_db, 0.0)
+        eased = replace(task, path_m=elastic.path_m)
+        return _Eased(eased, missing, elastic.iterations, converged=True)
 
     def _task(self, path_m: NDArray[np.float64]) -> ReachTask:
         """Set the programme up about a start path."""

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.channel.posterior import ChannelPosterior, Prediction
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
 from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.predictions import certified_prediction, search_prediction
 from planopt.planning.reachability import best_margin_within_reach, connected_way_exists

@@ -11,12 +11,12 @@ from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import (
     WEAK_THETA_DEVIATION,
-    combine,
     condition,
     extend,
     kriging_terms,
     predict,
 )
+from planopt.channel.prediction import combine
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 THETA = np.array([PARAMETERS.k_pl_db, PARAMETERS.n_pl])

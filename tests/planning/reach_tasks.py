@@ -1,4 +1,4 @@
-"""Small polishing tasks for the tests of the reach programme: straight start, nothing in the way."""
+"""Small polishing tasks for the tests of the reach programme: a straight start, nothing about."""
 
 import numpy as np
 

@@ -8,6 +8,7 @@ below, so that the bound changes about half-way between two readings.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,6 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.truth import Truth
-from planopt.planning.pivot import Pivot
 from planopt.planning.prepare import Prepared
 from planopt.problems.problem import (
     ChannelSetup,
@@ -117,9 +117,9 @@ def bad_band(low_m: float, high_m: float, open_above_m: float = np.inf) -> Power
     return bad_where(lambda x, y: (x > low_m) & (x < high_m) & (y < open_above_m))
 
 
-def grid_m(problem: Problem, spacing_m: float = SPACING_M) -> np.ndarray:
+def grid_m(bounds_m: tuple[float, float, float, float], spacing_m: float) -> np.ndarray:
     """Places on a grid over the workspace, symmetric about its middle."""
-    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    x_min, y_min, x_max, y_max = bounds_m
     x = np.arange(x_min + spacing_m / 2, x_max, spacing_m)
     y = np.arange(y_min + spacing_m / 2, y_max, spacing_m)
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -127,7 +127,14 @@ def grid_m(problem: Problem, spacing_m: float = SPACING_M) -> np.ndarray:
 
 def belief_of(problem: Problem, power_at: PowerAt = good_everywhere, scale: float = 1.0) -> Belief:
     """What readings of `power_at` on a grid tell; `scale` stretches grid and decorrelation."""
-    places = grid_m(problem, SPACING_M * scale)
+    return _belief(problem.workspace.bounds_m, problem.stations[0].site, power_at, scale)
+
+
+@lru_cache(maxsize=64)
+def _belief(
+    bounds_m: tuple[float, float, float, float], site: Station, power_at: PowerAt, scale: float
+) -> Belief:
+    places = grid_m(bounds_m, SPACING_M * scale)
     measurements = Measurements(places, power_at(places), np.zeros(len(places), dtype=bool))
     parameters = ChannelParameters(
         k_pl_db=THRESHOLD_DBM,
@@ -135,7 +142,7 @@ def belief_of(problem: Problem, power_at: PowerAt = good_everywhere, scale: floa
         shadow_std_db=8.0,
         decorrelation_m=20.0 * scale,
         multipath_std_db=0.3,
-        station=problem.stations[0].site,
+        station=site,
     )
     names = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
     fit = ChannelFit(
@@ -161,4 +168,22 @@ def straight_path(problem: Problem, step_m: float = 1.9) -> np.ndarray:
     return start + step_m * np.arange(problem.planner.horizon + 1)[:, None] * heading
 
 
-NO_PIVOT = Pivot(np.zeros(2), 0.0)
+
+
+def kriged(
+    belief: Belief, positions_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation at places (n, 2) by Lemma 2 written out plainly: theta known, n_PL 0."""
+    parameters, measured = belief.posterior.parameters, belief.posterior.measurements
+
+    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        distance = np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1])
+        return parameters.shadow_std_db**2 * np.exp(-distance / parameters.decorrelation_m)
+
+    noise = parameters.multipath_std_db**2
+    known = covariance(measured.positions_m, measured.positions_m) + noise * np.eye(len(measured))
+    across = covariance(measured.positions_m, positions_m)
+    weights = np.linalg.solve(known, across)
+    mean = parameters.k_pl_db + weights.T @ (measured.power_dbm - parameters.k_pl_db)
+    variance = parameters.shadow_std_db**2 + noise - (across * weights).sum(0)
+    return mean, np.sqrt(variance)

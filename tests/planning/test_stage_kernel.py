@@ -128,8 +128,8 @@ def test_derivatives_at_a_measured_place():
     here = stage_margins(model, centres, THRESHOLD, Z)
     assert all(np.isfinite(part).all() for part in (here.value, here.gradient, here.hessian))
     h = 1e-5
-    east = stage_margins(model, centres + [h, 0.0], THRESHOLD, Z)
-    west = stage_margins(model, centres - [h, 0.0], THRESHOLD, Z)
+    east = stage_margins(model, centres + np.array([h, 0.0]), THRESHOLD, Z)
+    west = stage_margins(model, centres - np.array([h, 0.0]), THRESHOLD, Z)
     np.testing.assert_allclose(
         here.gradient[:, 0], (east.value - west.value) / (2.0 * h), atol=1e-5
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +12,7 @@ from planopt.channel.field import shadow_field_db
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
-from planopt.world.raster import Raster, nearest_cells
+from planopt.world.raster import Raster, cell_centres_m, nearest_cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +84,7 @@ def model_truth(
         Source of shadowing and multipath.
     """
     x_min, y_min, x_max, y_max = bounds_m
-    x, y = _centres_m(x_min, x_max, cell_m), _centres_m(y_min, y_max, cell_m)
+    x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
     shape = (len(y), len(x))
     centres = np.stack(np.meshgrid(x, y), axis=-1)
     power = regressors(centres, parameters.station) @ np.array(
@@ -113,9 +112,3 @@ def measure(truth: Truth, positions_m: NDArray[np.float64]) -> Measurements:
     if truth.floor_dbm is not None:
         censored = power <= truth.floor_dbm
     return Measurements(np.array(positions_m, dtype=np.float64), power, censored)
-
-
-def _centres_m(low: float, high: float, cell_m: float) -> NDArray[np.float64]:
-    """Centres of the cells that cover an interval; two at least, a raster's spacing needs them."""
-    count = max(2, math.ceil((high - low) / cell_m))
-    return low + cell_m * (np.arange(count, dtype=np.float64) + 0.5)

@@ -1,7 +1,9 @@
-"""The way beyond the horizon as one visible point: cost to go that a solver can differentiate.
+"""The way beyond the horizon as one point of it: cost to go that a solver can differentiate.
 
 Round obstacles the shortest way from q is straight up to some corner: its length is the distance to
-any visible point of the way plus the length from there. The farthest visible point is the pivot.
+any visible point of the way plus the length from there. The farthest visible point is the pivot,
+unless the path could come to it and beyond: then a farther point is, seen or not. Distance plus
+length never overestimates the way.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ def find_pivot(
     step_length_m: float,
     clearance: float,
 ) -> Pivot:
-    """Farthest point of the way from the start path's end that is seen from there.
+    """Farthest point of the way that is seen from the start path's end, or one out of reach.
 
     Parameters
     ----------

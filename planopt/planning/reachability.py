@@ -37,8 +37,9 @@ def connected_way_exists(
     goal_m: NDArray[np.float64],
     clearance: float,
     step_length_m: float,
+    within_m: float,
 ) -> bool:
-    """Whether a way from start to goal keeps the connectivity bound, beyond the start itself.
+    """Whether a way to the goal keeps the connectivity bound, from a place near the start.
 
     Floods a grid of half a step's spacing over the workspace, corners included, so that what it
     finds is at least what there is, but for ways narrower than the grid.
@@ -53,6 +54,9 @@ def connected_way_exists(
         ``(2,)`` each.
     clearance, step_length_m
         The clearance that the robot must keep and its longest step, in metres.
+    within_m
+        Ways may begin at any place that keeps the bound and is at most this far from the start.
+        With 0 they begin at the start itself, whatever its margin.
     """
     spacing = FLOOD_SPACING_STEPS * step_length_m
     x_min, y_min, x_max, y_max = bounds_m
@@ -63,14 +67,17 @@ def connected_way_exists(
     grid[..., 0] = start_m[0] + columns
     grid[..., 1] = start_m[1] + rows[:, None]
     x, y = grid[..., 0], grid[..., 1]
-    open_ = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape) >= clearance - 0.5 * spacing
+    away = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape)
+    # However coarse the grid is against the clearance, no way leads through an obstacle.
+    open_ = (away > 0.0) & (away >= clearance - 0.5 * spacing)
     open_[open_] = margin_db(grid[open_]) >= 0.0
     from_start = np.hypot(x - start_m[0], y - start_m[1])
-    open_[from_start < 0.5 * spacing] = True
+    if within_m == 0.0:
+        open_[from_start < 0.5 * spacing] = True
     parts = _parts(open_)
-    here = parts.ravel()[np.argmin(from_start)]
+    begins = parts[open_ & (from_start <= max(within_m, 0.5 * spacing))]
     at_goal = np.hypot(x - goal_m[0], y - goal_m[1]) <= spacing
-    return bool((parts[at_goal] == here).any())
+    return bool(np.isin(parts[at_goal & open_], begins).any())
 
 
 def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64]:

@@ -134,7 +134,9 @@ class Refiner:
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
         iterations = 0
-        if rung is Rung.RELAXED and not self._start.crossing:
+        # Eased, a way through a gap that is still ahead would stay on this side of it.
+        gap_ahead = self._start.crossing and bool(exact[0] >= 0.0)
+        if rung is Rung.RELAXED and not gap_ahead:
             eased = self._ease(task, exact, wanted)
             task, missing, iterations = eased.task, eased.missing_db, eased.iterations
             bound = wanted - missing if eased.converged else np.minimum(wanted, local)

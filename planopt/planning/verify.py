@@ -106,7 +106,12 @@ def judge(
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
     missed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0] + 1
-    best, no_connected_way = _what_is_possible(problem, index, posterior, start_m, missed)
+    here = bound_margin_db(
+        power.mean_db[:1], power.deviation_db[:1], radio.threshold_dbm, constraints.p_min
+    )
+    best, no_connected_way = _what_is_possible(
+        problem, index, posterior, start_m, missed, starts_within=bool(here[0] >= 0.0)
+    )
     if not no_connected_way:
         reasons += [
             f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "
@@ -142,10 +147,13 @@ def _what_is_possible(
     posterior: ChannelPosterior,
     start_m: NDArray[np.float64],
     missed: NDArray[np.intp],
+    starts_within: bool,
 ) -> tuple[tuple[float, ...], bool]:
     """Best margin within reach at each missed step; whether no way to the goal keeps the bound.
 
-    The second is only searched for where some missed step could have been met.
+    The second is only searched for where some missed step could have been met. Ways begin at the
+    start if that keeps the bound, else at the places nearest to it that do: those within reach by
+    the first step that meets the bound or could.
     """
     constraints, length = problem.constraints, problem.step_length_m
 
@@ -172,6 +180,9 @@ def _what_is_possible(
     best = tuple(best_by(int(step)) for step in missed)
     if max(best) < 0.0:
         return best, False
+    possible = {int(step) for step, margin in zip(missed, best, strict=True) if margin >= 0.0}
+    impossible = set(missed.tolist()) - possible
+    first = next(step for step in range(1, int(missed[-1]) + 1) if step not in impossible)
     return best, not connected_way_exists(
         index,
         problem.workspace.bounds_m,
@@ -180,4 +191,5 @@ def _what_is_possible(
         np.asarray(problem.robots[0].goal_m),
         constraints.clearance_m,
         length,
+        within_m=0.0 if starts_within else first * length,
     )

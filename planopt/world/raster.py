@@ -1,7 +1,11 @@
-"""Maps on a regular grid, read from ``npz`` and looked up at the nearest cell."""
+"""Maps on a regular grid, read from ``npz`` and looked up at the nearest cell.
+
+Other formats: :mod:`planopt.world.raster_files`.
+"""
 
 from __future__ import annotations
 
+import math
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -54,7 +58,24 @@ def read_npz(path: Path, variable: str) -> Raster:
         The file is missing or not an npz, holds no such variable (the message lists what it
         holds), or the axes do not fit the variable or are not ascending and even.
     """
-    x, y, values = _arrays(path, ("x", "y", variable))
+    x, y, values = npz_arrays(path, ("x", "y", variable))
+    return checked_raster(x, y, values, path, variable)
+
+
+def checked_raster(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    values: NDArray[np.float64],
+    path: Path,
+    variable: str,
+) -> Raster:
+    """The raster of arrays that were read from `path`.
+
+    Raises
+    ------
+    InputError
+        The axes do not fit `values` or are not ascending and even.
+    """
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:
             raise InputError(f"shape {axis.shape} is not an axis of cells", file=path, key=name)
@@ -69,6 +90,12 @@ def read_npz(path: Path, variable: str) -> Raster:
             key=variable,
         )
     return Raster(x, y, values)
+
+
+def cell_centres_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
+    """Centres of the cells that cover an interval; two at least, a raster's spacing needs them."""
+    count = max(2, math.ceil((high_m - low_m) / cell_m))
+    return low_m + cell_m * (np.arange(count, dtype=np.float64) + 0.5)
 
 
 def nearest_cells(
@@ -120,8 +147,14 @@ def _is_even(axis_m: NDArray[np.float64]) -> bool:
     return bool((np.abs(off) <= UNEVEN_CELLS * _spacing(axis_m)).all())
 
 
-def _arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
-    """Arrays of an npz file as floats, without ever unpickling."""
+def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
+    """Arrays of an npz file as floats, without ever unpickling.
+
+    Raises
+    ------
+    InputError
+        The file is missing or not an npz, or one of `names` is not in it or not numeric.
+    """
     found: list[NDArray[np.float64]] = []
     key: str | None = None
     try:

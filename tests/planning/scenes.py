@@ -168,11 +168,7 @@ def straight_path(problem: Problem, step_m: float = 1.9) -> np.ndarray:
     return start + step_m * np.arange(problem.planner.horizon + 1)[:, None] * heading
 
 
-
-
-def kriged(
-    belief: Belief, positions_m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def kriged(belief: Belief, positions_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation at places (n, 2) by Lemma 2 written out plainly: theta known, n_PL 0."""
     parameters, measured = belief.posterior.parameters, belief.posterior.measurements
 

@@ -32,18 +32,20 @@ def sight(scene_polygons, a, b):
     return min((line.distance(p) for p in scene_polygons), default=np.inf)
 
 
+@pytest.mark.parametrize("horizon", [4, 40, 200])
 @pytest.mark.parametrize("polygons", [(), (WALL,), (WALL, BLOCK)])
-def test_from_every_node(make_problem, polygons):
+def test_from_every_node(make_problem, polygons, horizon):
     """Everywhere: on the way, of consistent cost, and the last of it seen, if far enough."""
     problem = make_problem(*polygons)
     scene = build_scene(problem)
     clearance, step = problem.constraints.clearance_m, problem.step_length_m
     places = scene.road_map.nodes_m
-    room = LATTICE_DETOUR * 4 * step
-    for node in range(0, len(places), 37):
+    room = LATTICE_DETOUR * horizon * step
+    hidden = 0
+    for node in range(0, len(places), 13):
         if not np.isfinite(scene.ways.cost_m[node]):
             continue
-        pivot = find_pivot(scene, start_at(scene, node), None, step, clearance)
+        pivot = find_pivot(scene, start_at(scene, node, None, horizon), None, step, clearance)
         way = way_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)
         on_way = np.flatnonzero((places[way] == pivot.position_m).all(axis=1))
         assert len(on_way) == 1
@@ -56,7 +58,16 @@ def test_from_every_node(make_problem, polygons):
         assert index >= last_seen
         if index > last_seen:
             # Hidden only where nothing seen is far enough ahead; then the first that is.
+            hidden += 1
             assert (ahead[:index] < room).all()
+            assert ahead[index] >= room or index == len(way) - 1
+        else:
+            assert ahead[index] >= min(room, ahead.max())
+    # Room for a long horizon is more than what some places just before a corner see.
+    if horizon == 40 and len(polygons) == 2:
+        assert hidden > 0
+    if not polygons:
+        assert hidden == 0
 
 
 def test_free_space_looks_as_far_as_allowed(make_problem):

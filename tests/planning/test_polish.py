@@ -1,6 +1,10 @@
 """Polished paths against closed forms, one constraint at a time, and after failures."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,6 +99,20 @@ def test_the_speed_limit_and_its_multiplier(nlp):
     assert longest <= 2.0 - 0.5 * STEP_PAD_M
 
 
+def test_the_speed_limit_is_padded(nlp, monkeypatch):
+    """The solver is asked for steps shorter by the pad, so that its tolerance eats no more."""
+    asked = []
+    call = polish_module.call_reach_nlp
+
+    def spy(*arguments):
+        asked.append(arguments[-1][1][:N])
+        return call(*arguments)
+
+    monkeypatch.setattr(polish_module, "call_reach_nlp", spy)
+    polish(nlp, reach_task(N, LINES))
+    np.testing.assert_array_equal(asked, np.full((1, N), (2.0 - STEP_PAD_M) ** 2))
+
+
 def test_a_pivot_within_reach_is_reached(nlp):
     """Not far enough ahead for full steps: equal steps to it, up to the pivot's rounding."""
     polished = solved(nlp, reach_task(N, LINES, pivot_m=np.array([4.0, 3.0]), effort_s_m2=0.01))
@@ -102,10 +120,6 @@ def test_a_pivot_within_reach_is_reached(nlp):
     np.testing.assert_allclose(polished.path_m, expected, atol=5e-3)
 
 
-@pytest.mark.xfail(
-    reason="near the rounded kink IPOPT's second order correction can cycle up to the iteration "
-    "limit; ipopt.max_soc 0 or a PIVOT_ROUNDING_M of 0.1 converges in every case tried"
-)
 def test_every_pivot_within_reach_is_reached():
     """The same for ten steps, pivots before and beyond the start path's end."""
     nlp = build_reach_nlp(10, 0)
@@ -519,6 +533,25 @@ def test_nothing_is_printed(nlp, capfd):
     captured = capfd.readouterr()
     assert captured.out == ""
     assert captured.err == ""
+
+
+def test_a_new_process_prints_nothing():
+    """IPOPT's banner comes once a process, so that only a first solve could show it."""
+    program = (
+        "from reach_tasks import reach_task\n"
+        "from planopt.planning.polish import polish\n"
+        "from planopt.planning.reach_nlp import build_reach_nlp\n"
+        "assert polish(build_reach_nlp(1, 0), reach_task(1, 0)).termination == 'converged'\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parent,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def test_one_step_without_lines():

@@ -1,0 +1,137 @@
+"""Power at many places at once: joint mean and covariance, and samples of it.
+
+Along a path the errors of the prediction belong together; whoever asks for more than one place
+at a time (all connected, none connected, longest outage) needs their covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.factor import whiten
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.path_loss import regressors
+from planopt.channel.places import require_count, require_places
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.semidefinite import semidefinite_factor
+from planopt.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class JointPrediction:
+    """Jointly Gaussian powers at h places.
+
+    Attributes
+    ----------
+    mean_db
+        ``(h,)`` mu, dBm.
+    covariance_db2
+        ``(h, h)`` S + B M B', symmetric.
+
+    Raises
+    ------
+    InputError
+        There is no place, shapes do not agree, or a number is not finite.
+    """
+
+    mean_db: NDArray[np.float64]
+    covariance_db2: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(self.mean_db)
+        if count == 0 or self.covariance_db2.shape != (count, count):
+            raise InputError(
+                f"a mean of shape {self.mean_db.shape} and a covariance of shape "
+                f"{self.covariance_db2.shape} are not a prediction",
+                remedy="give (h,) and (h, h) with h at least 1",
+            )
+        if not (np.isfinite(self.mean_db).all() and np.isfinite(self.covariance_db2).all()):
+            raise InputError("a predicted mean or covariance is not finite")
+
+    def __len__(self) -> int:
+        return len(self.mean_db)
+
+    @property
+    def deviation_db(self) -> NDArray[np.float64]:
+        """``(h,)`` deviation at each place."""
+        return np.sqrt(np.diag(self.covariance_db2))
+
+
+def joint_prediction(
+    posterior: ChannelPosterior, positions_m: NDArray[np.float64], *, latent: bool = False
+) -> JointPrediction:
+    """Mean and covariance of the powers at `positions_m`, from all measurements.
+
+    mu, and S + B M B' with S = K + omega^2 I - Phi' U^-1 Phi and B = Gamma_h - Phi' U^-1 Gamma
+    (theory 4.0 and 4.1; M is zero where theta is known). The diagonal is what
+    :func:`planopt.channel.posterior.predict` gives. Memory grows with h (kappa + h).
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    positions_m
+        ``(h, 2)`` metres. Multipath is drawn anew for each, also where a place repeats.
+    latent
+        Leave multipath out: path loss and shadowing alone.
+
+    Raises
+    ------
+    InputError
+        `positions_m` is no path.
+    """
+    places = require_places(positions_m)
+    parameters = posterior.parameters
+    across = whiten(
+        posterior.factor,
+        shadow_covariance_db2(posterior.measurements.positions_m, places, parameters),
+    )
+    trend = regressors(places, parameters.station) - across.T @ posterior.whitened_regressors
+    covariance = shadow_covariance_db2(places, places, parameters) - across.T @ across
+    own = np.diag_indices_from(covariance)
+    # Rounding alone can make the latent variance negative, at a place that is known exactly.
+    covariance[own] = np.maximum(covariance[own], 0.0)
+    if not latent:
+        covariance[own] += parameters.multipath_std_db**2
+    covariance += trend @ posterior.theta_covariance @ trend.T
+    return JointPrediction(
+        across.T @ posterior.whitened_values + trend @ posterior.theta,
+        0.5 * (covariance + covariance.T),
+    )
+
+
+def sample_power(
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    count: int,
+    generator: np.random.Generator,
+    *,
+    latent: bool = False,
+) -> NDArray[np.float64]:
+    """Powers at `positions_m` drawn given the measurements, dBm; ``(count, h)``.
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    positions_m
+        ``(h, 2)`` metres.
+    count
+        How many draws.
+    generator
+        Source of randomness.
+    latent
+        Leave multipath out.
+
+    Raises
+    ------
+    InputError
+        `positions_m` is no path, or `count` is below one.
+    """
+    prediction = joint_prediction(posterior, positions_m, latent=latent)
+    lower = semidefinite_factor(prediction.covariance_db2)
+    draws = generator.standard_normal((require_count(count, "count"), len(prediction)))
+    return prediction.mean_db + draws @ lower.T

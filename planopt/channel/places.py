@@ -1,0 +1,69 @@
+"""Checks of what callers give: places and levels that can be computed with."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+
+
+def require_places(positions_m: NDArray[np.float64], at_least: int = 1) -> NDArray[np.float64]:
+    """`positions_m` as floats, or an error that says what is wrong with them.
+
+    Parameters
+    ----------
+    positions_m
+        ``(h, 2)`` metres.
+    at_least
+        The least h that makes sense.
+
+    Raises
+    ------
+    InputError
+        Another shape, fewer places, or a coordinate that is not finite.
+    """
+    places = np.asarray(positions_m, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] != 2 or len(places) < at_least:
+        raise InputError(
+            f"positions of shape {places.shape} are not a path",
+            key="positions_m",
+            remedy=f"give (h, 2) metres with h at least {at_least}",
+        )
+    if not np.isfinite(places).all():
+        raise InputError("a position is not finite", key="positions_m")
+    return places
+
+
+def require_finite(value: float, key: str) -> float:
+    """`value` as a float.
+
+    Raises
+    ------
+    InputError
+        It is NaN or infinite.
+    """
+    if not math.isfinite(value):
+        raise InputError(f"{value!r} is not finite", key=key)
+    return float(value)
+
+
+def require_count(count: int, key: str) -> int:
+    """`count` as it is.
+
+    Raises
+    ------
+    InputError
+        It is below one.
+    """
+    if count < 1:
+        raise InputError(f"{count!r} is too few", key=key, remedy="give at least 1")
+    return count
+
+
+def leg_lengths_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths of the straight legs between successive places; (h, 2) -> (h - 1,)."""
+    step = np.diff(positions_m, axis=0)
+    return np.hypot(step[:, 0], step[:, 1])

@@ -1,0 +1,143 @@
+"""Joint prediction and conditional samples against dense formulas, predict and conditioning."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from simulated_channel import simulated
+
+from planopt.channel.joint import JointPrediction, joint_prediction, sample_power
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.path_loss import regressors
+from planopt.channel.posterior import condition, extend, predict
+from planopt.errors import InputError
+
+CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
+DATA = simulated(CHANNEL, 0, 60, 200.0)
+NOTHING = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
+PATH = np.column_stack([np.linspace(20.0, 150.0, 14), 60.0 + 30.0 * np.sin(np.arange(14.0))])
+
+
+def dense(data, positions):
+    """The boxed formulas of theory 4.0 with S + B M B', by dense inverses."""
+    inverse = np.linalg.inv(
+        shadow_covariance_db2(data.positions_m, data.positions_m, CHANNEL) + 4.0 * np.eye(len(data))
+    )
+    phi = shadow_covariance_db2(data.positions_m, positions, CHANNEL)
+    gamma = regressors(data.positions_m, CHANNEL.station)
+    spread = np.linalg.inv(gamma.T @ inverse @ gamma)
+    theta = spread @ gamma.T @ inverse @ data.power_dbm
+    trend = regressors(positions, CHANNEL.station) - phi.T @ inverse @ gamma
+    covariance = (
+        shadow_covariance_db2(positions, positions, CHANNEL)
+        + 4.0 * np.eye(len(positions))
+        - phi.T @ inverse @ phi
+        + trend @ spread @ trend.T
+    )
+    return trend @ theta + phi.T @ inverse @ data.power_dbm, covariance
+
+
+def test_equals_dense_formulas():
+    """S + B M B' and mu to 1e-9."""
+    found = joint_prediction(condition(CHANNEL, DATA), PATH)
+    mean, covariance = dense(DATA, PATH)
+    np.testing.assert_allclose(found.mean_db, mean, atol=1e-9)
+    np.testing.assert_allclose(found.covariance_db2, covariance, atol=1e-9)
+    np.testing.assert_array_equal(found.covariance_db2, found.covariance_db2.T)
+
+
+@pytest.mark.parametrize("theta", ["estimated", "known"])
+@pytest.mark.parametrize("count", [0, 1, 60])
+def test_marginals_are_the_predictions(theta, count):
+    """Mean and diagonal equal predict at any number of measurements."""
+    data = simulated(CHANNEL, 3, count, 200.0) if count else NOTHING
+    posterior = condition(CHANNEL, data, theta=theta)
+    found, expected = joint_prediction(posterior, PATH), predict(posterior, PATH)
+    np.testing.assert_allclose(found.mean_db, expected.mean_db, rtol=1e-10)
+    np.testing.assert_allclose(found.deviation_db, expected.deviation_db, rtol=1e-9)
+
+
+@pytest.mark.parametrize("theta", ["estimated", "known"])
+def test_factor_is_sequential_conditioning(theta):
+    """The factor's diagonal is the deviation after measuring the earlier places (theory 4.0)."""
+    posterior = condition(CHANNEL, DATA, theta=theta)
+    diagonal = np.diag(np.linalg.cholesky(joint_prediction(posterior, PATH).covariance_db2))
+    for place, expected in zip(PATH, diagonal, strict=True):
+        assert predict(posterior, place[None]).deviation_db[0] == pytest.approx(expected, rel=1e-9)
+        posterior = extend(
+            posterior, Measurements(place[None], np.array([-80.0]), np.zeros(1, dtype=bool))
+        )
+
+
+def test_latent_differs_by_multipath_alone():
+    """Without multipath the diagonal is smaller by omega^2 and nothing else changes."""
+    posterior = condition(CHANNEL, DATA)
+    whole, latent = (joint_prediction(posterior, PATH, latent=flag) for flag in (False, True))
+    np.testing.assert_array_equal(whole.mean_db, latent.mean_db)
+    np.testing.assert_allclose(
+        whole.covariance_db2 - latent.covariance_db2, 4.0 * np.eye(len(PATH)), atol=1e-12
+    )
+
+
+def test_samples_have_the_predicted_moments():
+    """Sample mean and covariance within 5 standard errors; the seed decides the draws."""
+    posterior, count = condition(CHANNEL, DATA), 40_000
+    power = sample_power(posterior, PATH, count, np.random.default_rng(1))
+    again = sample_power(posterior, PATH, count, np.random.default_rng(1))
+    np.testing.assert_array_equal(power, again)
+    expected = joint_prediction(posterior, PATH)
+    spread = expected.deviation_db / np.sqrt(count)
+    assert (np.abs(power.mean(axis=0) - expected.mean_db) < 5.0 * spread).all()
+    variance = np.diag(expected.covariance_db2)
+    error = np.sqrt((np.outer(variance, variance) + expected.covariance_db2**2) / count)
+    assert (np.abs(np.cov(power.T) - expected.covariance_db2) < 5.0 * error).all()
+
+
+def test_repeated_places():
+    """A place visited twice has one latent value, and two powers when multipath is drawn."""
+    posterior = condition(CHANNEL, DATA)
+    twice = np.vstack([PATH[:3], PATH[:3]])
+    latent = sample_power(posterior, twice, 50, np.random.default_rng(2), latent=True)
+    np.testing.assert_allclose(latent[:, :3], latent[:, 3:], atol=1e-3)
+    power = sample_power(posterior, twice, 50, np.random.default_rng(2))
+    assert np.abs(power[:, :3] - power[:, 3:]).min() > 0.0
+
+
+def test_no_randomness_left():
+    """A channel without shadowing and multipath, theta known: the path loss, exactly."""
+    flat = dataclasses.replace(CHANNEL, shadow_std_db=0.0, multipath_std_db=0.0)
+    power = sample_power(condition(flat, NOTHING, theta="known"), PATH, 3, np.random.default_rng(0))
+    expected = regressors(PATH, CHANNEL.station) @ [-40.0, 3.0]
+    np.testing.assert_allclose(power, np.tile(expected, (3, 1)), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "positions", [np.zeros((0, 2)), np.zeros(2), np.zeros((3, 3)), np.array([[0.0, np.nan]])]
+)
+def test_no_path(positions):
+    """Empty, of another shape, or not finite: an error of ours that names the argument."""
+    with pytest.raises(InputError, match="positions_m"):
+        joint_prediction(condition(CHANNEL, NOTHING), positions)
+
+
+def test_no_draws():
+    """A count below one is an error."""
+    with pytest.raises(InputError, match="count"):
+        sample_power(condition(CHANNEL, NOTHING), PATH, 0, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("mean", "covariance"),
+    [
+        (np.zeros(0), np.zeros((0, 0))),
+        (np.zeros(2), np.eye(3)),
+        (np.array([np.inf]), np.eye(1)),
+        (np.zeros(1), np.array([[np.nan]])),
+    ],
+)
+def test_no_prediction(mean, covariance):
+    """A prediction is of at least one place, of matching shapes, and finite."""
+    with pytest.raises(InputError):
+        JointPrediction(mean, covariance)

@@ -1,0 +1,301 @@
+"""One receding-horizon step on small scenes: verified, no worse than its start, and repeatable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from scenes import (
+    CUP,
+    RING,
+    WALL,
+    bad_band,
+    bad_disc,
+    bad_everywhere,
+    belief_of,
+    good_everywhere,
+    small_problem,
+)
+
+from planopt.objectives.reach import path_cost_s
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.planning.verify import verify
+from planopt.problems.problem import Problem
+
+SLIT = (shapely.box(15, 0, 25, 14.2), shapely.box(15, 15.9, 25, 30))
+# Two brackets whose arms reach into each other: the way between them has two turns.
+BRACKETS = (
+    shapely.Polygon([(12, 0), (22, 0), (22, 14), (20, 14), (20, 2), (14, 2), (14, 14), (12, 14)]),
+    shapely.Polygon([(16, 4), (18, 4), (18, 16), (26, 16), (26, 30), (24, 30), (24, 18), (16, 18)]),
+)
+
+
+def planned(problem: Problem, power_at=good_everywhere, position_m=None, warm=None) -> Plan:
+    """The plan at the start, or at another place."""
+    planner = ReachPlanner(problem, build_scene(problem))
+    at = problem.robots[0].start_m if position_m is None else position_m
+    return planner.plan(belief_of(problem, power_at), np.asarray(at, dtype=float), warm)
+
+
+def assert_good(problem: Problem, plan: Plan, power_at=good_everywhere) -> None:
+    """Verified again from scratch, no worse than the lattice, all columns of one length."""
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.objective <= plan.lattice_objective
+    count = problem.planner.horizon + 1
+    assert plan.positions_m.shape == (count, 2)
+    for column in (plan.t_s, plan.mean_dbm, plan.deviation_db, plan.connectivity):
+        assert column.shape == (count,)
+        assert np.isfinite(column).all()
+    lengths = np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1)
+    assert lengths.max() <= problem.step_length_m + 1e-5
+    obstacles = shapely.union_all([o.polygon for o in problem.workspace.obstacles])
+    if not obstacles.is_empty:
+        way = shapely.LineString(plan.positions_m)
+        assert way.distance(obstacles) >= problem.constraints.clearance_m - 1e-6
+    certificate, verdict = verify(
+        problem,
+        build_scene(problem).index,
+        belief_of(problem, power_at).posterior,
+        plan.positions_m[0],
+        plan.positions_m,
+        plan.certificate.kkt_residual,
+    )
+    assert (certificate, verdict) == (plan.certificate, plan.verdict)
+
+
+SCENES: dict[str, Problem] = {
+    "open": small_problem(),
+    "wall": small_problem(WALL),
+    "wall, long": small_problem(WALL, horizon=20),
+    "out of a cup": small_problem(CUP, start_m=(18.0, 15.0), horizon=20),
+    "into a cup": small_problem(CUP, start_m=(35.0, 15.0), goal_m=(18.0, 15.0), horizon=20),
+    "in a courtyard": small_problem(RING, start_m=(18.0, 15.0), goal_m=(22.0, 15.0)),
+    "round a ring": small_problem(RING, horizon=12),
+    "slit": small_problem(*SLIT, horizon=12, start_m=(12.0, 14.0)),
+    "brackets": small_problem(*BRACKETS, horizon=25, start_m=(10.0, 15.0), goal_m=(22.0, 20.0)),
+    "one step ahead": small_problem(CUP, horizon=1),
+    "sixty steps ahead": small_problem(CUP, horizon=60),
+    "goal within one step": small_problem(goal_m=(6.5, 15.0)),
+    "start at clearance": small_problem(WALL, start_m=(19.4, 15.0), horizon=8),
+    "geodesic": small_problem(CUP, cost_to_go="geodesic", horizon=10),
+    "no effort": small_problem(WALL, effort_weight_s2_m2=0.0, horizon=10),
+    "thrifty": small_problem(WALL, effort_weight_s2_m2=2.0, horizon=10),
+    "along the border": small_problem(start_m=(5.0, 0.0), goal_m=(35.0, 0.5), horizon=10),
+    "no clearance": small_problem(WALL, clearance_m=0.0, horizon=10, start_m=(15.0, 15.0)),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene(name):
+    """A verified plan that is no worse than the lattice's."""
+    assert_good(SCENES[name], planned(SCENES[name]))
+
+
+@pytest.mark.parametrize("planner", ["auto", "lattice"])
+def test_straight_way_costs_what_the_formula_says(planner):
+    """30 m in the open at 2 m/s: the steps' cost and the rest at the cheapest rate, by hand."""
+    problem = small_problem(planner=planner, effort_weight_s2_m2=0.1)
+    plan = planned(problem)
+    # (1 + w v^2) / v at v = 2 for each of 30 metres.
+    assert plan.objective >= 30.0 * (1.0 + 0.1 * 4.0) / 2.0 - 1e-3
+    if planner == "auto":
+        assert plan.objective == pytest.approx(21.0, abs=1e-3)
+    else:
+        assert plan.termination is Termination.LATTICE_ONLY
+        assert plan.rung is Rung.PLAN
+        assert plan.objective == plan.lattice_objective
+
+
+def test_objective_of_an_arrival():
+    """A plan that arrives costs its steps only: no way is left beyond it."""
+    problem = small_problem(start_m=(30.0, 15.0), horizon=8)
+    plan = planned(problem)
+    assert np.linalg.norm(plan.positions_m[-1] - (35.0, 15.0)) <= 1.0
+    steps = path_cost_s(plan.positions_m, np.array([35.0, 15.0]), 1.0, 1.0, 0.1)
+    assert plan.objective >= steps - 1e-9
+    assert plan.objective - steps <= 1.0 * 0.7 + 1e-9
+
+
+@pytest.mark.parametrize("name", ["wall, long", "brackets", "sixty steps ahead"])
+def test_same_again(name):
+    """Bit for bit the same from a new planner, and from one that has planned other things."""
+    problem = SCENES[name]
+    first = planned(problem)
+    used = ReachPlanner(problem, build_scene(problem))
+    belief = belief_of(problem)
+    used.plan(belief, first.positions_m[3])
+    for plan in (planned(problem), used.plan(belief, first.positions_m[0])):
+        assert (plan.positions_m == first.positions_m).all()
+        assert plan.objective == first.objective
+        assert plan.certificate == first.certificate
+
+
+def mirrored(problem: Problem) -> Problem:
+    """The scene seen from the other side of the axis x = 20."""
+
+    def flip(place):
+        return (40.0 - place[0], place[1])
+
+    robot = problem.robots[0]
+    obstacles = tuple(
+        replace(o, polygon=shapely.transform(o.polygon, lambda q: q * (-1, 1) + (40.0, 0.0)))
+        for o in problem.workspace.obstacles
+    )
+    return replace(
+        problem,
+        workspace=replace(problem.workspace, obstacles=obstacles),
+        robots=(replace(robot, start_m=flip(robot.start_m), goal_m=flip(robot.goal_m)),),
+    )
+
+
+@pytest.mark.parametrize("name", ["open", "wall", "wall, long", "brackets", "out of a cup"])
+def test_mirrored_scene_costs_the_same(name):
+    """The lattice is anchored at the goal, so that it is mirrored too."""
+    plan, other = planned(SCENES[name]), planned(mirrored(SCENES[name]))
+    assert other.verdict is Verdict.VERIFIED
+    assert other.lattice_objective == pytest.approx(plan.lattice_objective, rel=1e-9)
+    assert other.objective == pytest.approx(plan.objective, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["open", "wall, long"])
+def test_far_obstacle_changes_nothing(name):
+    """A shed in the corner, out of everyone's way."""
+    problem = SCENES[name]
+    shed = replace(small_problem(shapely.box(36, 26, 39, 29)).workspace.obstacles[0], name="shed")
+    more = replace(
+        problem,
+        workspace=replace(problem.workspace, obstacles=(*problem.workspace.obstacles, shed)),
+    )
+    plan, other = planned(problem), planned(more)
+    assert np.allclose(other.positions_m, plan.positions_m, atol=1e-4)
+    assert other.objective == pytest.approx(plan.objective, abs=1e-5)
+
+
+def test_ten_times_as_large():
+    """Lengths and speed times ten, effort per speed squared a hundredth: same seconds."""
+    problem = small_problem(WALL, horizon=10)
+    large = small_problem(
+        shapely.transform(WALL, lambda q: 10.0 * q),
+        bounds_m=(0.0, 0.0, 400.0, 300.0),
+        start_m=(50.0, 150.0),
+        goal_m=(350.0, 150.0),
+        speed_max_m_s=20.0,
+        clearance_m=5.0,
+        goal_radius_m=10.0,
+        effort_weight_s2_m2=0.001,
+        horizon=10,
+    )
+    plan = planned(problem)
+    planner = ReachPlanner(large, build_scene(large))
+    other = planner.plan(belief_of(large, scale=10.0), np.array([50.0, 150.0]))
+    assert other.verdict is Verdict.VERIFIED
+    assert other.lattice_objective == pytest.approx(plan.lattice_objective, rel=1e-3)
+    assert other.objective == pytest.approx(plan.objective, rel=2e-3)
+
+
+def test_longer_horizon_is_no_worse():
+    """Seeing farther never costs more but for the lattice's turns."""
+    costs = [
+        planned(
+            replace(SCENES["wall"], planner=replace(SCENES["wall"].planner, horizon=n))
+        ).objective
+        for n in (1, 4, 12, 30)
+    ]
+    assert all(cost == pytest.approx(costs[-1], rel=0.04) for cost in costs)
+
+
+def test_start_at_the_goal():
+    """There is nothing to do, and that is a plan."""
+    plan = planned(small_problem(goal_m=(5.0, 15.0)))
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.objective == 0.0
+    assert (plan.positions_m == (5.0, 15.0)).all()
+    assert "stands still" in plan.message
+
+
+def test_wall_between_samples():
+    """A wall thinner than a step is gone round, not jumped: beside it in the middle of its side."""
+    problem = small_problem(WALL, start_m=(19.0, 15.0), goal_m=(21.0, 15.0), horizon=15)
+    plan = planned(problem)
+    assert_good(problem, plan)
+    assert np.abs(plan.positions_m[:, 1] - 15.0).max() > 9.0
+
+
+def test_hole_below_the_bound_is_gone_round():
+    """The bound is kept at every step, and no path is straight."""
+    problem = small_problem(horizon=16)
+    power = bad_disc(20.0, 15.0, 5.0)
+    plan = planned(problem, power)
+    assert_good(problem, plan, power)
+    assert (plan.connectivity[1:] >= 0.9 - 1e-6).all()
+    assert plan.certificate.relaxed_steps == ()
+    assert np.abs(plan.positions_m[:, 1] - 15.0).max() > 3.0
+
+
+def test_geodesic_waits_before_a_gap():
+    """Drawn straight through, held back by the bound: it never steps below it."""
+    problem = small_problem(start_m=(15.0, 15.0), cost_to_go="geodesic", horizon=6)
+    plan = planned(problem, bad_band(18.0, 24.0))
+    assert plan.verdict is Verdict.VERIFIED
+    assert (plan.connectivity[1:] >= 0.9 - 1e-6).all()
+    assert plan.positions_m[:, 0].max() < 19.0
+
+
+def test_start_below_the_bound():
+    """Connected places are three steps off: a relaxed beginning, verified, with its dB."""
+    problem = small_problem(horizon=6)
+    power = bad_disc(5.0, 15.0, 5.0)
+    plan = planned(problem, power)
+    assert_good(problem, plan, power)
+    certificate = plan.certificate
+    assert plan.rung is Rung.RELAXED
+    assert certificate.relaxed_steps[:2] == (1, 2)
+    assert certificate.best_margin_db[0] < 0.0
+    assert certificate.best_margin_db[1] < 0.0
+    # No place within reach by then has a higher margin than the best that was found.
+    assert certificate.relaxation_db[1] >= -certificate.best_margin_db[1] - 0.05
+    assert f"{max(certificate.relaxation_db):.2f} dB" in plan.message
+    assert "steps 1, 2" in plan.message
+    assert (plan.connectivity[-2:] >= 0.9 - 1e-6).all()
+
+
+def test_bound_that_is_met_nowhere():
+    """No plan is called good, and the message has numbers; the path itself is still safe."""
+    problem = small_problem(WALL)
+    plan = planned(problem, bad_everywhere)
+    assert plan.verdict is Verdict.VIOLATED
+    assert "none of the 4 steps" in plan.message
+    assert "dB" in plan.message
+    assert plan.certificate.min_clearance_m >= 0.5 - 1e-6
+    assert plan.certificate.dynamics_defect <= 1e-5
+
+
+def test_warm_plan_is_no_worse():
+    """Following its own plan, the next step costs what was left, or less."""
+    problem = SCENES["wall, long"]
+    planner = ReachPlanner(problem, build_scene(problem))
+    belief = belief_of(problem)
+    first = planner.plan(belief, np.asarray(problem.robots[0].start_m))
+    second = planner.plan(belief, first.positions_m[1], first)
+    assert_good(problem, second)
+    spent = path_cost_s(first.positions_m[:2], np.array([35.0, 15.0]), 1.0, 1.0, 0.1)
+    assert second.objective <= first.objective - spent + 0.05
+
+
+def test_boxed_in():
+    """No step can be taken from here: it stays, and says so."""
+    pen = shapely.Polygon(
+        [(4, 14), (6, 14), (6, 16), (4, 16)],
+        [[(4.45, 14.45), (5.55, 14.45), (5.55, 15.55), (4.45, 15.55)]],
+    )
+    # The scene is built for a free start; the robot then stands in the pen.
+    problem = small_problem(pen, start_m=(10.0, 15.0))
+    plan = planned(problem, position_m=(5.0, 15.0))
+    assert plan.rung is Rung.STOP
+    assert plan.termination is Termination.NO_PATH
+    assert (plan.positions_m == (5.0, 15.0)).all()
+    assert "stands still" in plan.message

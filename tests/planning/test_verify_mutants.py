@@ -1,0 +1,531 @@
+"""The verifier's own proof: every small falsification of its source changes a judgement.
+
+Each mutant is a change of a few characters in `verify.py` or `reachability.py`. Good and bad plans
+are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
+which must say something else of at least one of them. A mutant that survives is a hole here.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import shapely
+from scenes import (
+    BAD,
+    GOOD,
+    RING,
+    THRESHOLD_DBM,
+    WALL,
+    PowerAt,
+    bad_band,
+    bad_disc,
+    bad_everywhere,
+    bad_where,
+    belief_of,
+    good_everywhere,
+    small_problem,
+)
+
+from planopt.problems.problem import Problem
+from planopt.world.clearance import index_obstacles
+
+CLEARANCE, BOUNDS, SPEED = "clearance_m", "bounds_m", "speed_max_m_s"
+BELOW, NOWHERE = "within reach, and so", "is met at none"
+KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, "not finite")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plan and what must be said of it."""
+
+    path_m: list[tuple[float, float]]
+    reasons: set[str] = field(default_factory=set)
+    problem: Problem = field(default_factory=small_problem)
+    power_at: PowerAt = good_everywhere
+    start_m: tuple[float, float] | None = None
+    relaxed: tuple[int, ...] = ()
+    hopeless: tuple[bool, ...] = ()
+    """For each relaxed step, whether no place in reach keeps the bound."""
+    no_way: bool = False
+    clearance_m: float = math.inf
+    defect_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a verifier says of a plan, as far as a case fixes it."""
+
+    verdict: str
+    reasons: frozenset[str]
+    relaxed: tuple[int, ...]
+    hopeless: tuple[bool, ...]
+    no_way: bool
+    clearance_m: float
+    defect_m: float | None
+    kkt_residual: float | None
+
+
+def along(*x: float, y: float = 15.0) -> list[tuple[float, float]]:
+    """Places in a row."""
+    return [(each, y) for each in x]
+
+
+WALLED = small_problem(WALL)
+GAP, OPEN_GAP = bad_band(19.0, 23.0), bad_band(19.0, 23.0, open_above_m=20.0)
+ACROSS = along(16, 18, 20, 22, 24, 26)
+YARD = shapely.Polygon([(8, 8), (22, 8), (22, 22), (8, 22)], [[(9, 9), (21, 9), (21, 21), (9, 21)]])
+IN_YARD = bad_where(lambda x, y: (x > 8) & (x < 16) & (y > 8) & (y < 22))
+
+
+def faint_spot(positions_m: np.ndarray) -> np.ndarray:
+    """Good but for one reading just above the threshold: some tenths of a dB miss the bound."""
+    at_spot = np.hypot(positions_m[:, 0] - 9.0, positions_m[:, 1] - 15.0) < 1.0
+    return np.where(at_spot, THRESHOLD_DBM + 0.1, GOOD)
+
+
+def good_at_corners(positions_m: np.ndarray) -> np.ndarray:
+    """About the first place bad; just good at the corners of the square about the first step."""
+    x, y = np.abs(positions_m[:, 0] - 5.0), np.abs(positions_m[:, 1] - 15.0)
+    power = np.where(np.maximum(x, y) < 3.5, BAD, GOOD)
+    corner = (x > 1.5) & (y > 1.5) & (np.maximum(x, y) < 2.5)
+    return np.where(corner, THRESHOLD_DBM + 2.0, power)
+
+
+CASES: dict[str, Case] = {
+    "straight on": Case(along(5, 7, 9, 11, 13), defect_m=0.0),
+    "one step": Case(along(5, 6.5)),
+    "beside a wall": Case([(19.4, 12), (19.4, 14)], problem=WALLED, clearance_m=0.5),
+    "too near": Case([(19.401, 12), (19.4, 14)], {CLEARANCE}, WALLED, clearance_m=0.499),
+    "through a wall": Case(along(19, 21), {CLEARANCE}, WALLED, clearance_m=0.0),
+    "through it first": Case(along(19, 21, 23, 25), {CLEARANCE}, WALLED, clearance_m=0.0),
+    "through it last": Case(along(15, 17, 19, 21), {CLEARANCE}, WALLED, clearance_m=0.0),
+    "on the border": Case(along(36, 38, 40)),
+    "out to the right": Case(along(37, 39, 40.5), {BOUNDS}),
+    "out and back": Case(along(39, 40.5, 39), {BOUNDS}),
+    "too fast first": Case(along(5, 7.001, 8, 9), {SPEED}, defect_m=1e-3),
+    "too fast last": Case(along(5, 6, 7, 9.001), {SPEED}, defect_m=1e-3),
+    "teleported": Case(along(5.5, 6, 7), {SPEED}, start_m=(5, 15), defect_m=0.5),
+    "no number": Case(
+        [(5, 15), (math.nan, 15)], {"not finite"}, clearance_m=0.0, defect_m=math.inf
+    ),
+    "avoidable, first": Case(
+        [(9, 18.5), (9, 16.6), (9, 18.5), (9, 20)],
+        {BELOW},
+        power_at=bad_disc(9, 15, 2.5),
+        relaxed=(1,),
+        hopeless=(False,),
+    ),
+    "avoidable, midway": Case(
+        along(5, 7, 9, 11, 13),
+        {BELOW},
+        power_at=bad_disc(9, 15, 1.9),
+        relaxed=(2,),
+        hopeless=(False,),
+    ),
+    "avoidable, last": Case(
+        along(3, 5, 7, 9),
+        {BELOW},
+        power_at=bad_disc(9, 15, 1.9),
+        relaxed=(3,),
+        hopeless=(False,),
+    ),
+    "a little below": Case(
+        along(5, 7, 9),
+        {BELOW},
+        power_at=faint_spot,
+        relaxed=(2,),
+        hopeless=(False,),
+    ),
+    "out of a hole": Case(
+        along(5, 7, 9, 11, 13), power_at=bad_disc(5, 15, 3.5), relaxed=(1,), hopeless=(True,)
+    ),
+    "good beyond the first step's disc": Case(
+        along(5, 7, 9, 11), power_at=good_at_corners, relaxed=(1,), hopeless=(True,)
+    ),
+    "dawdling": Case(
+        [(5, 15), (5, 15), (6.4, 16.4)],
+        {BELOW},
+        power_at=bad_disc(5, 15, 1.0),
+        relaxed=(1,),
+        hopeless=(False,),
+    ),
+    "not dawdling": Case([(5, 15), (6.4, 16.4), (8, 16.4)], power_at=bad_disc(5, 15, 1.0)),
+    "gap with no way round": Case(
+        ACROSS, power_at=GAP, relaxed=(2, 3), hopeless=(False, False), no_way=True
+    ),
+    "gap with a way round": Case(
+        ACROSS, {BELOW}, power_at=OPEN_GAP, relaxed=(2, 3), hopeless=(False, False)
+    ),
+    "gap with a way round far from the start": Case(
+        along(16, 18, 20, 22, 24, 26, y=9.0),
+        {BELOW},
+        power_at=OPEN_GAP,
+        relaxed=(2, 3),
+        hopeless=(False, False),
+    ),
+    "gap with a way closed": Case(
+        ACROSS,
+        problem=small_problem(shapely.box(17, 18, 25, 30)),
+        power_at=OPEN_GAP,
+        relaxed=(2, 3),
+        hopeless=(False, False),
+        no_way=True,
+        clearance_m=3.0,
+    ),
+    "nowhere": Case(
+        along(5, 7, 9), {NOWHERE}, power_at=bad_everywhere, relaxed=(1, 2), hopeless=(True, True)
+    ),
+    "never again": Case(
+        [(20, 15), (20, 16), (20, 17)],
+        {BELOW, NOWHERE},
+        power_at=bad_band(17, 23),
+        relaxed=(1, 2),
+        hopeless=(True, False),
+    ),
+    "dawdling deep below": Case(
+        along(5, 5, 5, 5, 5, 5, 7, 9, 11),
+        {BELOW},
+        power_at=bad_disc(5, 15, 5.0),
+        relaxed=(1, 2, 3, 4, 5, 6, 7),
+        hopeless=(True, True, False, False, False, False, False),
+    ),
+    "better place behind a wall": Case(
+        along(10, 12, 14, 16, 18, 20),
+        problem=small_problem(YARD, clearance_m=1.0),
+        power_at=IN_YARD,
+        relaxed=(1, 2, 3),
+        hopeless=(True, True, True),
+        clearance_m=1.0,
+    ),
+    "courtyard": Case(along(18, 20, 22), problem=small_problem(RING), clearance_m=4.0),
+}
+
+VERIFY, REACHABILITY = "planopt.planning.verify", "planopt.planning.reachability"
+
+
+def source_of(module: str) -> str:
+    """Its text."""
+    spec = find_spec(module)
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin).read_text()
+
+
+def module_of(name: str, source: str) -> ModuleType:
+    """A module of that text, under a name of its own."""
+    module = ModuleType(f"{name}_mutant")
+    # Data classes look their module up.
+    sys.modules[module.__name__] = module
+    exec(compile(source, module.__name__, "exec"), module.__dict__)
+    return module
+
+
+def verifier_of(verify: str, reachability: str) -> Callable[..., tuple]:
+    """The verifier of two texts, the second serving the first."""
+    searches, judging = module_of(REACHABILITY, reachability), module_of(VERIFY, verify)
+    for name in ("best_margin_within_reach", "connected_way_exists"):
+        setattr(judging, name, getattr(searches, name))
+    return judging.verify
+
+
+def expected(case: Case) -> Said:
+    """What must be said of a case."""
+    return Said(
+        verdict="violated" if case.reasons else "verified",
+        reasons=frozenset(case.reasons),
+        relaxed=case.relaxed,
+        hopeless=case.hopeless,
+        no_way=case.no_way,
+        clearance_m=case.clearance_m,
+        defect_m=case.defect_m,
+        kkt_residual=0.125,
+    )
+
+
+def said(verifier: Callable[..., tuple], case: Case) -> Said:
+    """What a verifier says of a case."""
+    path = np.array(case.path_m, dtype=float)
+    start = path[0] if case.start_m is None else np.array(case.start_m)
+    certificate, verdict = verifier(
+        case.problem,
+        index_obstacles(case.problem.workspace),
+        belief_of(case.problem, case.power_at).posterior,
+        start,
+        path,
+        0.125,
+    )
+    shown = [[key for key in KEYS if key in reason] for reason in certificate.reasons]
+    return Said(
+        verdict=verdict.value,
+        reasons=frozenset(keys[0] if keys else "?" for keys in shown),
+        relaxed=certificate.relaxed_steps,
+        hopeless=tuple(best < 0.0 for best in certificate.best_margin_db),
+        no_way=certificate.no_connected_way,
+        clearance_m=round(certificate.min_clearance_m, 6),
+        defect_m=None if case.defect_m is None else round(certificate.dynamics_defect, 6),
+        kkt_residual=certificate.kkt_residual,
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_source_as_it_is(name):
+    """Every plan is judged as it must be, by the very texts that are mutated below."""
+    verifier = verifier_of(source_of(VERIFY), source_of(REACHABILITY))
+    assert said(verifier, CASES[name]) == expected(CASES[name])
+
+
+# Name: (module, what stands there once, what the mutant has instead).
+MUTANTS: dict[str, tuple[str, str, str]] = {
+    "finite check dropped": (VERIFY, "if not np.isfinite(positions_m).all():", "if False:"),
+    "clearance tolerance times a million": (
+        VERIFY,
+        "constraints.clearance_m - CLEARANCE_TOLERANCE_M",
+        "constraints.clearance_m - 1e6 * CLEARANCE_TOLERANCE_M",
+    ),
+    "clearance tolerance of the wrong sign": (
+        VERIFY,
+        "constraints.clearance_m - CLEARANCE_TOLERANCE_M",
+        "constraints.clearance_m + CLEARANCE_TOLERANCE_M",
+    ),
+    "clearance the wrong way round": (
+        VERIFY,
+        "if clearance < constraints",
+        "if clearance > constraints",
+    ),
+    "clearance dropped": (VERIFY, "if clearance < constraints", "if 0.0 > constraints"),
+    "largest clearance": (
+        VERIFY,
+        "np.min(swept_clearance_m(index, positions_m), initial=np.inf)",
+        "np.max(swept_clearance_m(index, positions_m), initial=-np.inf)",
+    ),
+    "clearance of all but the last segment": (
+        VERIFY,
+        "swept_clearance_m(index, positions_m)",
+        "swept_clearance_m(index, positions_m[:-1])",
+    ),
+    "clearance of all but the first segment": (
+        VERIFY,
+        "swept_clearance_m(index, positions_m)",
+        "swept_clearance_m(index, positions_m[1:])",
+    ),
+    "clearance at the samples only": (
+        VERIFY,
+        "swept_clearance_m(index, positions_m)",
+        "swept_clearance_m(index, np.repeat(positions_m, 2, axis=0))[::2]",
+    ),
+    "any place within the bounds": (
+        VERIFY,
+        "inside_bounds(problem.workspace, positions_m).all()",
+        "inside_bounds(problem.workspace, positions_m).any()",
+    ),
+    "last place within the bounds": (
+        VERIFY,
+        "inside_bounds(problem.workspace, positions_m).all()",
+        "inside_bounds(problem.workspace, positions_m)[-1]",
+    ),
+    "bounds inverted": (
+        VERIFY,
+        "if not inside_bounds(problem.workspace, positions_m).all()",
+        "if inside_bounds(problem.workspace, positions_m).all()",
+    ),
+    "speed tolerance times a million": (
+        VERIFY,
+        "defect > DYNAMICS_TOLERANCE_M",
+        "defect > 1e6 * DYNAMICS_TOLERANCE_M",
+    ),
+    "speed the wrong way round": (
+        VERIFY,
+        "defect > DYNAMICS_TOLERANCE_M",
+        "defect < -DYNAMICS_TOLERANCE_M",
+    ),
+    "start not looked at": (
+        VERIFY,
+        "dynamics_defect_m(positions_m, start_m,",
+        "dynamics_defect_m(positions_m, positions_m[0],",
+    ),
+    "speed of all but the last step": (
+        VERIFY,
+        "dynamics_defect_m(positions_m, start_m,",
+        "dynamics_defect_m(positions_m[:-1], start_m,",
+    ),
+    "connectivity of all but the last step": (
+        VERIFY,
+        "power.mean_db[1:], power.deviation_db[1:]",
+        "power.mean_db[:-1], power.deviation_db[:-1]",
+    ),
+    "connectivity bound for half": (
+        VERIFY,
+        "margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)",
+        "margins = bound_margin_db(mean, deviation, radio.threshold_dbm, 0.5)",
+    ),
+    "deviation not counted": (
+        VERIFY,
+        "margins = bound_margin_db(mean, deviation,",
+        "margins = bound_margin_db(mean, 0.0 * deviation,",
+    ),
+    "margin tolerance times a million": (
+        VERIFY,
+        "margins < -MARGIN_TOLERANCE_DB",
+        "margins < -1e6 * MARGIN_TOLERANCE_DB",
+    ),
+    "margins the wrong way round": (
+        VERIFY,
+        "margins < -MARGIN_TOLERANCE_DB",
+        "margins > MARGIN_TOLERANCE_DB",
+    ),
+    "missed steps one too early": (
+        VERIFY,
+        "np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0] + 1",
+        "np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0]",
+    ),
+    "a way round makes no difference": (
+        VERIFY,
+        "if not no_connected_way:",
+        "if True:",
+    ),
+    "a gap may always be crossed": (VERIFY, "if not no_connected_way:", "if False:"),
+    "below the bound only where nothing is in reach": (
+        VERIFY,
+        "            if margin >= 0.0\n",
+        "            if margin < 0.0\n",
+    ),
+    "bound that is met nowhere accepted": (
+        VERIFY,
+        "if len(missed) == len(margins):",
+        "if len(missed) > len(margins):",
+    ),
+    "verdict turned round": (
+        VERIFY,
+        "Verdict.VIOLATED if reasons else Verdict.VERIFIED",
+        "Verdict.VERIFIED if reasons else Verdict.VIOLATED",
+    ),
+    "always verified": (
+        VERIFY,
+        "Verdict.VIOLATED if reasons else Verdict.VERIFIED",
+        "Verdict.VERIFIED",
+    ),
+    "residual lost": (
+        VERIFY,
+        "        kkt_residual=kkt_residual,\n",
+        "        kkt_residual=None,\n",
+    ),
+    "reach of one step less": (VERIFY, "start_m, step * length,", "start_m, (step - 1) * length,"),
+    "reach of one step more": (VERIFY, "start_m, step * length,", "start_m, (step + 1) * length,"),
+    "reach of one step": (VERIFY, "start_m, step * length,", "start_m, length,"),
+    "hopeless at the last step, the wrong way round": (
+        VERIFY,
+        "if best[0] < 0.0:",
+        "if best[0] >= 0.0:",
+    ),
+    "best of the first missed step for all": (
+        VERIFY,
+        "best = (best_by(int(missed[-1])),) * len(missed)\n",
+        "best = (best_by(int(missed[0])),) * len(missed)\n",
+    ),
+    "best of the last missed step for all": (
+        VERIFY,
+        "best = tuple(best_by(int(step)) for step in missed)",
+        "best = tuple(best_by(int(missed[-1])) for step in missed)",
+    ),
+    "way turned round": (
+        VERIFY,
+        "return best, not connected_way_exists(",
+        "return best, connected_way_exists(",
+    ),
+    "way to where the robot is": (VERIFY, "np.asarray(problem.robots[0].goal_m)", "start_m"),
+    "flood through obstacles": (
+        REACHABILITY,
+        "(away > 0.0) & (away >=",
+        "(away > -1.0) | (away >=",
+    ),
+    "flood without the bound": (
+        REACHABILITY,
+        "open_[open_] = margin_db(grid[open_]) >= 0.0",
+        "pass",
+    ),
+    "flood below the bound": (
+        REACHABILITY,
+        "open_[open_] = margin_db(grid[open_]) >= 0.0",
+        "open_[open_] = margin_db(grid[open_]) < 0.0",
+    ),
+    "flood with the start closed": (
+        REACHABILITY,
+        "open_[from_start < 0.5 * spacing] = True",
+        "open_[from_start < 0.5 * spacing] = False",
+    ),
+    "flood that comes to all": (REACHABILITY, "parts[at_goal & open_]", "parts[open_]"),
+    "flood that comes elsewhere": (REACHABILITY, "open_], begins)", "open_], begins, invert=True)"),
+    "flood from all but here": (
+        REACHABILITY,
+        "(from_start <= max(within_m,",
+        "(from_start > max(within_m,",
+    ),
+    "flood from the start alone": (REACHABILITY, "max(within_m, 0.5", "max(0.0, 0.5"),
+    "flood from a start that is always open": (REACHABILITY, "if within_m == 0.0:", "if True:"),
+    "start within the bound turned round": (
+        VERIFY,
+        "bool(here[0] >= 0.0)",
+        "bool(here[0] < 0.0)",
+    ),
+    "start always within the bound": (VERIFY, "bool(here[0] >= 0.0)", "True"),
+    "start never within the bound": (VERIFY, "bool(here[0] >= 0.0)", "False"),
+    "ways begin a step from the start": (VERIFY, "else first * length", "else 1e-3 * length"),
+    "ways begin anywhere": (VERIFY, "else first * length", "else 1e3 * length"),
+    "flood that does not turn corners": (REACHABILITY, "np.ones((3, 3)", "np.eye(3"),
+    "rows and columns exchanged": (
+        REACHABILITY,
+        "grid[..., 1] = start_m[1] + rows[:, None]",
+        "grid[..., 1] = start_m[1] - rows[:, None]",
+    ),
+    "reach through walls": (
+        REACHABILITY,
+        "(parts == parts[GRID_STEPS, GRID_STEPS]) & (np",
+        "(parts > -1) & (np",
+    ),
+    "reach beyond the disc": (
+        REACHABILITY,
+        "(np.hypot(x, y) <= radius_m)",
+        "(np.hypot(x, y) <= 9.0 * radius_m)",
+    ),
+    "only the rim is in reach": (
+        REACHABILITY,
+        "(np.hypot(x, y) <= radius_m)",
+        "(np.hypot(x, y) > radius_m)",
+    ),
+    "reach counted from the corner": (
+        REACHABILITY,
+        "parts[GRID_STEPS, GRID_STEPS]) &",
+        "parts[0, 0]) &",
+    ),
+    "least margin of the refinement": (
+        REACHABILITY,
+        "best = max(best, float(margins.max()))",
+        "best = float(margins.min())",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutant_is_found_out(name):
+    """At least one plan is judged otherwise, or not at all."""
+    module, original, instead = MUTANTS[name]
+    sources = {VERIFY: source_of(VERIFY), REACHABILITY: source_of(REACHABILITY)}
+    assert sources[module].count(original) == 1, "the mutant does not fit the source any more"
+    sources[module] = sources[module].replace(original, instead)
+    verifier = verifier_of(sources[VERIFY], sources[REACHABILITY])
+
+    def is_judged_right(case: Case) -> bool:
+        try:
+            with np.errstate(all="ignore"):
+                return said(verifier, case) == expected(case)
+        except Exception:
+            return False
+
+    assert not all(is_judged_right(case) for case in CASES.values())

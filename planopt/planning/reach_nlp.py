@@ -50,8 +50,8 @@ IPOPT_OPTIONS: dict[str, Any] = {
     "ipopt.max_iter": 100,
 }
 """Acceptable points are off: their constraint tolerance is 1e-2. So are second order corrections:
-with them IPOPT cycled at the rounded kink of a pivot within reach in 14 of 180 straight tasks, without
-in none, and elsewhere they gained nothing. The other values were measured on such steps too."""
+with them IPOPT cycled at the rounded kink of a pivot within reach in 14 of 180 straight tasks,
+without in none, and elsewhere they gained nothing."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from planopt.commands.check import check
 from planopt.commands.compare import compare
 from planopt.commands.fit import fit
 from planopt.commands.library import list_problems, schema
+from planopt.commands.map import map_log
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
 from planopt.errors import PlanoptError
@@ -35,6 +36,7 @@ app.command()(solve)
 app.command()(simulate)
 app.command()(compare)
 app.command()(fit)
+app.command("map")(map_log)
 app.command()(check)
 app.command()(schema)
 

@@ -24,6 +24,11 @@ def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArr
     return solve_triangular(lower, right, lower=True, check_finite=False)
 
 
+def solve_upper(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L'^-1 `right`, for `right` (n,) or (n, m)."""
+    return solve_triangular(lower, right, lower=True, trans=1, check_finite=False)
+
+
 def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     """(L L')^-1, symmetric; (n, n)."""
     half, _ = INVERT(lower, lower=True)

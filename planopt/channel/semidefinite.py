@@ -26,7 +26,7 @@ def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         It is not a covariance.
     """
     try:
-        return np.linalg.cholesky(covariance)
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
         pass
     scale = float(np.diag(covariance).max())

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Any
 
-import typer
-
+from planopt.commands.log_fit import (
+    CensoredOption,
+    ColumnsOption,
+    FloorOption,
+    LogArgument,
+    MethodOption,
+    StationOption,
+    read_and_fit,
+)
 from planopt.commands.options import JsonOption, OutOption
 from planopt.commands.output import progress, results_folder, show, shown_number
-from planopt.errors import InputError
 
 if TYPE_CHECKING:
-    from planopt.channel.fit import ChannelFit, FitMethod
-    from planopt.channel.measurements import Measurements
-    from planopt.channel.parameters import Station
+    from planopt.channel.fit import ChannelFit
 
 FIT_FILE = "fit.json"
 UNITS = {
@@ -27,44 +30,19 @@ UNITS = {
 
 
 def fit(
-    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")],
-    station: Annotated[
-        str, typer.Option("--station", metavar="X,Y[,HEIGHT]|unknown", help="In metres.")
-    ],
-    method: Annotated[
-        str, typer.Option("--method", metavar="NAME", help="seed, capped, convex, nls or reml.")
-    ] = "reml",
-    columns: Annotated[
-        str | None,
-        typer.Option("--columns", metavar="x=NAME,y=NAME,power=NAME", help="Names of columns."),
-    ] = None,
-    censored: Annotated[
-        str | None,
-        typer.Option("--censored", metavar="COLUMN", help="1 where power is an upper limit."),
-    ] = None,
-    floor: Annotated[
-        float | None,
-        typer.Option("--floor", metavar="DBM", help="Powers at or below are upper limits."),
-    ] = None,
+    log: LogArgument,
+    station: StationOption,
+    method: MethodOption = "reml",
+    columns: ColumnsOption = None,
+    censored: CensoredOption = None,
+    floor: FloorOption = None,
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
     """Fit path loss, shadowing and multipath."""
-    from planopt.channel.fit import FitMethod
-    from planopt.channel.log_file import DEFAULT_COLUMNS, parse_columns, parse_station, read_log
-
-    if method not in get_args(FitMethod):
-        raise InputError(
-            f"{method!r} is no method",
-            key="--method",
-            remedy=f"use {', '.join(get_args(FitMethod))}",
-        )
-    site = parse_station(station)
-    names = DEFAULT_COLUMNS if columns is None else parse_columns(columns)
-    measurements = read_log(log, names, censored, floor)
     with results_folder(out) as folder:
         with progress("fitting"):
-            found = _fitted(log, measurements, site, cast("FitMethod", method))
+            measurements, found = read_and_fit(log, station, method, columns, censored, floor)
         data = fit_json(found)
         if folder is not None:
             from planopt.commands.pictures import picture_fit
@@ -75,22 +53,6 @@ def fit(
             write_text(folder / FIT_FILE, strict_text(data))
     show(json, data, _in_words(data))
     return 0
-
-
-def _fitted(
-    log: Path, measurements: Measurements, station: Station | None, method: FitMethod
-) -> ChannelFit:
-    """The fit; errors name the line of the log."""
-    from planopt.channel.fit import fit_channel
-    from planopt.channel.log_file import at_file_line
-    from planopt.channel.station_search import fit_channel_and_station
-
-    try:
-        if station is None:
-            return fit_channel_and_station(measurements, method)
-        return fit_channel(measurements, station, method)
-    except InputError as error:
-        raise at_file_line(error, log) from None
 
 
 def fit_json(found: ChannelFit) -> dict[str, Any]:

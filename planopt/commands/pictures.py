@@ -6,11 +6,13 @@ from pathlib import Path
 
 from planopt.channel.fit import ChannelFit
 from planopt.channel.measurements import Measurements
+from planopt.channel.posterior_map import PosteriorMap
 from planopt.planning.simulation import Simulation
 from planopt.planning.solution import Solution
 from planopt.report.belief_map import draw_belief
 from planopt.report.comparison_figure import draw_comparison
 from planopt.report.fit_figure import draw_fit
+from planopt.report.map_figure import draw_posterior_map
 from planopt.report.plan_figure import draw_plan
 from planopt.report.run_figure import draw_run
 from planopt.report.run_series import draw_run_series
@@ -39,3 +41,10 @@ def picture_comparison(comparison: Comparison, folder: Path) -> None:
 def picture_fit(measurements: Measurements, fit: ChannelFit, folder: Path) -> None:
     """The fitted path loss and correlation over the measurements."""
     save_figure(draw_fit(measurements, fit, fit.parameters.station), folder / "fit.png")
+
+
+def picture_map(
+    maps: PosteriorMap, measurements: Measurements, fit: ChannelFit, title: str, file: Path
+) -> None:
+    """Predicted power, its deviation and the chance of a connection."""
+    save_figure(draw_posterior_map(maps, measurements, fit.parameters.station, title), file)

@@ -21,6 +21,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.verify import judge
 from planopt.problems.problem import Problem
+from planopt.world.clearance import inside_bounds
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Candidate:
     solve_s, iterations, multipliers, kkt_residual
         Of the solver.
     sound
-        Whether clearance and motion model are kept, whatever connectivity is.
+        Whether clearance, bounds and motion model are kept, whatever connectivity is.
     power
         What the verifier predicted along the path, the robot's own place first.
     """
@@ -127,12 +128,13 @@ class Judge:
 
     def judged(self, candidate: Candidate) -> Candidate:
         """Ask the verifier."""
+        path = np.vstack([self.position_m, candidate.path_m])
         judgement = judge(
             self.problem,
             self.scene.index,
             self.belief.posterior,
             self.position_m,
-            np.vstack([self.position_m, candidate.path_m]),
+            path,
             candidate.kkt_residual,
         )
         certificate = judgement.certificate
@@ -140,6 +142,7 @@ class Judge:
             certificate.min_clearance_m
             >= self.problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
             and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
+            and bool(inside_bounds(self.problem.workspace, path).all())
         )
         return replace(
             candidate,

@@ -215,15 +215,22 @@ def call_reach_nlp(
     variable_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
     row_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> NlpPoint:
-    """Solve once from `start` (3N: positions, slacks); arrays in the programme's order."""
-    result = nlp.solver(
-        x0=start,
-        p=parameters,
-        lbx=variable_bounds[0],
-        ubx=variable_bounds[1],
-        lbg=row_bounds[0],
-        ubg=row_bounds[1],
-    )
+    """Solve once from `start` (3N: positions, slacks); arrays in the programme's order.
+
+    What CasADi refuses to start with, such as a bound that is no number, comes back as a point of
+    NaN with the status ``Invalid_Problem_Definition``.
+    """
+    try:
+        result = nlp.solver(
+            x0=start,
+            p=parameters,
+            lbx=variable_bounds[0],
+            ubx=variable_bounds[1],
+            lbg=row_bounds[0],
+            ubg=row_bounds[1],
+        )
+    except RuntimeError:
+        return _no_point(nlp, len(row_bounds[0]))
     stats = nlp.solver.stats()
     x = np.asarray(result["x"]).ravel()
     n = nlp.horizon
@@ -234,4 +241,16 @@ def call_reach_nlp(
         variable_multipliers=np.asarray(result["lam_x"]).ravel(),
         status=str(stats["return_status"]),
         iterations=int(stats.get("iter_count", 0)),
+    )
+
+
+def _no_point(nlp: ReachNlp, rows: int) -> NlpPoint:
+    n = nlp.horizon
+    return NlpPoint(
+        positions_m=np.full((n, 2), np.nan),
+        slack_db=np.full(n, np.nan),
+        row_multipliers=np.full(rows, np.nan),
+        variable_multipliers=np.full(3 * n, np.nan),
+        status="Invalid_Problem_Definition",
+        iterations=0,
     )

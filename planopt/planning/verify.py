@@ -178,8 +178,6 @@ def _what_is_possible(
     if best[0] < 0.0:
         return best, False
     best = tuple(best_by(int(step)) for step in missed)
-    if max(best) < 0.0:
-        return best, False
     possible = {int(step) for step, margin in zip(missed, best, strict=True) if margin >= 0.0}
     impossible = set(missed.tolist()) - possible
     first = next(step for step in range(1, int(missed[-1]) + 1) if step not in impossible)

@@ -12,6 +12,7 @@ from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableTyp
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.errors import InputError
 from planopt.planning.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.run import Metrics, Outcome, Run
@@ -21,6 +22,8 @@ from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Row
 
 CONFIDENCE = 0.95
+BACKENDS = ("loky",)
+"""What joblib may run tasks on."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +63,18 @@ def compare_horizons(
         joblib backend; ``loky`` is this machine.
     on_run
         Called for every finished run, for progress display.
+
+    Raises
+    ------
+    InputError
+        There is nothing to compare, a seed is negative or twice there, there is no worker or no
+        such backend, or an override is not allowed.
+    NoPlanError
+        Obstacles cut the goal off.
     """
     begun = perf_counter()
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
+    _check(horizons, planners, costs_to_go, chosen, workers, backend)
     settings = [Setting(n, p, c) for c in costs_to_go for p in planners for n in horizons]
     for setting in settings:
         _apply(problem, setting)
@@ -87,6 +99,31 @@ def compare_horizons(
         rows=tuple(rows),
         wall_s=perf_counter() - begun,
     )
+
+
+def _check(
+    horizons: Sequence[int],
+    planners: Sequence[str],
+    costs_to_go: Sequence[str],
+    seeds: Sequence[int],
+    workers: int,
+    backend: str,
+) -> None:
+    """Raise an InputError that names the argument at fault."""
+    settings = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
+    for key, values in {**settings, "seeds": seeds}.items():
+        if len(values) == 0:
+            raise InputError("there is none, so nothing to compare", key=key)
+    if min(seeds) < 0 or len(set(seeds)) < len(seeds):
+        raise InputError(
+            f"{list(seeds)} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
+        )
+    if workers < 1:
+        raise InputError(f"{workers} is less than 1", key="workers")
+    if backend not in BACKENDS:
+        raise InputError(
+            f"{backend!r} is not there", key="backend", remedy=f"use {', '.join(BACKENDS)}"
+        )
 
 
 def tabulate(setting: Setting, runs: Sequence[Run], reference: Sequence[Run]) -> list[Row]:

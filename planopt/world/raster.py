@@ -1,4 +1,4 @@
-"""Maps on a regular grid, read from ``npz`` and looked up at the nearest cell.
+"""Maps on a regular grid, read from and written to ``npz`` and looked up at the nearest cell.
 
 Other formats: :mod:`planopt.world.raster_files`.
 """
@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +62,15 @@ def read_npz(path: Path, variable: str) -> Raster:
     """
     x, y, values = npz_arrays(path, ("x", "y", variable))
     return checked_raster(x, y, values, path, variable)
+
+
+def write_npz(path: Path, rasters: Mapping[str, Raster]) -> None:
+    """Write rasters of the same axes as an ``npz`` file with the axes ``x`` and ``y``."""
+    first = next(iter(rasters.values()))
+    arrays: dict[str, Any] = {name: raster.values for name, raster in rasters.items()}
+    # Given a name, NumPy would add its own ending to one in capitals.
+    with path.open("wb") as file:
+        np.savez_compressed(file, x=first.x_m, y=first.y_m, **arrays)
 
 
 def checked_raster(

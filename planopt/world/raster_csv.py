@@ -46,8 +46,9 @@ def read_csv(path: Path, variable: str) -> Raster:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"not a text file that can be read: {error}", file=path) from error
     rows = csv.reader(io.StringIO(text))
+    no_cells: list[str] = []
     try:
-        header = [name.strip() for name in next(rows, [])]
+        header = [name.strip() for name in next(rows, no_cells)]
         where = [_column(header, name, path) for name in (*AXES, variable)]
         numbers = [
             [_number(cells, at, path, rows.line_num, header[at]) for at in where]

@@ -6,19 +6,28 @@ import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from planopt.errors import InputError
 from planopt.files import write_whole
-from planopt.world.raster import Raster, read_npz
+from planopt.world.raster import Raster, read_npz, write_npz
 from planopt.world.raster_csv import read_csv, write_csv
 from planopt.world.raster_geotiff import import_rasterio, read_geotiff, write_geotiff
 from planopt.world.raster_netcdf import read_netcdf, write_netcdf
 from planopt.world.sionna_map import CENTRES, read_sionna_map
 
+
+def _read_any_npz(path: Path, variable: str) -> Raster:
+    """Sionna RT's if it holds cell centres, planopt's otherwise, whose errors are the clearer."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            from_sionna = f"{CENTRES}.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        from_sionna = False
+    return read_sionna_map(path, variable) if from_sionna else read_npz(path, variable)
+
+
 READERS: dict[str, Callable[[Path, str], Raster]] = {
     ".csv": read_csv,
-    ".npz": lambda path, variable: _read_any_npz(path, variable),
+    ".npz": _read_any_npz,
     ".nc": read_netcdf,
     ".tif": read_geotiff,
     ".tiff": read_geotiff,
@@ -72,9 +81,7 @@ def write_rasters(path: Path, rasters: Mapping[str, Raster], units: Mapping[str,
         if ending == ".csv":
             write_csv(temporary, rasters)
         elif ending == ".npz":
-            first = next(iter(rasters.values()))
-            arrays = {name: raster.values for name, raster in rasters.items()}
-            np.savez_compressed(temporary, x=first.x_m, y=first.y_m, **arrays)
+            write_npz(temporary, rasters)
         elif ending == ".nc":
             write_netcdf(temporary, rasters, units)
         else:
@@ -105,13 +112,3 @@ def raster_ending(path: Path) -> str:
             remedy=f"end the name in one of {', '.join(READERS)}",
         )
     return ending
-
-
-def _read_any_npz(path: Path, variable: str) -> Raster:
-    """Sionna RT's if it holds cell centres, planopt's otherwise, whose errors are the clearer."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            from_sionna = f"{CENTRES}.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        from_sionna = False
-    return read_sionna_map(path, variable) if from_sionna else read_npz(path, variable)

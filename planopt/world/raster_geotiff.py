@@ -36,9 +36,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], units: Mapping[str,
     rasterio = import_rasterio(path)
     first = next(iter(rasters.values()))
     wide, high = first.cell_m
-    corner = rasterio.transform.from_origin(
-        first.x_m[0] - wide / 2, first.y_m[-1] + high / 2, wide, high
-    )
+    west, north = first.x_m[0] - wide / 2, first.y_m[-1] + high / 2
     with rasterio.open(
         path,
         "w",
@@ -48,7 +46,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], units: Mapping[str,
         count=len(rasters),
         dtype="float64",
         nodata=np.nan,
-        transform=corner,
+        transform=rasterio.Affine(wide, 0.0, west, 0.0, -high, north),
         compress="deflate",
     ) as file:
         file.descriptions = tuple(rasters)

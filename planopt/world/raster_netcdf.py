@@ -110,10 +110,15 @@ def _floats(variable: Any, path: Path, name: str) -> NDArray[np.float64]:
     if values.dtype.kind not in "iuf":
         raise InputError(f"{values.dtype} is not numeric", file=path, key=name)
     floats = values.astype(np.float64)
-    fill = getattr(variable, "attrs", {}).get("_FillValue")
-    if fill is not None:
-        floats = np.ma.masked_equal(floats, float(np.squeeze(fill)))
-    return np.asarray(floats.filled(np.nan), dtype=np.float64)
+    # SciPy has masked and scaled already; h5netcdf leaves that to its callers.
+    attributes = getattr(variable, "attrs", {})
+    if "_FillValue" in attributes:
+        floats = np.ma.masked_equal(floats, float(np.squeeze(attributes["_FillValue"])))
+    scale, offset = (
+        float(np.squeeze(attributes.get(key, neutral)))
+        for key, neutral in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
+    return np.asarray((scale * floats + offset).filled(np.nan), dtype=np.float64)
 
 
 def _not_netcdf(path: Path, error: Exception) -> InputError:

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from planopt.channel.cholesky import inverse, log_determinant, lower_factor, solve_lower
+from planopt.channel.cholesky import (
+    inverse,
+    log_determinant,
+    lower_factor,
+    solve_lower,
+    solve_upper,
+)
 
 
 def test_agrees_with_numpy():
@@ -13,6 +19,7 @@ def test_agrees_with_numpy():
     lower = lower_factor(matrix)
     np.testing.assert_allclose(lower, np.linalg.cholesky(matrix), rtol=1e-12)
     np.testing.assert_allclose(lower @ solve_lower(lower, root), root, atol=1e-12)
+    np.testing.assert_allclose(lower.T @ solve_upper(lower, root), root, atol=1e-12)
     np.testing.assert_allclose(inverse(lower), np.linalg.inv(matrix), atol=1e-12)
     assert log_determinant(lower) == pytest.approx(np.linalg.slogdet(matrix)[1])
 

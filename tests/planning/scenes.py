@@ -20,7 +20,10 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.truth import Truth
+from planopt.planning.global_search import GlobalSearch
+from planopt.planning.node_margins import NodeMargins
 from planopt.planning.prepare import Prepared
+from planopt.planning.scene import Scene, build_scene
 from planopt.problems.problem import (
     ChannelSetup,
     Constraints,
@@ -183,3 +186,15 @@ def kriged(belief: Belief, positions_m: np.ndarray) -> tuple[np.ndarray, np.ndar
     mean = parameters.k_pl_db + weights.T @ (measured.power_dbm - parameters.k_pl_db)
     variance = parameters.shadow_std_db**2 + noise - (across * weights).sum(0)
     return mean, np.sqrt(variance)
+
+
+def search_of(
+    problem: Problem, power_at: PowerAt = good_everywhere
+) -> tuple[GlobalSearch, Belief, Scene]:
+    """A new search, the belief that its margins follow, and the scene."""
+    scene, belief = build_scene(problem), belief_of(problem, power_at)
+    margins = NodeMargins(
+        scene.road_map, problem.stations[0].threshold_dbm, problem.constraints.p_min
+    )
+    margins.refresh(belief.posterior)
+    return GlobalSearch(problem, scene, margins), belief, scene

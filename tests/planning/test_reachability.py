@@ -16,7 +16,13 @@ BOUNDS = (0.0, 0.0, 40.0, 30.0)
 
 
 def index_of(*polygons):
+    """The index of these obstacles."""
     return index_obstacles(small_problem(*polygons).workspace)
+
+
+def way_exists(index, bounds, margin, start, goal, clearance, step, within_m=0.0):
+    """Whether there is a way from the start itself, or from near it."""
+    return connected_way_exists(index, bounds, margin, start, goal, clearance, step, within_m)
 
 
 def nearness_to(place):
@@ -108,9 +114,7 @@ def test_flood_against_exact_geometry():
     answers = []
     for _ in range(120):
         obstacles, bad = boxes(rng, 4), shapely.union_all(boxes(rng, 5))
-        found = connected_way_exists(
-            index_of(*obstacles), BOUNDS, margin_outside(bad), START, GOAL, 0.5, 2.0
-        )
+        found = way_exists(index_of(*obstacles), BOUNDS, margin_outside(bad), START, GOAL, 0.5, 2.0)
         forbidden = shapely.union_all([bad, *obstacles])
         wide, narrow = joined(forbidden, 1.5), joined(forbidden, -0.8)
         if wide:
@@ -137,7 +141,7 @@ def test_flood_against_labelled_pixels():
         labels, _ = scipy.ndimage.label(field >= 0.0, np.ones((3, 3)))
         around = [labels[15, 35], labels[14, 35], labels[16, 35], labels[15, 34], labels[15, 36]]
         expected = labels[15, 5] in around
-        found = connected_way_exists(index_of(), BOUNDS, margin, START, GOAL, 0.5, 2.0)
+        found = way_exists(index_of(), BOUNDS, margin, START, GOAL, 0.5, 2.0)
         assert found == expected
         seen.add(expected)
     assert seen == {True, False}
@@ -153,17 +157,17 @@ def test_start_below_the_bound_is_no_obstacle_to_itself():
     def open_far_out(q):
         return np.where(around(q) > -3.0, -1.0, 1.0)
 
-    assert connected_way_exists(index_of(), BOUNDS, open_at_once, START, GOAL, 0.5, 2.0)
-    assert not connected_way_exists(index_of(), BOUNDS, open_far_out, START, GOAL, 0.5, 2.0)
+    assert way_exists(index_of(), BOUNDS, open_at_once, START, GOAL, 0.5, 2.0)
+    assert not way_exists(index_of(), BOUNDS, open_far_out, START, GOAL, 0.5, 2.0)
 
 
 def test_goal_below_the_bound_can_be_come_to():
     """Within a grid spacing of the goal is near enough; two below is not."""
     near = nearness_to(GOAL)
-    assert connected_way_exists(
+    assert way_exists(
         index_of(), BOUNDS, lambda q: np.where(near(q) > -0.9, -1.0, 1.0), START, GOAL, 0.5, 2.0
     )
-    assert not connected_way_exists(
+    assert not way_exists(
         index_of(), BOUNDS, lambda q: np.where(near(q) > -2.0, -1.0, 1.0), START, GOAL, 0.5, 2.0
     )
 
@@ -176,15 +180,34 @@ def test_no_way_through_a_building(clearance):
     def good(q):
         return np.ones(len(q))
 
-    assert not connected_way_exists(block, BOUNDS, good, START, GOAL, clearance, 2.0)
+    assert not way_exists(block, BOUNDS, good, START, GOAL, clearance, 2.0)
     gate = index_of(shapely.box(15, 0, 25, 12), shapely.box(15, 18, 25, 30))
-    assert connected_way_exists(gate, BOUNDS, good, START, GOAL, clearance, 2.0)
+    assert way_exists(gate, BOUNDS, good, START, GOAL, clearance, 2.0)
 
 
 def test_way_along_the_border():
     """The grid is anchored at the start and reaches every border."""
     bad = shapely.box(15, 1.2, 25, 30)
     for start in ((5.0, 15.0), (5.3, 14.6), (4.9, 15.5)):
-        assert connected_way_exists(
-            index_of(), BOUNDS, margin_outside(bad), np.array(start), GOAL, 0.5, 2.0
-        )
+        assert way_exists(index_of(), BOUNDS, margin_outside(bad), np.array(start), GOAL, 0.5, 2.0)
+
+
+def test_ways_that_begin_near_the_start():
+    """From a hole the way begins at its rim, if that is near enough; a moat about it closes it."""
+    away = nearness_to(START)
+
+    def hole(q):
+        return np.where(away(q) > -3.0, -1.0, 1.0)
+
+    def moat(q):
+        return np.where((away(q) < -5.0) & (away(q) > -8.0), -1.0, hole(q))
+
+    for margin, within_m, expected in (
+        (hole, 0.0, False),
+        (hole, 2.0, False),
+        (hole, 4.0, True),
+        (moat, 4.0, False),
+        (moat, 9.0, True),
+    ):
+        found = way_exists(index_of(), BOUNDS, margin, START, GOAL, 0.5, 2.0, within_m)
+        assert found == expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -74,9 +75,7 @@ def test_clearance_against_dense_sampling(places, data):
     certificate, _ = judged(problem, path)
     obstacles = shapely.union_all(polygons)
     parts = np.linspace(0.0, 1.0, 1001)[:, None]
-    samples = np.concatenate(
-        [a + parts * (b - a) for a, b in zip(path[:-1], path[1:], strict=True)]
-    )
+    samples = np.concatenate([a + parts * (b - a) for a, b in pairwise(path)])
     sampled = shapely.distance(shapely.points(samples), obstacles).min()
     longest = np.linalg.norm(np.diff(path, axis=0), axis=1).max()
     assert sampled - longest / 2000 - 1e-9 <= certificate.min_clearance_m <= sampled + 1e-9
@@ -333,6 +332,10 @@ def test_dawdling_deep_below_the_bound():
     certificate, verdict = judged(problem, path, bad_disc(5.0, 15.0, 5.0))
     assert max(certificate.best_margin_db) > 10.0
     assert verdict is Verdict.VIOLATED
+    assert not certificate.no_connected_way
+    x = [5.0, 7.0, 9.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
+    leaving = judged(problem, np.column_stack([x, np.full(9, 15.0)]), bad_disc(5.0, 15.0, 5.0))
+    assert assert_verified(leaving).relaxed_steps == (1, 2)
 
 
 CROSSING = np.column_stack([np.linspace(16.0, 26.0, 6), np.full(6, 15.0)])
@@ -391,7 +394,9 @@ def test_bound_that_is_never_met_again():
     """Even where no way keeps it, a plan that stays below throughout is none."""
     problem = small_problem(start_m=(20.0, 15.0))
     path = np.column_stack([np.full(5, 20.0), 15.0 + np.arange(5.0)])
-    assert_rejected(judged(problem, path, bad_band(17.0, 23.0)), "none of the 4 steps")
+    certificate, verdict = judged(problem, path, bad_band(17.0, 23.0))
+    assert verdict is Verdict.VIOLATED
+    assert any("none of the 4 steps" in reason for reason in certificate.reasons)
 
 
 def test_posterior_of_neighbours_beyond_the_limit(monkeypatch):
@@ -416,6 +421,19 @@ def test_posterior_of_neighbours_beyond_the_limit(monkeypatch):
     assert fewer.posterior == "neighbours:20"
     assert fewer.min_connectivity != exact.min_connectivity
     assert fewer.min_connectivity == pytest.approx(exact.min_connectivity, abs=0.1)
+
+
+def test_searches_by_nearby_measurements(monkeypatch):
+    """Beyond their own limit the searches look at fewer: the best place is much the same."""
+    problem = small_problem()
+    path = straight_path(problem)
+    power = bad_disc(5.0, 15.0, 3.5)
+    exact = assert_verified(judged(problem, path, power))
+    monkeypatch.setattr(predictions, "SEARCH_EXACT_LIMIT", 10)
+    nearby = assert_verified(judged(problem, path, power))
+    assert nearby.posterior == "exact"
+    assert nearby.relaxation_db == exact.relaxation_db
+    assert nearby.best_margin_db == pytest.approx(exact.best_margin_db, abs=0.05)
 
 
 def test_limits_are_those_of_the_design():

@@ -91,6 +91,17 @@ def faint_spot(positions_m: np.ndarray) -> np.ndarray:
     return np.where(at_spot, THRESHOLD_DBM + 0.1, GOOD)
 
 
+def island(positions_m: np.ndarray) -> np.ndarray:
+    """Bad about (7, 15) but for that very reading, which is just good."""
+    away = np.hypot(positions_m[:, 0] - 7.0, positions_m[:, 1] - 15.0)
+    return np.where(away < 1.0, THRESHOLD_DBM + 2.0, np.where(away < 6.0, BAD, GOOD))
+
+
+def hole_and_gap(positions_m: np.ndarray) -> np.ndarray:
+    """Bad about the start, and in a band between start and goal."""
+    return np.minimum(bad_disc(5, 15, 3.5)(positions_m), GAP(positions_m))
+
+
 def good_at_corners(positions_m: np.ndarray) -> np.ndarray:
     """About the first place bad; just good at the corners of the square about the first step."""
     x, y = np.abs(positions_m[:, 0] - 5.0), np.abs(positions_m[:, 1] - 15.0)
@@ -150,6 +161,28 @@ CASES: dict[str, Case] = {
     "good beyond the first step's disc": Case(
         along(5, 7, 9, 11), power_at=good_at_corners, relaxed=(1,), hopeless=(True,)
     ),
+    "narrow gap a step wide": Case(
+        along(17, 19, 21, 23),
+        problem=small_problem(speed_max_m_s=4.0),
+        power_at=bad_band(18.0, 20.0),
+        relaxed=(1,),
+        hopeless=(False,),
+        no_way=True,
+    ),
+    "out of a hole and through a gap": Case(
+        along(5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25),
+        power_at=hole_and_gap,
+        relaxed=(1, 8),
+        hopeless=(True, False),
+        no_way=True,
+    ),
+    "past an island": Case(
+        along(5, 6, 7),
+        power_at=island,
+        relaxed=(1,),
+        hopeless=(False,),
+        no_way=True,
+    ),
     "dawdling": Case(
         [(5, 15), (5, 15), (6.4, 16.4)],
         {BELOW},
@@ -167,6 +200,9 @@ CASES: dict[str, Case] = {
     "gap with a way round far from the start": Case(
         along(16, 18, 20, 22, 24, 26, y=9.0),
         {BELOW},
+        # Outside the workspace no way may be found either.
+        problem=small_problem(shapely.box(18, -40, 24, -0.5)),
+        clearance_m=9.5,
         power_at=OPEN_GAP,
         relaxed=(2, 3),
         hopeless=(False, False),
@@ -220,10 +256,10 @@ def source_of(module: str) -> str:
 
 def module_of(name: str, source: str) -> ModuleType:
     """A module of that text, under a name of its own."""
-    module = ModuleType(f"{name}_mutant")
+    module = ModuleType(f"mutant_of_{name.rpartition('.')[2]}")
     # Data classes look their module up.
     sys.modules[module.__name__] = module
-    exec(compile(source, module.__name__, "exec"), module.__dict__)
+    exec(compile(source, "<mutant>", "exec"), module.__dict__)
     return module
 
 
@@ -468,7 +504,6 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "(from_start > max(within_m,",
     ),
     "flood from the start alone": (REACHABILITY, "max(within_m, 0.5", "max(0.0, 0.5"),
-    "flood from a start that is always open": (REACHABILITY, "if within_m == 0.0:", "if True:"),
     "start within the bound turned round": (
         VERIFY,
         "bool(here[0] >= 0.0)",
@@ -479,7 +514,7 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "ways begin a step from the start": (VERIFY, "else first * length", "else 1e-3 * length"),
     "ways begin anywhere": (VERIFY, "else first * length", "else 1e3 * length"),
     "flood that does not turn corners": (REACHABILITY, "np.ones((3, 3)", "np.eye(3"),
-    "rows and columns exchanged": (
+    "grid mirrored": (
         REACHABILITY,
         "grid[..., 1] = start_m[1] + rows[:, None]",
         "grid[..., 1] = start_m[1] - rows[:, None]",

@@ -1,0 +1,214 @@
+"""Prediction with the uncertainty of xi, beta and omega counted, not only theta's.
+
+From few measurements the covariance is hardly known, and a prediction that takes its estimate for
+the truth is too sure of itself. Here the posterior is a mixture over a small deterministic design
+of covariances, weighted by how likely each makes the measurements.
+
+The total variance alpha = xi^2 + omega^2 is integrated out in closed form: under the flat prior on
+log alpha the restricted likelihood of (xi^2 / alpha, beta) is that with alpha profiled out, and the
+prediction is Student's t with n - p degrees of freedom. Only two dimensions are left for the
+design, where the likelihood is walked along its principal axes.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import connection_probability
+from planopt.channel.covariance_fit import MIN_NUGGET_SHARE
+from planopt.channel.identifiability import examine
+from planopt.channel.mean_model import mean_model
+from planopt.channel.measurements import Measurements
+from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.places import require_places
+from planopt.channel.posterior import ChannelPosterior, condition
+from planopt.channel.prediction import Prediction
+from planopt.channel.reml import MAX_MEASUREMENTS, thinned
+from planopt.channel.restricted_likelihood import (
+    LikelihoodData,
+    likelihood_data,
+    profiled_log_likelihood,
+)
+
+STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
+"""Design points along each principal axis of the likelihood, in its deviations."""
+
+MAX_DEVIATION = 1.5
+"""A deviation of log beta or logit(xi^2 / alpha) is not taken larger than this: the design then
+spans a factor of 400, which is as good as everything."""
+
+MIN_WEIGHT = 0.01
+"""Lighter points are dropped: each costs a factor and a prediction."""
+
+DIFFERENCE = 0.1
+"""Step of the differences that give the likelihood's curvature, in the same logarithms."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarginalPosterior:
+    """The channel given measurements, over several covariances.
+
+    Attributes
+    ----------
+    components
+        A posterior for each covariance of the design.
+    weights
+        ``(k,)`` their probabilities; they sum to one.
+    """
+
+    components: tuple[ChannelPosterior, ...]
+    weights: NDArray[np.float64]
+
+    def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
+        """Mean and deviation of the mixture at `positions_m` (n, 2).
+
+        The variance is the mean of the components' variances plus the variance of their means.
+        """
+        places = require_places(positions_m)
+        parts = [component.predict(places) for component in self.components]
+        means = np.stack([part.mean_db for part in parts])
+        mean = self.weights @ means
+        variance = self.weights @ (
+            np.stack([part.deviation_db for part in parts]) ** 2 + (means - mean) ** 2
+        )
+        return Prediction(mean, np.sqrt(variance))
+
+    def connectivity(
+        self, positions_m: NDArray[np.float64], threshold_dbm: float
+    ) -> NDArray[np.float64]:
+        """P(power >= `threshold_dbm`) at each of `positions_m` (n, 2), of the mixture; ``(n,)``."""
+        places = require_places(positions_m)
+        chances = np.zeros(len(places))
+        for weight, component in zip(self.weights, self.components, strict=True):
+            part = component.predict(places)
+            chances += weight * connection_probability(
+                part.mean_db, part.deviation_db, threshold_dbm
+            )
+        return chances
+
+
+@one_blas_thread()
+def marginalise(parameters: ChannelParameters, measurements: Measurements) -> MarginalPosterior:
+    """Condition on measurements with xi, beta and omega uncertain.
+
+    The prior is flat in log alpha, log beta and logit(xi^2 / alpha), within the bounds of the fit
+    (beta between a third of the spacing and the extent, xi^2 / alpha at most 0.99).
+
+    Parameters
+    ----------
+    parameters
+        The estimate, best the one by restricted likelihood: the design stands around it. Its
+        theta serves as in :func:`planopt.channel.posterior.condition`.
+    measurements
+        What it was estimated from. Censored ones count in every component's prediction but not in
+        the weights. Of more than `MAX_MEASUREMENTS` a fixed draw gives the weights.
+
+    Returns
+    -------
+    MarginalPosterior
+        With one component, the estimate, where the measurements do not allow to estimate a
+        covariance at all.
+
+    Raises
+    ------
+    InputError
+        See :func:`planopt.channel.identifiability.examine`.
+    """
+    allows = examine(measurements, parameters.station)
+    if allows.covariance_reason is not None:
+        return MarginalPosterior((condition(parameters, measurements),), np.ones(1))
+    data = _exact_data(measurements, parameters, allows.n_pl_reason is None)
+    low, high = allows.decorrelation_bounds_m
+    top = math.log((1.0 - MIN_NUGGET_SHARE) / MIN_NUGGET_SHARE)
+    box = np.array([[-top, top], [math.log(low), math.log(high)]])
+    centre = np.clip(_coordinates(parameters), box[:, 0], box[:, 1])
+    freedom = data.exact - data.columns.shape[1]
+    points = _design(data, centre, box)
+    found = [_likelihood(data, point) for point in points]
+    logs = np.array([log for log, _ in found])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    kept = np.flatnonzero(weights >= MIN_WEIGHT)
+    components: list[ChannelPosterior] = []
+    for index in kept:
+        share, beta = _values(points[index])
+        # The variance of Student's t is that of the normal at this alpha.
+        alpha = found[index][1] * freedom / (freedom - 2.0)
+        component = replace(
+            parameters,
+            shadow_std_db=math.sqrt(share * alpha),
+            multipath_std_db=math.sqrt((1.0 - share) * alpha),
+            decorrelation_m=beta,
+        )
+        components.append(condition(component, measurements))
+    return MarginalPosterior(tuple(components), weights[kept] / weights[kept].sum())
+
+
+def _exact_data(
+    measurements: Measurements, parameters: ChannelParameters, n_pl_identifiable: bool
+) -> LikelihoodData:
+    """The uncensored measurements, at most `MAX_MEASUREMENTS`, as the likelihood needs them."""
+    rows = np.flatnonzero(~measurements.censored)
+    rows = rows[thinned(len(rows), MAX_MEASUREMENTS)]
+    exact = Measurements(
+        measurements.positions_m[rows],
+        measurements.power_dbm[rows],
+        np.zeros(len(rows), dtype=bool),
+    )
+    model = mean_model(exact.positions_m, ~exact.censored, parameters.station, n_pl_identifiable)
+    return likelihood_data(model, exact)
+
+
+def _design(
+    data: LikelihoodData, centre: NDArray[np.float64], box: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points (k, 2) of a lattice along the principal axes of the likelihood, within the box."""
+    curvature = np.empty((2, 2))
+    # One-sided where the box ends: the differences stand around a point moved inwards.
+    middle = np.clip(centre, box[:, 0] + DIFFERENCE, box[:, 1] - DIFFERENCE)
+    first, second = DIFFERENCE * np.eye(2)
+
+    def value(point: NDArray[np.float64]) -> float:
+        return _likelihood(data, point)[0]
+
+    here = value(middle)
+    for axis, step in enumerate((first, second)):
+        curvature[axis, axis] = 2.0 * here - value(middle + step) - value(middle - step)
+    curvature[0, 1] = curvature[1, 0] = -0.25 * (
+        value(middle + first + second)
+        - value(middle + first - second)
+        - value(middle - first + second)
+        + value(middle - first - second)
+    )
+    eigenvalues, axes = np.linalg.eigh(curvature / DIFFERENCE**2)
+    deviations = 1.0 / np.sqrt(np.maximum(eigenvalues, MAX_DEVIATION**-2))
+    steps = np.stack(np.meshgrid(STEPS, STEPS), axis=-1).reshape(-1, 2)
+    points = centre + (steps * deviations) @ axes.T
+    inside = np.all((box[:, 0] <= points) & (points <= box[:, 1]), axis=1)
+    # The centre is inside up to rounding.
+    return np.concatenate([centre[None], points[inside & steps.any(axis=1)]])
+
+
+def _likelihood(data: LikelihoodData, point: NDArray[np.float64]) -> tuple[float, float]:
+    """Log likelihood with alpha integrated out, up to a constant, and the best alpha."""
+    return profiled_log_likelihood(data, *_values(point))
+
+
+def _coordinates(parameters: ChannelParameters) -> NDArray[np.float64]:
+    """(logit(xi^2 / alpha), log beta) of parameters; finite where xi or omega is zero."""
+    shadow, multipath = (
+        math.log(max(deviation, sys.float_info.min))
+        for deviation in (parameters.shadow_std_db, parameters.multipath_std_db)
+    )
+    return np.array([2.0 * (shadow - multipath), math.log(parameters.decorrelation_m)])
+
+
+def _values(point: NDArray[np.float64]) -> tuple[float, float]:
+    """(xi^2 / alpha, beta) of a point."""
+    return 1.0 / (1.0 + math.exp(-point[0])), math.exp(point[1])

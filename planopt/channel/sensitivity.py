@@ -1,0 +1,194 @@
+"""Delta^2(q): how wrong Lemma 2 is when it is computed with wrong parameters.
+
+The posterior's own deviation says what is left to know if the parameters are right. This is the
+mean squared error when they are not, so that one can ask which of them is worth learning (seed,
+section II-B and Fig. 1: the path loss exponent).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.censoring import MIN_NOISE_VARIANCE_DB2
+from planopt.channel.cholesky import lower_factor
+from planopt.channel.factor import whiten
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.path_loss import regressors
+from planopt.channel.places import require_finite, require_places
+from planopt.errors import InputError
+
+PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")
+"""What Fig. 1 perturbs, one at a time: K_PL, n_PL, xi^2, beta and omega."""
+
+ELEMENTS = 2**20
+
+
+def mean_squared_error_db2(
+    true: ChannelParameters,
+    assumed: ChannelParameters,
+    measured_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Delta^2(q), exactly, for any error in any parameter (seed, section II-B).
+
+    With w = U_est^-1 phi_est the weights that Lemma 2 uses and delta theta = theta - theta_est,
+
+        Delta^2 = xi^2 + omega^2 - 2 w' phi + w' U w + ((gamma - Gamma' w)' delta theta)^2,
+
+    the seed's expression. The last term is the square of the bias, here formed from the two path
+    losses themselves, so that a wrong station is allowed too. Theta counts as known to Lemma 2.
+
+    Parameters
+    ----------
+    true
+        The channel's parameters.
+    assumed
+        Those that Lemma 2 is computed with.
+    measured_m
+        ``(kappa, 2)`` where power was measured, none of it censored; may be empty.
+    positions_m
+        ``(n, 2)`` where it is predicted: places not measured, or measured again.
+
+    Returns
+    -------
+    NDArray
+        ``(n,)`` in dB^2, of the power that would be measured (multipath included).
+
+    Raises
+    ------
+    InputError
+        A parameter is not finite or out of its range, or positions are not ``(n, 2)`` and finite.
+    """
+    _require_model(true, "true")
+    _require_model(assumed, "assumed")
+    measured = require_places(measured_m, at_least=0)
+    places = require_places(positions_m)
+    count = len(measured)
+    total = shadow_covariance_db2(measured, measured, true)
+    total[np.diag_indices(count)] += true.multipath_std_db**2
+    # Lemma 2 as planopt computes it, least nugget included.
+    believed = shadow_covariance_db2(measured, measured, assumed)
+    believed[np.diag_indices(count)] += max(assumed.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
+    precision = _inverse(believed)
+    # w' U w = phi_est' B phi_est: one product a block of places, whatever the error.
+    spread = precision @ total @ precision
+    offset = _path_loss_db(true, measured) - _path_loss_db(assumed, measured)
+    error = np.empty(len(places))
+    block = max(1, ELEMENTS // max(1, count))
+    for start in range(0, len(places), block):
+        part = slice(start, start + block)
+        across = shadow_covariance_db2(places[part], measured, true)
+        across_assumed = shadow_covariance_db2(places[part], measured, assumed)
+        weights = across_assumed @ precision
+        bias = _path_loss_db(true, places[part]) - _path_loss_db(assumed, places[part])
+        bias -= weights @ offset
+        error[part] = (
+            np.einsum("nk,nk->n", across_assumed @ spread, across_assumed)
+            - 2.0 * np.einsum("nk,nk->n", weights, across)
+            + bias**2
+        )
+    return error + true.shadow_std_db**2 + true.multipath_std_db**2
+
+
+def perturbed(parameters: ChannelParameters, name: str, relative_error: float) -> ChannelParameters:
+    """`parameters` with one of `PERTURBED` multiplied by 1 + `relative_error`.
+
+    Raises
+    ------
+    InputError
+        There is no such parameter, or the error is -1 or less (variances and distances must stay
+        positive).
+    """
+    if not (math.isfinite(relative_error) and relative_error > -1.0):
+        raise InputError(
+            f"a relative error of {relative_error!r} cannot be applied",
+            key="relative_error",
+            remedy="use a share above -1",
+        )
+    factor = 1.0 + relative_error
+    if name == "shadow_variance_db2":
+        return replace(parameters, shadow_std_db=parameters.shadow_std_db * math.sqrt(factor))
+    if name not in PERTURBED:
+        raise InputError(
+            f"{name!r} is not a parameter that can be perturbed",
+            key="name",
+            remedy=f"use one of {', '.join(PERTURBED)}",
+        )
+    return replace(parameters, **{name: getattr(parameters, name) * factor})
+
+
+def sensitivity_curves(
+    true: ChannelParameters,
+    measured_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    relative_errors: Sequence[float],
+) -> dict[str, NDArray[np.float64]]:
+    """Average of Delta^2 over places against the error in each parameter (seed, Fig. 1).
+
+    Parameters
+    ----------
+    true
+        The channel's parameters.
+    measured_m
+        ``(kappa, 2)`` where power was measured.
+    positions_m
+        ``(n, 2)`` places that stand for the workspace.
+    relative_errors
+        ``(k,)`` shares, 0.1 for 10 %.
+
+    Returns
+    -------
+    dict
+        For each of `PERTURBED` ``(k,)`` averages in dB^2.
+    """
+    return {
+        name: np.array(
+            [
+                mean_squared_error_db2(
+                    true, perturbed(true, name, error), measured_m, positions_m
+                ).mean()
+                for error in relative_errors
+            ]
+        )
+        for name in PERTURBED
+    }
+
+
+def _inverse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse of a covariance with a nugget; (kappa, kappa), kappa may be 0."""
+    if not len(covariance):
+        return covariance
+    half = whiten(lower_factor(covariance), np.eye(len(covariance)))
+    return half.T @ half
+
+
+def _path_loss_db(
+    parameters: ChannelParameters, places_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mean power gamma' theta at `places_m` (n, 2)."""
+    theta = np.array([parameters.k_pl_db, parameters.n_pl])
+    return regressors(places_m, parameters.station) @ theta
+
+
+def _require_model(parameters: ChannelParameters, which: str) -> None:
+    """Refuse parameters that are no channel's."""
+    require_finite(parameters.k_pl_db, f"{which}.k_pl_db")
+    require_finite(parameters.n_pl, f"{which}.n_pl")
+    for name, zero_allowed in (
+        ("shadow_std_db", True),
+        ("decorrelation_m", False),
+        ("multipath_std_db", True),
+    ):
+        value = require_finite(getattr(parameters, name), f"{which}.{name}")
+        if value < 0.0 or (value == 0.0 and not zero_allowed):
+            raise InputError(
+                f"{value!r} is out of range",
+                key=f"{which}.{name}",
+                remedy="use a value above 0" if not zero_allowed else "use 0 or more",
+            )

@@ -1,0 +1,165 @@
+"""``planopt map``: predicted power, its deviation and P(connected) on a grid, from a power log."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from planopt.commands.fit import fit_json
+from planopt.commands.log_fit import (
+    CensoredOption,
+    ColumnsOption,
+    FloorOption,
+    LogArgument,
+    MethodOption,
+    StationOption,
+    read_and_fit,
+)
+from planopt.commands.options import JsonOption
+from planopt.commands.output import progress, results_folder, show
+from planopt.errors import InputError
+
+if TYPE_CHECKING:
+    from planopt.channel.measurements import Measurements
+    from planopt.channel.posterior_map import Bounds, PosteriorMap
+
+UNITS = {"mean_db": "dBm", "deviation_db": "dB", "connectivity": "1"}
+"""The variables of a map (design, section 3)."""
+
+
+def map_log(
+    log: LogArgument,
+    station: StationOption,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="Ends in .csv, .npz, .nc or .tif.")
+    ],
+    cell: Annotated[
+        float | None,
+        typer.Option("--cell", metavar="M", help="Cell side in metres; default: 200 cells."),
+    ] = None,
+    bounds: Annotated[
+        str | None,
+        typer.Option(
+            "--bounds", metavar="X0,Y0,X1,Y1", help="In metres; default: what was measured."
+        ),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold",
+            metavar="DBM",
+            help="Connected from here on; default: --floor, or the least power of the log.",
+        ),
+    ] = None,
+    method: MethodOption = "reml",
+    columns: ColumnsOption = None,
+    censored: CensoredOption = None,
+    floor: FloorOption = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Draw it too; .png, .svg or .pdf."),
+    ] = None,
+    json: JsonOption = False,
+) -> int:
+    """Fit a log and write what it tells of every place."""
+    from planopt.channel.posterior import condition
+    from planopt.channel.posterior_map import default_cell_m, measured_bounds_m, posterior_map
+    from planopt.world.raster_files import check_raster_output, write_rasters
+
+    check_raster_output(out)
+    box = None if bounds is None else parse_bounds(bounds)
+    with _writable(out, picture):
+        with progress("mapping"):
+            measurements, found = read_and_fit(log, station, method, columns, censored, floor)
+            box = measured_bounds_m(measurements) if box is None else box
+            maps = posterior_map(
+                condition(found.parameters, measurements),
+                box,
+                default_cell_m(box) if cell is None else cell,
+                _threshold_dbm(threshold, floor, measurements),
+            )
+        if picture is not None:
+            from planopt.commands.pictures import picture_map
+
+            title = f"{log.name}: what {len(measurements)} measurements tell ({method} fit)"
+            with progress("drawing"):
+                picture_map(maps, measurements, found, title, picture)
+        write_rasters(out, {name: getattr(maps, name) for name in UNITS}, UNITS)
+    data = {**map_json(maps, out, picture), "fit": fit_json(found)}
+    show(json, data, _in_words(data))
+    return 0
+
+
+def parse_bounds(text: str) -> Bounds:
+    """Read ``X0,Y0,X1,Y1`` in metres.
+
+    Raises
+    ------
+    InputError
+        Not four numbers.
+    """
+    try:
+        x_min, y_min, x_max, y_max = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"cannot read {text!r}", key="--bounds", remedy="write X0,Y0,X1,Y1 in metres"
+        ) from None
+    return x_min, y_min, x_max, y_max
+
+
+def map_json(maps: PosteriorMap, out: Path, picture: Path | None) -> dict[str, Any]:
+    """What ``planopt map`` prints of the map itself."""
+    raster = maps.mean_db
+    return {
+        "file": str(out),
+        "picture": None if picture is None else str(picture),
+        "variables": list(UNITS),
+        "shape": list(raster.values.shape),
+        "cell_m": raster.cell_m[0],
+        "x_m": [float(raster.x_m[0]), float(raster.x_m[-1])],
+        "y_m": [float(raster.y_m[0]), float(raster.y_m[-1])],
+        "threshold_dbm": maps.threshold_dbm,
+        "connected_share": float((maps.connectivity.values >= 0.5).mean()),
+        "posterior": maps.posterior,
+    }
+
+
+def _threshold_dbm(
+    threshold: float | None, floor: float | None, measurements: Measurements
+) -> float:
+    """What was asked for, or else the weakest power that the log shows to have been received."""
+    if threshold is not None:
+        return threshold
+    return float(measurements.power_dbm.min()) if floor is None else floor
+
+
+@contextlib.contextmanager
+def _writable(out: Path, picture: Path | None) -> Generator[None]:
+    """Know that both files can be written before any work is done."""
+    with contextlib.ExitStack() as stack:
+        for file in (out, picture):
+            if file is not None:
+                stack.enter_context(results_folder(file.parent))
+        yield
+
+
+def _in_words(data: dict[str, Any]) -> str:
+    rows, columns = data["shape"]
+    (x_min, x_max), (y_min, y_max) = data["x_m"], data["y_m"]
+    fit = data["fit"]
+    lines = [
+        f"{data['file']}: {rows} x {columns} cells of {data['cell_m']:g} m, "
+        f"x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g}",
+        f"  from {fit['measurements']} measurements, {fit['censored']} of them upper limits "
+        f"({fit['method']}: {fit['status']}; {data['posterior']})",
+        f"  more likely connected than not, from {data['threshold_dbm']:g} dBm on, in "
+        f"{data['connected_share']:.1%} of the cells",
+        *(f"  {warning}" for warning in fit["warnings"]),
+    ]
+    if data["picture"] is not None:
+        lines.append(f"  picture: {data['picture']}")
+    return "\n".join(lines)

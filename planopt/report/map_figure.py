@@ -1,0 +1,121 @@
+"""A map of the channel as three panels: predicted power, its deviation, chance of connection."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import Station
+from planopt.channel.posterior_map import PosteriorMap
+from planopt.report.maps import PATH_Z, PLACE_Z, X_LABEL, Y_LABEL, draw_layer, draw_level
+from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.style import (
+    BLACK,
+    DEVIATION_MAP,
+    ORANGE,
+    POWER_MAP,
+    PROBABILITY_MAP,
+    VERMILLION,
+    dress,
+    head,
+    legend_below,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+DOT_AREA, SMALLEST_DOT_AREA, MANY = 12.0, 1.5, 300
+"""Size of a measurement's dot; it shrinks where there are more than `MANY`."""
+
+PANEL_IN, AROUND_IN, MAX_SLENDER = 4.0, 1.9, 2.0
+"""Width of a panel and height of titles and legend in inches; a map is drawn at most twice as high
+as it is wide, and a higher one narrower."""
+
+
+def draw_posterior_map(
+    maps: PosteriorMap, measurements: Measurements, station: Station, title: str
+) -> Figure:
+    """Draw predicted power [dBm], its deviation [dB] and P(connected) beside each other.
+
+    Parameters
+    ----------
+    maps
+        The map.
+    measurements
+        What it was predicted from: dots on the deviation, the censored ones in another colour.
+    station
+        Marked where it is inside the map.
+    title
+        Of the figure.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    threshold = maps.threshold_dbm
+    x_min, x_max, y_min, y_max = _edges(maps)
+    slender = (y_max - y_min) / (x_max - x_min)
+    height_in = AROUND_IN + PANEL_IN * min(slender, MAX_SLENDER)
+    figure = new_figure(16.5, height_in, maps_only=True)
+    cells = GridSpec(1, 3, figure=figure)
+    panels = [add_panel(figure, cells[0, column]) for column in range(3)]
+    titles = ("predicted power", "deviation of the prediction", f"P(power ≥ {threshold:g} dBm)")
+    for panel, words in zip(panels, titles, strict=True):
+        dress(panel, words, X_LABEL, Y_LABEL, grid=False)
+        panel.set_aspect("equal")
+    mark = "power [dBm] (line: threshold)"
+    draw_layer(panels[0], maps.mean_db, POWER_MAP, figure, mark, mark=threshold)
+    draw_level(panels[0], maps.mean_db, threshold, VERMILLION)
+    draw_layer(panels[1], maps.deviation_db, DEVIATION_MAP, figure, "deviation [dB]")
+    draw_layer(
+        panels[2], maps.connectivity, PROBABILITY_MAP, figure, "P(connected) [1]", (0.0, 1.0)
+    )
+    entries = _draw_dots(panels[1], measurements)
+    if _inside(maps, station):
+        entries += [_draw_station(panel, station) for panel in panels][:1]
+    for panel in panels:
+        _frame(panel, maps)
+    legend_below(figure, entries, 3)
+    head(figure, title)
+    return figure
+
+
+def _draw_dots(panel: Panel, measurements: Measurements) -> list[Artist]:
+    area = max(SMALLEST_DOT_AREA, DOT_AREA * min(1.0, MANY / len(measurements)))
+    artists: list[Artist] = []
+    for label, selection, colour in (
+        ("measured", ~measurements.censored, BLACK),
+        ("measured at the floor (censored)", measurements.censored, VERMILLION),
+    ):
+        if selection.any():
+            x, y = measurements.positions_m[selection].T
+            artists.append(
+                panel.scatter(x, y, s=area, color=colour, linewidths=0, zorder=PATH_Z, label=label)
+            )
+    return artists
+
+
+def _draw_station(panel: Panel, station: Station) -> Artist:
+    x, y = station.position_m
+    look = {"color": ORANGE, "edgecolors": "black", "linewidths": 1.0, "label": "station"}
+    return panel.scatter([x], [y], marker="^", s=80.0, zorder=PLACE_Z, **look)
+
+
+def _edges(maps: PosteriorMap) -> tuple[float, float, float, float]:
+    """x_min, x_max, y_min, y_max of the cells."""
+    raster = maps.mean_db
+    wide, high = raster.cell_m
+    x, y = raster.x_m, raster.y_m
+    return x[0] - wide / 2, x[-1] + wide / 2, y[0] - high / 2, y[-1] + high / 2
+
+
+def _inside(maps: PosteriorMap, station: Station) -> bool:
+    x_min, x_max, y_min, y_max = _edges(maps)
+    x, y = station.position_m
+    return x_min <= x <= x_max and y_min <= y <= y_max
+
+
+def _frame(panel: Panel, maps: PosteriorMap) -> None:
+    """Show the map and nothing beyond, whatever was measured there."""
+    x_min, x_max, y_min, y_max = _edges(maps)
+    panel.set_xlim(x_min, x_max)
+    panel.set_ylim(y_min, y_max)

@@ -1,0 +1,169 @@
+"""Delta^2 against simulation, the posterior's own variance, and the seed's expression."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.path_loss import regressors
+from planopt.channel.posterior import condition
+from planopt.channel.sensitivity import (
+    PERTURBED,
+    mean_squared_error_db2,
+    perturbed,
+    sensitivity_curves,
+)
+from planopt.errors import InputError
+
+TRUE = ChannelParameters(-10.0, 2.0, 4.0, 8.0, 1.5, Station((12.0, 9.0), 2.0))
+WRONG = ChannelParameters(-13.0, 2.4, 5.5, 4.0, 2.5, TRUE.station)
+MEASURED = np.random.default_rng(1).uniform(0.0, 30.0, (25, 2))
+PLACES = np.random.default_rng(2).uniform(0.0, 30.0, (40, 2))
+
+
+def path_loss(parameters, places):
+    """Mean power."""
+    return regressors(places, parameters.station) @ [parameters.k_pl_db, parameters.n_pl]
+
+
+def predicted(assumed, power):
+    """Lemma 2 with known theta at the places."""
+    data = Measurements(MEASURED, power, np.zeros(len(power), dtype=bool))
+    return condition(assumed, data, theta="known").predict(PLACES)
+
+
+@pytest.mark.parametrize(
+    "assumed",
+    [WRONG, replace(WRONG, station=Station((15.0, 5.0), 0.0)), replace(TRUE, n_pl=2.2)],
+    ids=["all", "station", "n_pl"],
+)
+def test_simulation(assumed):
+    """The squared error of the posterior's mean over fields of the true channel, to 5 sigma."""
+    everywhere = np.concatenate([MEASURED, PLACES])
+    covariance = shadow_covariance_db2(everywhere, everywhere, TRUE)
+    covariance += TRUE.multipath_std_db**2 * np.eye(len(everywhere))
+    draws = 4000
+    power = path_loss(TRUE, everywhere)[:, None] + np.linalg.cholesky(
+        covariance
+    ) @ np.random.default_rng(3).standard_normal((len(everywhere), draws))
+    # Lemma 2 is affine in the data: its weights from unit measurements.
+    constant = predicted(assumed, np.zeros(25)).mean_db
+    weights = np.stack([predicted(assumed, row).mean_db - constant for row in np.eye(25)], axis=1)
+    squares = (constant[:, None] + weights @ power[:25] - power[25:]) ** 2
+    delta = mean_squared_error_db2(TRUE, assumed, MEASURED, PLACES)
+    error = squares.std(axis=1) / np.sqrt(draws)
+    assert (np.abs(squares.mean(axis=1) - delta) < 5.0 * error).all()
+
+
+def test_no_error_is_the_posterior_variance():
+    """With right parameters Delta^2 is sigma^2 of Lemma 2."""
+    deviation = predicted(TRUE, np.zeros(25)).deviation_db
+    delta = mean_squared_error_db2(TRUE, TRUE, MEASURED, PLACES)
+    np.testing.assert_allclose(delta, deviation**2, rtol=1e-10)
+
+
+def test_seed_expression():
+    """Section II-B term by term, by dense inverses."""
+    u = shadow_covariance_db2(MEASURED, MEASURED, TRUE) + 1.5**2 * np.eye(25)
+    u_est = shadow_covariance_db2(MEASURED, MEASURED, WRONG) + 2.5**2 * np.eye(25)
+    gamma = regressors(MEASURED, TRUE.station)
+    expected = []
+    for q in PLACES:
+        phi = shadow_covariance_db2(MEASURED, q[None], TRUE)[:, 0]
+        weights = np.linalg.solve(u_est, shadow_covariance_db2(MEASURED, q[None], WRONG)[:, 0])
+        varphi = regressors(q[None], TRUE.station)[0] - gamma.T @ weights
+        expected.append(
+            16.0 + 2.25 - weights @ (2.0 * phi - u @ weights) + (varphi @ [3.0, -0.4]) ** 2
+        )
+    np.testing.assert_allclose(
+        mean_squared_error_db2(TRUE, WRONG, MEASURED, PLACES), expected, rtol=1e-10
+    )
+
+
+@pytest.mark.parametrize("name", PERTURBED)
+def test_right_parameters_are_best(name):
+    """Any error in any one parameter raises Delta^2 at every place."""
+    best = mean_squared_error_db2(TRUE, TRUE, MEASURED, PLACES)
+    for error in (-0.3, 0.3):
+        worse = mean_squared_error_db2(TRUE, perturbed(TRUE, name, error), MEASURED, PLACES)
+        assert (worse > best).all()
+
+
+def test_theta_error_is_quadratic():
+    """Twice the error in n_PL adds four times as much, in either direction."""
+    errors = [0.0, 0.1, -0.1, 0.2]
+    curve = sensitivity_curves(TRUE, MEASURED, PLACES, errors)["n_pl"]
+    added = curve - curve[0]
+    np.testing.assert_allclose(added[1:], added[1] * np.array([1.0, 1.0, 4.0]), rtol=1e-9)
+
+
+def test_curves_perturb_what_they_say():
+    """Each curve's factor on the parameter it is named after."""
+    for name, attribute, factor in [
+        ("k_pl_db", "k_pl_db", 1.5),
+        ("n_pl", "n_pl", 1.5),
+        ("shadow_variance_db2", "shadow_std_db", np.sqrt(1.5)),
+        ("decorrelation_m", "decorrelation_m", 1.5),
+        ("multipath_std_db", "multipath_std_db", 1.5),
+    ]:
+        expected = replace(TRUE, **{attribute: getattr(TRUE, attribute) * factor})
+        assert perturbed(TRUE, name, 0.5) == expected
+        curve = sensitivity_curves(TRUE, MEASURED, PLACES, [0.5])[name]
+        direct = mean_squared_error_db2(TRUE, expected, MEASURED, PLACES).mean()
+        assert curve == pytest.approx([direct])
+
+
+def test_without_measurements():
+    """Nothing measured: the variance of power, plus the squared error of the path loss."""
+    delta = mean_squared_error_db2(TRUE, WRONG, np.zeros((0, 2)), PLACES)
+    bias = path_loss(TRUE, PLACES) - path_loss(WRONG, PLACES)
+    np.testing.assert_allclose(delta, 16.0 + 2.25 + bias**2, rtol=1e-12)
+
+
+def test_repeated_measurements_without_assumed_nugget():
+    """Duplicates under an assumed omega of zero stay finite."""
+    twice = np.concatenate([MEASURED, MEASURED])
+    delta = mean_squared_error_db2(TRUE, replace(TRUE, multipath_std_db=0.0), twice, PLACES)
+    assert np.isfinite(delta).all()
+    assert (delta >= mean_squared_error_db2(TRUE, TRUE, twice, PLACES) - 1e-9).all()
+
+
+def test_many_places_by_blocks(monkeypatch):
+    """The block size does not show."""
+    whole = mean_squared_error_db2(TRUE, WRONG, MEASURED, PLACES)
+    monkeypatch.setattr("planopt.channel.sensitivity.ELEMENTS", 25 * 7)
+    np.testing.assert_allclose(
+        mean_squared_error_db2(TRUE, WRONG, MEASURED, PLACES), whole, rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"shadow_std_db": -1.0}, "assumed.shadow_std_db"),
+        ({"decorrelation_m": 0.0}, "assumed.decorrelation_m"),
+        ({"multipath_std_db": float("nan")}, "assumed.multipath_std_db"),
+        ({"n_pl": float("inf")}, "assumed.n_pl"),
+    ],
+)
+def test_bad_parameters(changes, key):
+    """The error names the parameter."""
+    with pytest.raises(InputError) as caught:
+        mean_squared_error_db2(TRUE, replace(TRUE, **changes), MEASURED, PLACES)
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize(("name", "error"), [("beta", 0.1), ("n_pl", -1.0), ("n_pl", np.nan)])
+def test_bad_perturbation(name, error):
+    """An unknown name, or an error that leaves nothing."""
+    with pytest.raises(InputError):
+        perturbed(TRUE, name, error)
+
+
+def test_bad_places():
+    """Positions that are not (n, 2)."""
+    with pytest.raises(InputError):
+        mean_squared_error_db2(TRUE, WRONG, MEASURED, np.zeros(3))

@@ -1,0 +1,137 @@
+"""What a candidate costs, what the verifier says of it, and how it is written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import (
+    WALL,
+    bad_disc,
+    bad_everywhere,
+    belief_of,
+    good_everywhere,
+    kriged,
+    small_problem,
+    straight_path,
+)
+
+from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.pivot import Pivot
+from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.scene import build_scene
+
+
+def judge_of(problem, power_at=good_everywhere, pivot=None) -> Judge:
+    """The judge of a step from the problem's start."""
+    start = np.asarray(problem.robots[0].start_m)
+    return Judge(problem, build_scene(problem), belief_of(problem, power_at), start, pivot)
+
+
+def judged(judge: Judge, path_m) -> Candidate:
+    """A judged lattice candidate."""
+    path = np.asarray(path_m, dtype=float)
+    return judge.judged(judge.candidate(path, Rung.LATTICE, Termination.LATTICE_ONLY))
+
+
+def test_objective_by_hand():
+    """Two steps of 1.5 and 2 m, then 3 m to a pivot that is worth 10 m more, at 0.7 s/m."""
+    judge = judge_of(small_problem(), pivot=Pivot(np.array([8.5, 18.0]), 10.0))
+    path = np.array([(6.5, 15.0), (8.5, 15.0)])
+    steps = (1.0 + 0.1 * 1.5**2) + (1.0 + 0.1 * 2.0**2)
+    assert judge.rate_s_m == pytest.approx(0.7)
+    assert judge.objective(path) == pytest.approx(steps + 0.7 * 13.0)
+    candidate = judge.candidate(path, Rung.PLAN, Termination.CONVERGED)
+    assert candidate.objective == candidate.lattice_objective == judge.objective(path)
+
+
+def test_objective_without_a_way_beyond():
+    """The steps' cost only; standing at the goal costs nothing."""
+    problem = small_problem(start_m=(33.0, 15.0))
+    judge = judge_of(problem)
+    arrived = np.array([(35.0, 15.0), (35.0, 15.0), (35.0, 15.0)])
+    assert judge.objective(arrived) == pytest.approx(1.4)
+    waiting = np.array([(33.0, 15.0), (33.0, 15.0), (35.0, 15.0)])
+    assert judge.objective(waiting) == pytest.approx(3.4)
+
+
+def test_not_yet_judged():
+    """It claims nothing, and cannot be released."""
+    judge = judge_of(small_problem())
+    path = straight_path(small_problem())[1:]
+    candidate = judge.candidate(path, Rung.PLAN, Termination.CONVERGED)
+    assert candidate.verdict is Verdict.FEASIBLE_UNVERIFIED
+    assert not candidate.sound and not candidate.relaxes
+    with pytest.raises(AssertionError):
+        judge.plan_from(candidate, 0.0)
+
+
+def test_good_candidate_as_a_plan():
+    """Everything the verifier predicted, the robot's own place first."""
+    problem = small_problem(WALL)
+    judge = judge_of(problem, bad_disc(20.0, 25.0, 4.0))
+    path = straight_path(problem)
+    candidate = judged(judge, path[1:])
+    assert candidate.verdict is Verdict.VERIFIED
+    assert candidate.sound and not candidate.relaxes
+    plan = judge.plan_from(candidate, 0.5)
+    assert (plan.positions_m == path).all()
+    assert (plan.t_s == np.arange(5.0)).all()
+    mean, deviation = kriged(judge.belief, path)
+    assert np.allclose(plan.mean_dbm, mean, atol=1e-8)
+    assert np.allclose(plan.deviation_db, deviation, atol=1e-6)
+    assert plan.connectivity[1:].min() == plan.certificate.min_connectivity
+    assert (plan.wall_s, plan.rung, plan.message) == (0.5, Rung.LATTICE, "")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        [(19.0, 15.0), (21.0, 15.0)],
+        [(18.0, 15.0), (19.45, 15.0)],
+        [(20.0, 29.0), (18.0, 29.0)],
+        [(18.0, 16.0), (np.nan, 16.0)],
+    ],
+)
+def test_unsound(path):
+    """Through a wall, too near to it, a jump, no number: not sound whatever is predicted."""
+    problem = small_problem(WALL, start_m=(18.0, 15.0))
+    candidate = judged(judge_of(problem), path)
+    assert candidate.verdict is Verdict.VIOLATED
+    assert not candidate.sound
+
+
+def test_out_of_bounds_is_unsound():
+    """A robot may not be sent out of the workspace, even where nothing better is verified."""
+    problem = small_problem(start_m=(5.0, 29.0))
+    candidate = judged(judge_of(problem, bad_everywhere), [(5.0, 30.5), (6.0, 30.5)])
+    assert candidate.verdict is Verdict.VIOLATED
+    assert not candidate.sound
+
+
+def test_below_the_bound_is_sound():
+    """Connectivity may be given up; the words say what and why."""
+    problem = small_problem()
+    judge = judge_of(problem, bad_everywhere)
+    candidate = judged(judge, straight_path(problem)[1:])
+    assert candidate.sound and candidate.relaxes
+    assert candidate.verdict is Verdict.VIOLATED
+    assert "none of the 4 steps" in judge.plan_from(candidate, 0.0).message
+
+
+def test_words_of_a_relaxed_plan():
+    """The steps and the worst dB."""
+    problem = small_problem()
+    judge = judge_of(problem, bad_disc(5.0, 15.0, 3.5))
+    candidate = judged(judge, straight_path(problem, 2.0)[1:])
+    assert candidate.verdict is Verdict.VERIFIED and candidate.relaxes
+    message = judge.plan_from(candidate, 0.0).message
+    assert "at steps 1;" in message
+    assert f"{candidate.certificate.relaxation_db[0]:.2f} dB" in message
+
+
+def test_words_of_standing_still():
+    """A verified stand is still a stand."""
+    judge = judge_of(small_problem())
+    plan = judge.plan_from(judged(judge, [(5.0, 15.0)] * 4), 0.0)
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.message == "the plan stands still"

@@ -1,0 +1,141 @@
+"""What a seed fixes before planning: the truth, the measured places, the first belief."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from scenes import RING, good_everywhere, small_problem
+
+from planopt import load
+from planopt.channel.measurements import Measurements
+from planopt.channel.truth import true_power_dbm
+from planopt.errors import InputError
+from planopt.planning.prepare import draw_truth, free_places, learn, prepare
+from planopt.problems.problem import RasterTruth, SampledMeasurements
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """The open field."""
+    return load("open_field")
+
+
+@pytest.fixture(scope="module")
+def prepared(problem):
+    """Of seed 4."""
+    return prepare(problem, 4)
+
+
+def measuring(problem, count):
+    """The problem with another number of first measurements."""
+    return replace(
+        problem, channel=replace(problem.channel, measurements=SampledMeasurements(count))
+    )
+
+
+def test_measurements_are_the_truth_at_free_places(problem, prepared):
+    """As many as asked for, within bounds, outside obstacles, with the true power."""
+    measured = prepared.belief.posterior.measurements
+    assert len(measured) == 120
+    points = shapely.points(measured.positions_m)
+    for obstacle in problem.workspace.obstacles:
+        assert not shapely.intersects(obstacle.polygon, points).any()
+    assert ((measured.positions_m >= 0.0) & (measured.positions_m <= (120.0, 100.0))).all()
+    assert (measured.power_dbm == true_power_dbm(prepared.truth, measured.positions_m)).all()
+    assert prepared.belief.fit.measurements == 120
+    assert prepared.belief.posterior.parameters == prepared.belief.fit.parameters
+
+
+def test_same_seed_same_world(problem, prepared):
+    """And another seed, another."""
+    again, other = prepare(problem, 4), prepare(problem, 5)
+    assert np.array_equal(again.truth.raster.values, prepared.truth.raster.values)
+    assert np.array_equal(again.belief.posterior.theta, prepared.belief.posterior.theta)
+    assert not np.array_equal(other.truth.raster.values, prepared.truth.raster.values)
+
+
+def test_more_measurements_leave_the_fading_as_it_was(problem, prepared):
+    """Two streams: what is measured does not change what there is."""
+    more = prepare(measuring(problem, 30), 4)
+    assert np.array_equal(more.truth.raster.values, prepared.truth.raster.values)
+    assert len(more.belief.posterior.measurements) == 30
+
+
+def test_transmit_power_shifts_the_truth(problem):
+    """Ten dB more sent, ten dB more received, to rounding."""
+    radio = problem.stations[0]
+    louder = replace(
+        problem,
+        stations=(replace(radio, transmit_power_dbm=radio.transmit_power_dbm + 10.0),),
+    )
+    one, two = (draw_truth(p, np.random.default_rng(1)) for p in (problem, louder))
+    assert np.allclose(two.raster.values - one.raster.values, 10.0)
+
+
+def test_floor_censors(problem):
+    """A receiver's floor in the middle of the values: as high as it is, and so marked."""
+    truth = replace(problem.channel.truth, floor_db=-80.0)
+    found = prepare(replace(problem, channel=replace(problem.channel, truth=truth)), 4)
+    measured = found.belief.posterior.measurements
+    assert found.truth.floor_dbm == -60.0
+    assert 0 < measured.censored.sum() < len(measured)
+    assert (measured.power_dbm[measured.censored] == -60.0).all()
+    assert (measured.power_dbm[~measured.censored] > -60.0).all()
+
+
+def test_raster_truth(problem, tmp_path):
+    """A map of gains, sent with the station's power; a place without any is at the floor."""
+    x, y = np.arange(0.5, 120.0), np.arange(0.5, 100.0)
+    gain = -90.0 + 0.1 * x[None] + 0.0 * y[:, None]
+    gain[0, 0] = np.nan
+    path = tmp_path / "map.npz"
+    np.savez(path, gain=gain, x=x, y=y)
+    truth = draw_truth(
+        replace(
+            problem,
+            channel=replace(problem.channel, truth=RasterTruth(path, "gain", -120.0, None)),
+        ),
+        np.random.default_rng(0),
+    )
+    places = np.array([(0.4, 0.4), (50.5, 20.5)])
+    assert np.allclose(true_power_dbm(truth, places), [-100.0, -90.0 + 5.05 + 20.0])
+
+
+def test_no_truth_and_no_log(problem):
+    """There is nothing to measure: the key says where to put it."""
+    channel = replace(problem.channel, truth=None)
+    with pytest.raises(InputError, match=r"channel\.truth") as caught:
+        prepare(replace(problem, channel=channel), 0)
+    assert "channel.measurements.file" in str(caught.value)
+    assert draw_truth(replace(problem, channel=channel), np.random.default_rng(0)) is None
+
+
+def test_places_are_uniform():
+    """In the courtyard as its area is, and never in the ring about it."""
+    problem = small_problem(RING)
+    places = free_places(problem, 4000, np.random.default_rng(0))
+    assert places.shape == (4000, 2)
+    assert not shapely.intersects(RING, shapely.points(places)).any()
+    inside = ((places > (14.0, 9.0)) & (places < (26.0, 21.0))).all(axis=1).mean()
+    share = 144.0 / (1200.0 - RING.area)
+    assert inside == pytest.approx(share, abs=4.0 * np.sqrt(share / 4000))
+
+
+def test_no_place_to_measure_at():
+    """Obstacles over the whole workspace."""
+    with pytest.raises(InputError, match=r"world\.obstacles"):
+        free_places(small_problem(shapely.box(-1, -1, 41, 31)), 5, np.random.default_rng(0))
+
+
+def test_learning_from_given_measurements(problem):
+    """Fitted by the problem's method and conditioned on all of them."""
+    places = np.random.default_rng(2).uniform((0, 0), (120, 100), (40, 2))
+    measured = Measurements(places, good_everywhere(places), np.zeros(40, dtype=bool))
+    belief = learn(
+        replace(problem, channel=replace(problem.channel, fit_method="capped")), measured
+    )
+    assert belief.fit.method == "capped"
+    assert len(belief.posterior.measurements) == 40

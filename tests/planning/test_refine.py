@@ -1,0 +1,103 @@
+"""Attempts of one step: judged, and repeated with what the verifier objects to built in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import CUP, WALL, bad_disc, belief_of, good_everywhere, search_of, small_problem
+
+import planopt.planning.refine as refine
+from planopt.planning.candidate import Judge
+from planopt.planning.pivot import find_pivot
+from planopt.planning.plan import Rung, Verdict
+from planopt.planning.reach_nlp import build_reach_nlp
+
+
+def refiner_of(problem, power_at=good_everywhere, lines=4):
+    """A refiner of the step from the problem's start, its judge and its start path."""
+    search, _, scene = search_of(problem, power_at)
+    belief = belief_of(problem, power_at)
+    at = np.asarray(problem.robots[0].start_m)
+    start = search.find_start(at, belief.posterior.measurements.positions_m)
+    pivot = find_pivot(scene, start, None, problem.step_length_m, problem.constraints.clearance_m)
+    judge = Judge(problem, scene, belief, at, pivot)
+    nlp = build_reach_nlp(problem.planner.horizon, lines)
+    cost = judge.objective(start.path_m)
+    return refine.Refiner(nlp, judge, start, cost), judge, start
+
+
+@pytest.mark.parametrize("polygon", [WALL, CUP])
+def test_first_attempt_is_good(polygon):
+    """Verified, cheaper than the lattice path, with the solver's effort and residual."""
+    problem = small_problem(polygon, start_m=(12.0, 15.0), horizon=10)
+    refiner, judge, start = refiner_of(problem)
+    first = next(refiner.attempts(None))
+    assert first.verdict is Verdict.VERIFIED
+    assert first.rung is Rung.PLAN
+    assert first.objective == judge.objective(first.path_m) < judge.objective(start.path_m)
+    assert first.iterations > 0 and first.solve_s > 0.0
+    assert first.kkt_residual < 1e-3
+    assert set(first.multipliers) == {"speed", "line_end", "line_start", "connectivity"}
+
+
+def test_attempts_end():
+    """However often the caller is not content, and every one of them has been judged."""
+    refiner, _, _ = refiner_of(small_problem(CUP, start_m=(18.0, 15.0), horizon=8))
+    attempts = list(refiner.attempts(None))
+    assert 1 < len(attempts) <= 4 * (refine.REPAIRS + 1)
+    assert all(attempt.certificate is not None for attempt in attempts)
+    assert {attempt.rung for attempt in attempts} == {Rung.PLAN, Rung.COLD_RETRY}
+
+
+def test_shifted_plan_is_tried():
+    """A cheaper last plan comes first, a dearer one last, one of another length not at all."""
+    problem = small_problem(WALL, start_m=(12.0, 15.0), horizon=10)
+    refiner, _, _ = refiner_of(problem)
+    good = next(refiner.attempts(None)).path_m
+    polished_from = []
+    polish = refine.polish
+
+    def noting(nlp, task):
+        polished_from.append(task.path_m)
+        return polish(nlp, task)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refine, "polish", noting)
+        next(refiner.attempts(good))
+        assert (polished_from[0] == good).all()
+        polished_from.clear()
+        dear = np.tile((12.0, 15.0), (10, 1))
+        list(refiner.attempts(dear))
+        assert not (polished_from[0] == dear).all()
+        assert any((path == dear).all() for path in polished_from)
+        polished_from.clear()
+        next(refiner.attempts(good[:-3]))
+        assert all(len(path) == 10 for path in polished_from)
+
+
+def test_relaxed_start_is_made_as_good_as_can_be():
+    """Out of a hole: missing dB at the step that cannot keep the bound, none elsewhere."""
+    problem = small_problem(horizon=6)
+    refiner, judge, start = refiner_of(problem, bad_disc(5.0, 15.0, 3.5))
+    attempts = [a for a in refiner.attempts(None) if a.verdict is Verdict.VERIFIED]
+    assert attempts
+    lattice = judge.judged(judge.candidate(start.path_m, Rung.LATTICE, attempts[0].termination))
+    assert attempts[0].rung is Rung.RELAXED
+    assert attempts[0].certificate.relaxed_steps == (1,)
+    assert sum(attempts[0].certificate.relaxation_db) <= sum(lattice.certificate.relaxation_db)
+
+
+def test_optimistic_neighbours_are_corrected(monkeypatch):
+    """A local model that promises 3 dB too much: the proof objects, and is heard."""
+    problem = small_problem(horizon=8)
+    refiner, _, _ = refiner_of(problem, bad_disc(12.0, 15.0, 3.0))
+    margins = refine.stage_margins
+
+    def rosy(*arguments):
+        found = margins(*arguments)
+        return replace(found, value=found.value + 3.0)
+
+    monkeypatch.setattr(refine, "stage_margins", rosy)
+    assert any(attempt.verdict is Verdict.VERIFIED for attempt in refiner.attempts(None))

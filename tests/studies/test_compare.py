@@ -1,0 +1,237 @@
+"""A comparison: complete, paired, and the same however many processes made it."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from planopt import load
+from planopt.errors import InputError
+from planopt.planning.closed_loop import simulate
+from planopt.planning.run import Metrics, Outcome, StepLog
+from planopt.studies.compare import compare_horizons, mean_interval, paired_ratio, tabulate
+from planopt.studies.comparison import Comparison, Row
+
+HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 3
+TIMES = {"p50_step_s", "p95_step_s"}
+METRICS = [field.name for field in fields(Metrics)]
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A corner of the open field, some ten steps wide; the limit cuts some loops short."""
+    whole = load("open_field")
+    robot = replace(whole.robots[0], start_m=(70.0, 60.0))
+    return replace(whole, robots=(robot,), planner=replace(whole.planner, max_steps=9))
+
+
+@pytest.fixture(scope="module")
+def seen() -> list:
+    """Runs in the order in which they were reported."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def comparison(problem, seen) -> Comparison:
+    """Four settings on three seeds, in this process."""
+    return compare_horizons(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, on_run=seen.append)
+
+
+def rows_of(comparison: Comparison, horizon: int, cost_to_go: str) -> dict[str, Row]:
+    """One setting's rows by metric."""
+    return {
+        row.metric: row
+        for row in comparison.rows
+        if (row.horizon, row.cost_to_go) == (horizon, cost_to_go)
+    }
+
+
+def runs_of(comparison: Comparison, horizon: int, cost_to_go: str) -> list:
+    """One setting's runs, seed by seed."""
+    return [
+        run for run in comparison.runs if (run.horizon, run.cost_to_go) == (horizon, cost_to_go)
+    ]
+
+
+def test_every_setting_on_every_seed(comparison, seen):
+    """Setting by setting, seed by seed, each reported once."""
+    assert [(r.cost_to_go, r.horizon, r.seed) for r in comparison.runs] == list(
+        product(COSTS, HORIZONS, range(SEEDS))
+    )
+    assert [(r.seed, r.cost_to_go, r.horizon) for r in seen] == list(
+        product(range(SEEDS), COSTS, HORIZONS)
+    )
+    assert {id(run) for run in seen} == {id(run) for run in comparison.runs}
+    assert comparison.wall_s > 0.0
+
+
+def test_every_metric_of_every_setting(comparison, problem):
+    """A row each, with the counts of its runs."""
+    assert [(r.cost_to_go, r.horizon, r.metric) for r in comparison.rows] == list(
+        product(COSTS, HORIZONS, METRICS)
+    )
+    assert comparison.problem is problem
+    for row in comparison.rows:
+        runs = runs_of(comparison, row.horizon, row.cost_to_go)
+        assert row.seeds == SEEDS
+        assert row.planner == "auto"
+        assert row.stalled == sum(run.outcome is not Outcome.REACHED for run in runs)
+        released = sum(len(run.log.verdict) - 1 for run in runs)
+        verified = sum(v.value == "verified" for run in runs for v in run.log.verdict[1:])
+        assert row.verified_rate == pytest.approx(verified / released)
+        steps = np.concatenate([run.log.step_s[1:] for run in runs])
+        assert row.p50_step_s == np.median(steps)
+        assert row.p95_step_s == np.quantile(steps, 0.95)
+
+
+def test_means_and_intervals_against_scipy(comparison):
+    """Student's interval over the runs for which the metric exists."""
+    compared = 0
+    for row in comparison.rows:
+        runs = runs_of(comparison, row.horizon, row.cost_to_go)
+        values = np.array([getattr(run.metrics, row.metric) for run in runs])
+        values = values[np.isfinite(values)]
+        assert row.count == len(values)
+        if len(values) == 0:
+            assert row.mean is row.ci_low is row.ci_high is None
+            continue
+        assert row.mean == pytest.approx(values.mean())
+        if len(values) == 1 or values.std() == 0.0:
+            continue
+        low, high = scipy.stats.t.interval(
+            0.95, len(values) - 1, values.mean(), scipy.stats.sem(values)
+        )
+        assert (row.ci_low, row.ci_high) == pytest.approx((low, high))
+        compared += 1
+    assert compared > 5
+
+
+def test_ratios_are_paired_with_the_first_setting(comparison):
+    """Seed by seed, where both exist and are positive."""
+    reference = runs_of(comparison, HORIZONS[0], COSTS[0])
+    for row in comparison.rows:
+        runs = runs_of(comparison, row.horizon, row.cost_to_go)
+        ratios = []
+        for run, other in zip(runs, reference, strict=True):
+            assert run.seed == other.seed
+            mine, its = getattr(run.metrics, row.metric), getattr(other.metrics, row.metric)
+            if mine > 0.0 and its > 0.0:
+                ratios.append(mine / its)
+        if ratios:
+            assert row.paired_ratio == pytest.approx(scipy.stats.gmean(ratios))
+        else:
+            assert row.paired_ratio is None
+    first = rows_of(comparison, HORIZONS[0], COSTS[0])
+    assert first["path_m"].paired_ratio == 1.0
+
+
+def test_run_is_that_of_simulate(comparison, problem):
+    """Sharing scene and first belief changes no bit."""
+    [alone] = [r for r in runs_of(comparison, 6, "connected") if r.seed == 2]
+    run = simulate(problem, horizon=6, cost_to_go="connected", seed=2).run
+    assert_same_run(run, alone)
+
+
+def assert_same_run(one, other):
+    """But for measured times."""
+    for column in fields(StepLog):
+        if column.name != "step_s":
+            assert np.array_equal(
+                getattr(one.log, column.name),
+                getattr(other.log, column.name),
+                equal_nan=column.name not in ("rung", "verdict", "connected"),
+            )
+    assert replace(one, log=other.log, metrics=other.metrics) == other
+    assert repr(one.metrics) == repr(other.metrics)
+
+
+def test_parallel_equals_serial(comparison, problem):
+    """Two processes, the same bits."""
+    parallel = compare_horizons(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, workers=2)
+    for one, other in zip(comparison.runs, parallel.runs, strict=True):
+        assert_same_run(one, other)
+    for one, other in zip(comparison.rows, parallel.rows, strict=True):
+        untimed = dict.fromkeys(TIMES, 0.0)
+        assert replace(one, **untimed) == replace(other, **untimed)
+
+
+def test_seeds_by_number_or_by_name(comparison, problem):
+    """A list of seeds is these, in this order; the seeds are what counts."""
+    chosen = compare_horizons(problem, [6], costs_to_go=["connected"], seeds=iter([2, 0]))
+    assert [run.seed for run in chosen.runs] == [2, 0]
+    for run in chosen.runs:
+        [same] = [r for r in runs_of(comparison, 6, "connected") if r.seed == run.seed]
+        assert_same_run(run, same)
+
+
+def test_one_seed_has_no_interval(problem):
+    """A mean of one is no estimate of spread; planners are settings too."""
+    alone = compare_horizons(
+        problem, [2], planners=["lattice", "auto"], costs_to_go=["connected"], seeds=1
+    )
+    assert [run.planner for run in alone.runs] == ["lattice", "auto"]
+    for row in alone.rows:
+        assert row.ci_low is row.ci_high is None
+        assert row.count <= 1
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"horizons": []}, "horizons"),
+        ({"planners": []}, "planners"),
+        ({"costs_to_go": ()}, "costs_to_go"),
+        ({"seeds": 0}, "seeds"),
+        ({"seeds": -3}, "seeds"),
+        ({"seeds": []}, "seeds"),
+        ({"seeds": [1, -1]}, "seeds"),
+        ({"seeds": [1, 2, 1]}, "seeds"),
+        ({"workers": 0}, "workers"),
+        ({"workers": -1}, "workers"),
+        ({"backend": "carrier pigeon"}, "backend"),
+        ({"horizons": [4, 0]}, "planner.horizon"),
+        ({"horizons": [501]}, "planner.horizon"),
+        ({"planners": ["magic"]}, "planner.name"),
+        ({"costs_to_go": ["cheap"]}, "objective.cost_to_go"),
+    ],
+)
+def test_bad_arguments(problem, options, key):
+    """One clear error that names the argument, before anything runs."""
+    arguments = {"horizons": [2], "seeds": 1, **options}
+    with pytest.raises(InputError) as caught:
+        compare_horizons(
+            problem, arguments.pop("horizons"), on_run=lambda _: pytest.fail("ran"), **arguments
+        )
+    assert caught.value.key == key
+
+
+def test_interval_of_few_values():
+    """None and one have none; equal ones have a width of zero."""
+    assert mean_interval(np.array([])) == (None, None)
+    assert mean_interval(np.array([3.0])) == (None, None)
+    assert mean_interval(np.array([3.0, 3.0, 3.0])) == (3.0, 3.0)
+
+
+def test_ratio_of_what_does_not_exist():
+    """NaN, zero and negative values have none; the others' geometric mean stands."""
+    nan = float("nan")
+    ones = np.ones(4)
+    assert paired_ratio(np.array([nan, 0.0, -1.0, nan]), ones) is None
+    assert paired_ratio(np.array([nan, 0.0, 2.0, 8.0]), ones) == pytest.approx(4.0)
+    assert paired_ratio(ones, np.array([nan, 0.0, 2.0, 8.0])) == pytest.approx(0.25)
+
+
+def test_runs_of_no_step(comparison, problem):
+    """Runs that were at the goal from the start: nothing released, nothing unverified."""
+    robot = replace(problem.robots[0], goal_m=problem.robots[0].start_m)
+    run = simulate(replace(problem, robots=(robot,)), seed=0).run
+    from planopt.studies.compare import Setting
+
+    rows = tabulate(Setting(10, "auto", "connected"), [run], [run])
+    assert all(row.verified_rate == 1.0 for row in rows)
+    assert all(row.p50_step_s == row.p95_step_s == 0.0 for row in rows)
+    assert [row.mean for row in rows if row.metric == "path_m"] == [0.0]

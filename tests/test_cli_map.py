@@ -1,0 +1,117 @@
+"""``planopt map``: files, options and errors."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planopt.channel.fit import fit_channel
+from planopt.channel.log_file import read_log
+from planopt.channel.parameters import Station
+from planopt.channel.posterior import condition
+from planopt.cli import main
+from planopt.world.raster_files import read_raster
+
+CONTRACT = {"mean_db", "deviation_db", "connectivity"}
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Fifty noisy powers along a path loss of exponent 3, station at (0, 0)."""
+    generator = np.random.default_rng(8)
+    places = generator.uniform(10.0, 210.0, (50, 2))
+    power = -30.0 - 30.0 * np.log10(np.hypot(*places.T)) + generator.normal(0.0, 2.0, 50)
+    rows = [f"{x:.3f},{y:.3f},{p:.3f}" for (x, y), p in zip(places, power, strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["x_m,y_m,power_dbm", *rows]))
+    return path
+
+
+@pytest.mark.parametrize("ending", ["csv", "npz", "nc", "tif"])
+def test_map_is_the_posterior(log: Path, ending: str, capsys) -> None:
+    """The file's variables are those of the Python calls; the JSON says what was written."""
+    if ending == "tif":
+        pytest.importorskip("rasterio")
+    out = log.parent / "new" / f"map.{ending}"
+    arguments = ["map", str(log), "--station", "0,0,2", "--out", str(out), "--cell", "20"]
+    options = ["--bounds=20,0,100,60", "--threshold", "-90", "--method", "capped", "--json"]
+    assert main([*arguments, *options]) == 0
+    printed = capsys.readouterr()
+    data = json.loads(printed.out)
+    assert printed.err == "" and set(data["variables"]) == CONTRACT
+    assert data["file"] == str(out) and data["picture"] is None
+    assert (data["shape"], data["cell_m"], data["threshold_dbm"]) == ([3, 4], 20.0, -90.0)
+    assert (data["x_m"], data["y_m"]) == ([30.0, 90.0], [10.0, 50.0])
+    assert data["posterior"] == "exact" and data["fit"]["method"] == "capped"
+    measurements = read_log(log)
+    fit = fit_channel(measurements, Station((0.0, 0.0), 2.0), "capped")
+    posterior = condition(fit.parameters, measurements)
+    place = np.array([[70.0, 50.0]])
+    prediction = posterior.predict(place)
+    for name, value in (
+        ("mean_db", prediction.mean_db[0]),
+        ("deviation_db", prediction.deviation_db[0]),
+        ("connectivity", posterior.connectivity(place, -90.0)[0]),
+    ):
+        assert read_raster(out, name).values[2, 2] == pytest.approx(value, rel=1e-9)
+
+
+def test_defaults_and_picture(log: Path, capsys) -> None:
+    """About 200 cells over what was measured, the weakest power as threshold, and a picture."""
+    out, picture = log.parent / "map.npz", log.parent / "pictures" / "map.png"
+    arguments = ["map", str(log), "--station", "unknown", "--out", str(out)]
+    assert main([*arguments, "--picture", str(picture), "--method", "seed"]) == 0
+    text = capsys.readouterr().out
+    measurements = read_log(log)
+    raster = read_raster(out, "connectivity")
+    assert 190 <= max(raster.values.shape) <= 211
+    assert abs(raster.x_m[0] - measurements.positions_m[:, 0].min()) < raster.cell_m[0]
+    assert f"from {measurements.power_dbm.min():g} dBm on" in text
+    assert "is estimated, not given" in text and str(picture) in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_floor_is_the_threshold(log: Path, capsys) -> None:
+    """Where a floor is given, connected means above it."""
+    out = log.parent / "map.npz"
+    arguments = ["map", str(log), "--station", "0,0", "--out", str(out), "--cell", "50"]
+    assert main([*arguments, "--floor=-95", "--json", "--method", "capped"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["threshold_dbm"] == -95.0 and data["fit"]["censored"] > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ([], "--out"),
+        (["--out", "map.asc"], ".csv, .npz, .nc"),
+        (["--out", "new/map.npz", "--cell", "0"], "key cell"),
+        (["--out", "new/map.npz", "--bounds", "0,0,1"], "--bounds"),
+        (["--out", "new/map.npz", "--bounds", "0,0,1,b"], "--bounds"),
+        (["--out", "new/map.npz", "--bounds", "5,0,1,1"], "not bounds"),
+        (["--out", "new/map.npz", "--method", "magic"], "--method"),
+        (["--out", "new/map.npz", "--picture", "new/map.gif"], ".png"),
+        (["--out", "new/map.npz", "--columns", "power=rssi"], "rssi"),
+        (["--out", "log.csv/map.npz"], "log.csv"),
+    ],
+)
+def test_a_bad_option_is_one_line(
+    log: Path, options: list[str], says: str, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 2, one line on stderr, and nothing is left behind."""
+    monkeypatch.chdir(log.parent)
+    assert main(["map", "log.csv", "--station", "0,0", *options]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1 and says in printed.err
+    assert [path.name for path in log.parent.iterdir()] == ["log.csv"]
+
+
+def test_a_bad_row_is_named(log: Path, capsys) -> None:
+    """A fault of a measurement is told by its line of the log."""
+    with log.open("a") as file:
+        file.write("\n0,0,-20\n")
+    out = log.parent / "map.npz"
+    assert main(["map", str(log), "--station", "0,0", "--out", str(out)]) == 2
+    assert "log.csv, line 52" in capsys.readouterr().err
+    assert not out.exists()

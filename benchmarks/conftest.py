@@ -15,10 +15,15 @@ class Table:
 
     def __init__(self) -> None:
         self._durations_s: dict[str, dict[int, Sequence[float]]] = {}
+        self._notes: list[str] = []
 
     def add(self, name: str, count: int, durations_s: Sequence[float]) -> None:
         """Note durations in seconds."""
         self._durations_s.setdefault(name, {})[count] = durations_s
+
+    def note(self, words: str) -> None:
+        """Put a line below the table: a ratio to a peer, an error."""
+        self._notes.append(words)
 
     def lines(self) -> list[str]:
         """The table as text; ratios are of medians, to the fewest measurements."""
@@ -34,7 +39,7 @@ class Table:
                     f"{name:{width}}  {count:12}  {len(durations_s):4}  {p50:8.2f}  {p95:8.2f}  "
                     f"{p50 / 1e3 / first:5.2f}"
                 )
-        return lines
+        return lines + self._notes
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -1,4 +1,4 @@
-"""Does the channel know what it does not know? Coverage, PIT and error on held-out measurements.
+"""How far predictions can be believed: coverage, PIT and error on held-out measurements.
 
 A prediction is a normal distribution. Over many held-out powers its probability integral transform
 (PIT), the share of the distribution below what was measured, should be uniform, and a central
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +116,7 @@ def calibrate(
     shares = np.array(
         [
             share_between(upper, held_out.censored, low, high)
-            for low, high in zip(edges[:-1], edges[1:], strict=True)
+            for low, high in pairwise(edges.tolist())
         ]
     )
     exact = ~held_out.censored

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import solve_lower
+from planopt.channel.cholesky import solve_upper
 from planopt.channel.factor import whiten
 from planopt.channel.field import shadow_field_db
 from planopt.channel.kernel import shadow_covariance_db2
@@ -100,14 +100,14 @@ def _conditioned(
     at_measured_db: NDArray[np.float64],
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """gamma theta + s + phi' U^-1 (y - Gamma theta - s_measured - noise), with theta drawn."""
+    """Power gamma theta + s + phi' U^-1 (y - Gamma theta - s_measured - noise), theta drawn."""
     station, measured = posterior.parameters.station, posterior.measurements.positions_m
     theta = generator.multivariate_normal(
         posterior.theta, posterior.theta_covariance, method="eigh"
     )
     noise = np.sqrt(posterior.noise_variance_db2) * generator.standard_normal(len(measured))
     missed = posterior.values_db - regressors(measured, station) @ theta - at_measured_db - noise
-    weights = _solve(posterior.factor, missed)
+    weights = solve_upper(posterior.factor, whiten(posterior.factor, missed[:, None])[:, 0])
     values = at_places_db + regressors(places_m, station) @ theta
     block = max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
     for start in range(0, len(places_m), block):
@@ -116,9 +116,3 @@ def _conditioned(
             shadow_covariance_db2(places_m[part], measured, posterior.parameters) @ weights
         )
     return values
-
-
-def _solve(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(L L')^-1 `right` (n,); both axes of L' reversed make it a lower factor as well."""
-    forward = whiten(lower, right[:, None])[:, 0]
-    return solve_lower(lower.T[::-1, ::-1], forward[::-1])[::-1]

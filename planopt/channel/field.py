@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft as scipy_fft
 
 from planopt.errors import InputError
 
@@ -68,31 +69,74 @@ def shadow_field_db(
         The decorrelation distance is so long for the cells that the torus does not fit into
         memory.
     """
+    return shadow_field_pair_db(shape, cell_m, shadow_std_db, decorrelation_m, generator)[0]
+
+
+def shadow_field_pair_db(
+    shape: tuple[int, int],
+    cell_m: float,
+    shadow_std_db: float,
+    decorrelation_m: float,
+    generator: np.random.Generator,
+) -> tuple[ShadowField, ShadowField]:
+    """Draw two independent fields at the cost of one; see :func:`shadow_field_db`.
+
+    They are the real and the imaginary part of one transform, the first the one that
+    :func:`shadow_field_db` draws.
+    """
+    ny, nx = shape
+    (rows, columns), eigenvalues, clipped_share = _embedding(shape, cell_m / decorrelation_m)
+    amplitude = np.sqrt(np.maximum(eigenvalues, 0.0) / (rows * columns))
+    # The spectrum is even: frequencies k and n - k share an eigenvalue.
+    fold_y, fold_x = (np.minimum(np.arange(n), n - np.arange(n)) for n in (rows, columns))
+    amplitude = amplitude[fold_y][:, fold_x]
+    noise = np.empty((rows, columns), dtype=np.complex128)
+    noise.real = generator.standard_normal((rows, columns))
+    noise.imag = generator.standard_normal((rows, columns))
+    noise *= amplitude
+    # Only the lattice's part of the torus is computed.
+    field = scipy_fft.fft(scipy_fft.fft(noise, axis=1)[:, :nx], axis=0)[:ny]
+    padding = (rows - ny, columns - nx)
+    first, second = (
+        ShadowField(shadow_std_db * part, padding, clipped_share)
+        for part in (field.real, field.imag)
+    )
+    return first, second
+
+
+def _embedding(
+    shape: tuple[int, int], step: float
+) -> tuple[tuple[int, int], NDArray[np.float64], float]:
+    """The torus, a quarter of its eigenvalues, and the share of their mass that is negative.
+
+    `step` is a cell in decorrelation distances.
+    """
     ny, nx = shape
     torus = (2 * ny, 2 * nx)
     while True:
         if torus[0] * torus[1] > MAX_TORUS_CELLS:
             raise InputError(
-                f"a shadowing field of {ny} x {nx} cells of {cell_m:g} m with decorrelation "
-                f"distance {decorrelation_m:g} m is too large to draw exactly",
+                f"a shadowing field of {ny} x {nx} cells with a decorrelation distance of "
+                f"{1.0 / step:g} cells is too large to draw exactly",
                 remedy="use larger cells or a shorter decorrelation distance",
             )
-        eigenvalues = _torus_eigenvalues(torus, cell_m / decorrelation_m)
-        clipped_share = float(np.maximum(-eigenvalues, 0.0).sum() / np.abs(eigenvalues).sum())
+        eigenvalues = _torus_eigenvalues(torus, step)
+        # Frequencies in the quarter stand for two each, but the first and the last.
+        weight_y, weight_x = (np.r_[1.0, np.full(n // 2 - 1, 2.0), 1.0] for n in torus)
+        negative = weight_y @ np.maximum(-eigenvalues, 0.0) @ weight_x
+        clipped_share = float(negative / (weight_y @ np.abs(eigenvalues) @ weight_x))
         if clipped_share <= CLIPPED_SHARE_TOLERANCE:
-            break
+            return torus, eigenvalues, clipped_share
         # The shorter side first: both must be long against the decorrelation distance.
-        longer = math.ceil(GROWTH * min(torus))
+        longer = 2 * scipy_fft.next_fast_len(math.ceil(GROWTH * min(torus) / 2.0))
         torus = (max(torus[0], longer), max(torus[1], longer))
-    amplitude = np.sqrt(np.maximum(eigenvalues, 0.0) / eigenvalues.size)
-    noise = generator.standard_normal(torus) + 1j * generator.standard_normal(torus)
-    # Real and imaginary part are two independent fields; one is used.
-    field = np.fft.fft2(amplitude * noise).real[:ny, :nx]
-    padding = (torus[0] - ny, torus[1] - nx)
-    return ShadowField(np.ascontiguousarray(shadow_std_db * field), padding, clipped_share)
 
 
 def _torus_eigenvalues(torus: tuple[int, int], step: float) -> NDArray[np.float64]:
-    """Eigenvalues of the unit-variance covariance on the torus, cells `step` decorrelations."""
-    dy, dx = (np.minimum(np.arange(n), n - np.arange(n)) * step for n in torus)
-    return np.fft.fft2(np.exp(-np.hypot(dy[:, None], dx[None, :]))).real
+    """Eigenvalues of the unit-variance covariance on the torus, of even sides.
+
+    The covariance is even, so that a cosine transform of a quarter of it gives a quarter of them.
+    """
+    dy, dx = (np.arange(n // 2 + 1) * step for n in torus)
+    quarter = np.exp(-np.hypot(dy[:, None], dx[None, :]))
+    return np.asarray(scipy_fft.dctn(quarter, type=1), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Predict what was held out: whole walks, learnt without them, by the channel and by path loss alone.
+"""Predict whole walks that were held out, by the channel and by path loss alone.
 
 Points beside a training point are easily predicted, so points held out at random flatter. What is
 held out here are whole groups, if it is to say how the channel is known where nobody has been.

@@ -71,6 +71,8 @@ class JointConnectivity:
         Lower bound: Boole's plus P(out at both) over the edges of a maximum spanning tree.
     product
         Lower bound prod p_i, where no two places are negatively correlated.
+    corrected_product
+        Lower bound: the product less what the negatively correlated pairs can cost.
     upper
         Upper bound min p_i.
     """
@@ -80,12 +82,13 @@ class JointConnectivity:
     boole: Bound
     hunter: Bound
     product: Bound
+    corrected_product: Bound
     upper: Bound
 
     @property
     def lower(self) -> float:
         """The greatest proven lower bound."""
-        bounds = (self.boole, self.hunter, self.product)
+        bounds = (self.boole, self.hunter, self.product, self.corrected_product)
         return max(bound.value for bound in bounds if bound.value is not None)
 
 
@@ -125,13 +128,14 @@ def joint_connectivity(
         found = prefix_probabilities(above, prediction.covariance_db2, generator, tolerance)
         exact = Estimate(float(found.probability[-1]), float(found.error[-1]))
     boole = 1.0 - float(out.sum())
-    gained = spanning_tree_weight(_both_out(above, prediction.covariance_db2))
+    both_out = _both_out(above, prediction.covariance_db2)
     return JointConnectivity(
         at_each,
         exact,
         Bound(max(0.0, boole), "always valid"),
-        Bound(max(0.0, boole + gained), "always valid"),
+        Bound(max(0.0, boole + spanning_tree_weight(both_out)), "always valid"),
         _product_bound(at_each, prediction.covariance_db2),
+        _corrected_product(at_each, both_out, prediction.covariance_db2),
         Bound(float(at_each.min()), "always valid"),
     )
 
@@ -178,3 +182,24 @@ def _product_bound(at_each: NDArray[np.float64], covariance_db2: NDArray[np.floa
             f"going down to {covariance_db2.min():.3g} dB^2; Hunter's bound holds",
         )
     return Bound(float(at_each.prod()), "valid: no two places are negatively correlated (Slepian)")
+
+
+def _corrected_product(
+    at_each: NDArray[np.float64],
+    both_out: NDArray[np.float64],
+    covariance_db2: NDArray[np.float64],
+) -> Bound:
+    """Product less, over negatively correlated pairs, the sum of q_i q_j - P(both out), q = 1 - p.
+
+    Let all correlations grow from 0 to their values in proportion. By Plackett's identity the joint
+    probability changes with each at a rate from 0 to the bivariate density at the two bounds, whose
+    integral is P(both out) - q_i q_j; the positive ones can be left out.
+    """
+    out = 1.0 - at_each
+    missing = np.outer(out, out) - both_out
+    negative = np.triu(covariance_db2, 1) < 0.0
+    cost = float(np.maximum(missing[negative], 0.0).sum())
+    return Bound(
+        max(0.0, float(at_each.prod()) - cost),
+        f"always valid: {cost:.3g} taken off for negatively correlated pairs (Plackett)",
+    )

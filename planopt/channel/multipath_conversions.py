@@ -11,7 +11,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.special import polygamma, psi  # pyright: ignore[reportUnknownVariableType]
+from numpy.typing import NDArray
+from scipy.special import psi, zeta  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.fading import DB_PER_NEPER, rician_std_db
 from planopt.errors import InputError
@@ -27,7 +28,7 @@ HALVINGS = 60
 
 
 def nakagami_m_of_rician(k_factor: float) -> float:
-    """m = (K + 1)^2 / (2 K + 1), of equal amount of fading.
+    """Nakagami's m = (K + 1)^2 / (2 K + 1), of equal amount of fading.
 
     Raises
     ------
@@ -39,7 +40,7 @@ def nakagami_m_of_rician(k_factor: float) -> float:
 
 
 def rician_k_of_nakagami(m: float) -> float:
-    """K = m - 1 + sqrt(m (m - 1)), the inverse of :func:`nakagami_m_of_rician`.
+    """Rician K = m - 1 + sqrt(m (m - 1)), the inverse of :func:`nakagami_m_of_rician`.
 
     Raises
     ------
@@ -60,11 +61,13 @@ def nakagami_mean_db(m: float) -> float:
         m is below `MIN_M` or not finite.
     """
     require_m(m)
-    return DB_PER_NEPER * (_number(psi(m)) - math.log(m))
+    return DB_PER_NEPER * (float(_array(psi(m))) - math.log(m))
 
 
 def nakagami_std_db(m: float) -> float:
     """Deviation omega in dB of Nakagami fading: (10 / ln 10) sqrt(psi'(m)).
+
+    psi'(m) is Hurwitz's zeta(2, m).
 
     Raises
     ------
@@ -72,7 +75,7 @@ def nakagami_std_db(m: float) -> float:
         m is below `MIN_M` or not finite.
     """
     require_m(m)
-    return DB_PER_NEPER * math.sqrt(_number(polygamma(1, m)))
+    return DB_PER_NEPER * math.sqrt(float(_array(zeta(2.0, m))))
 
 
 def nakagami_m_of_std(multipath_std_db: float) -> float:
@@ -128,5 +131,5 @@ def _sought(deviation_db: Callable[[float], float], weakest: float, wanted_db: f
     return max(weakest, math.expm1(0.5 * (low + high)))
 
 
-def _number(value: object) -> float:
-    return float(np.asarray(value, dtype=np.float64))
+def _array(values: object) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)

@@ -48,7 +48,14 @@ def prepare(problem: Problem, seed: int) -> Prepared:
     seed
         Fixes the fading and the measured places; two streams, so that more measurements leave the
         fading as it was.
+
+    Raises
+    ------
+    InputError
+        The seed is negative, a file cannot be used, or there is nothing to measure.
     """
+    if seed < 0:
+        raise InputError(f"is {seed}, should be at least 0", key="seed")
     fading_seed, places_seed = np.random.SeedSequence(seed).spawn(2)
     truth = draw_truth(problem, np.random.default_rng(fading_seed))
     setup = problem.channel.measurements

@@ -96,6 +96,9 @@ class ReachPlanner:
             lattice = replace(lattice, rung=Rung.RELAXED)
         if lattice.verdict is Verdict.VERIFIED:
             return _with_effort(lattice, tried)
+        verified = [c for c in tried if c.verdict is Verdict.VERIFIED]
+        if verified:
+            return _with_effort(min(verified, key=lambda c: c.objective), tried)
         fallback = self._without_start(judge, warm)
         if fallback.verdict is Verdict.VERIFIED:
             return _with_effort(fallback, tried)

@@ -88,8 +88,11 @@ class Refiner:
                 starts.insert(0, (shifted_m, Rung.PLAN))
             else:
                 starts.append((shifted_m, Rung.COLD_RETRY))
+        if relaxing and self._start.crossing:
+            # Eased, a path before a gap would rather wait on this side of it: that comes second.
+            yield from self._from(self._start.path_m, Rung.RELAXED, ease=False)
         for path_m, rung in starts:
-            for candidate in self._from(path_m, rung):
+            for candidate in self._from(path_m, rung, ease=rung is Rung.RELAXED):
                 sooner = self._sooner(candidate)
                 if sooner is not None:
                     yield sooner
@@ -125,8 +128,11 @@ class Refiner:
         is_better = better.objective < candidate.objective
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
-    def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
-        """Polish from a path, repeating with what the verifier objects to built in."""
+    def _from(self, path_m: NDArray[np.float64], rung: Rung, ease: bool) -> Iterator[Candidate]:
+        """Polish from a path, repeating with what the verifier objects to built in.
+
+        With `ease` the least missing dB is found first; else no more is missed than at the start.
+        """
         task = self._task(path_m)
         exact = self._start_margins(path_m)
         local = task.margins(path_m).value
@@ -134,15 +140,12 @@ class Refiner:
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
         iterations = 0
-        # Eased, a way through a gap that is still ahead would stay on this side of it.
-        gap_ahead = self._start.crossing and bool(exact[0] >= 0.0)
-        if rung is Rung.RELAXED and not gap_ahead:
+        if ease:
             eased = self._ease(task, exact, wanted)
             task, missing, iterations = eased.task, eased.missing_db, eased.iterations
             bound = wanted - missing if eased.converged else np.minimum(wanted, local)
         else:
-            # The start stays feasible where it keeps the bound, be it with less than is wanted; a
-            # path that crosses a gap misses no more than its start does.
+            # The start stays feasible where it keeps the bound, be it with less than is wanted.
             missing = np.maximum(-exact, 0.0) if rung is Rung.RELAXED else np.zeros_like(exact)
             kept = (exact >= 0.0) | (missing > 0.0)
             bound = np.where(kept, np.minimum(wanted, local), wanted)

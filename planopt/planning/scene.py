@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from planopt.errors import NoPlanError
 from planopt.planning.road_map import RoadMap, Ways, build_road_map, shortest_ways
-from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
+from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles
-from planopt.world.lattice import build_lattice, moves_from, nearest_node
+from planopt.world.lattice import build_lattice, moves_from, nearest_node, node_positions
 from planopt.world.separation import PackedPieces, pack_pieces
 
 
@@ -47,7 +47,7 @@ def build_scene(problem: Problem) -> Scene:
     Raises
     ------
     NoPlanError
-        The obstacles cut the goal off from the start.
+        The obstacles cut the goal off from the start, or no path can end at it.
     """
     robot, clearance = problem.robots[0], problem.constraints.clearance_m
     index = index_obstacles(problem.workspace)
@@ -58,14 +58,21 @@ def build_scene(problem: Problem) -> Scene:
         clearance + CLEARANCE_PAD_M,
     )
     road_map = build_road_map(lattice)
-    goal_node = int(road_map.number[nearest_node(lattice, np.asarray(robot.goal_m))])
-    scene_ways = shortest_ways(road_map, goal_node) if goal_node >= 0 else None
-    if scene_ways is None:
+    goal = np.asarray(robot.goal_m)
+    row, column = nearest_node(lattice, goal)
+    goal_node = int(road_map.number[row, column])
+    if np.linalg.norm(node_positions(lattice)[row, column] - goal) > STANDSTILL_M:
+        raise NoPlanError(
+            f"robots[0].goal_m {list(robot.goal_m)} lies on the border of world.bounds_m: move it "
+            "inside, or widen the bounds"
+        )
+    if goal_node < 0:
         raise NoPlanError(
             f"robots[0].goal_m {list(robot.goal_m)} is nearer than constraints.clearance_m "
             f"{clearance:g} + {CLEARANCE_PAD_M:g} m to an obstacle"
         )
-    scene = Scene(index, pack_pieces(problem.workspace), road_map, goal_node, scene_ways)
+    ways = shortest_ways(road_map, goal_node)
+    scene = Scene(index, pack_pieces(problem.workspace), road_map, goal_node, ways)
     nodes, _ = first_moves(scene, problem, np.asarray(robot.start_m))
     if nodes.size == 0 or not np.isfinite(scene.ways.cost_m[nodes]).any():
         raise NoPlanError(

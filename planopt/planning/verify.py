@@ -5,7 +5,7 @@ keeps the clearance and the workspace, every step keeps the speed, and the proba
 (exact posterior, today's deviation: theory 4.1) is at least p_min at every step where that is
 possible. Where it is not possible is proven, not assumed. A step may miss the bound only if no
 place within reach meets it by then, or if no way to the goal keeps it at all; and the bound must be
-met again at some step of the plan: a threshold that cannot be met is an answer, not a plan.
+met at one step of the plan at least: a threshold that cannot be met is an answer, not a plan.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Calibration: do predicted intervals contain what they promise, and is the PIT uniform?"""
+"""The calibration plot: what predicted intervals contain, and the histogram of the PIT."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ NOISELESS = ChannelParameters(-30.0, 2.5, 4.0, 8.0, 0.0, STATION)
 BOUNDS, CELL = (0.0, 0.0, 20.0, 16.0), 2.0
 X, Y = np.arange(1.0, 20.0, 2.0), np.arange(1.0, 16.0, 2.0)
 CENTRES = np.stack(np.meshgrid(X, Y), axis=-1).reshape(-1, 2)
-DRAWS = 1500
+DRAWS = 800
 
 
 def measured(places, censored=()):
@@ -78,7 +78,7 @@ def test_places_have_the_posteriors_moments():
     posterior = condition(PARAMETERS, measured(PLACES))
     generator = np.random.default_rng(2)
     places = np.array([[4.3, 3.1], [4.0, 3.0], [12.15, 9.05], [0.0, 16.0], [60.0, 1.0]])
-    draws = np.array([conditional_values_db(posterior, places, generator) for _ in range(4000)])
+    draws = np.array([conditional_values_db(posterior, places, generator) for _ in range(2000)])
     within_errors(draws, *expected(posterior, places))
 
 

@@ -58,6 +58,24 @@ def test_order_of_the_bounds(seed, count, rank):
     assert found.lower <= found.exact.value + slack
     assert found.exact.value <= found.upper.value + slack
     assert found.product.proven == (covariance.min() >= 0.0)
+    assert found.corrected_product.value <= found.exact.value + slack
+    if found.product.proven:
+        assert found.corrected_product.value == found.product.value
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10**6), st.integers(2, 7), st.floats(0.0, 0.9))
+def test_corrected_product_under_negative_correlation(seed, count, strength):
+    """Below the exact value for signs of every kind; exact for two places."""
+    generator = np.random.default_rng(seed)
+    root = generator.standard_normal((count, count))
+    covariance = strength * root @ root.T / count + (1.0 - strength) * np.eye(count)
+    mean = generator.uniform(0.0, 3.0, count)
+    found = joint_connectivity(JointPrediction(mean, covariance), 0.0, generator, 1e-4)
+    slack = 2.0 * found.exact.error + 1e-12
+    assert found.corrected_product.value <= found.exact.value + slack
+    if count == 2 and covariance[0, 1] < 0.0:
+        assert found.corrected_product.value == pytest.approx(found.exact.value, abs=slack)
 
 
 def test_hunter_is_exact_for_two_places():
@@ -85,6 +103,7 @@ def test_negative_correlation_is_said():
     assert not found.product.proven
     assert "1 pairs" in found.product.reason
     assert "-0.2" in found.product.reason
+    assert found.corrected_product.value < found.at_each.prod()
     assert found.lower == found.hunter.value
 
 

@@ -46,7 +46,7 @@ def test_moments_are_those_of_scipys_log_gamma(m):
 
 
 def test_rayleigh_is_both():
-    """m = 1 and K = 0."""
+    """It has m = 1 and K = 0."""
     assert nakagami_m_of_rician(0.0) == 1.0
     assert rician_k_of_nakagami(1.0) == 0.0
     assert nakagami_std_db(1.0) == pytest.approx(rician_std_db(0.0), rel=1e-12)

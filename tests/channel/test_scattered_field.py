@@ -7,7 +7,7 @@ from planopt.channel.field import shadow_field_db
 from planopt.channel.scattered_field import added_to_lattice_db, scattered_field_db
 from planopt.errors import InputError
 
-DRAWS = 3000
+DRAWS = 1200
 
 
 def within_errors(draws, expected):

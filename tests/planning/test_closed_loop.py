@@ -252,3 +252,13 @@ def test_first_measurements_from_a_log(tmp_path):
         done.belief.posterior.measurements.power_dbm[:60], measured.power_dbm[:60]
     )
     assert done.run.outcome in (Outcome.REACHED, Outcome.STALLED)
+
+
+@pytest.mark.parametrize("horizon", [4, 8])
+def test_a_gap_without_a_way_round_is_crossed(horizon):
+    """However much time the horizon leaves to wait before it, and every step is verified."""
+    problem = small_problem(horizon=horizon, max_steps=400)
+    done = small_run(problem, bad_band(18.0, 24.0))
+    assert done.run.outcome is Outcome.REACHED
+    assert done.run.verified_rate == 1.0
+    assert any(plan.certificate.no_connected_way for plan in done.plans)

@@ -1,0 +1,15 @@
+"""SciPy's counterparts of the distributions of multipath, for the tests."""
+
+from scipy.stats import gamma, ncx2
+
+from planopt.channel.fading import rician_mean_db
+from planopt.channel.multipath_conversions import nakagami_mean_db
+from planopt.channel.multipath_models import Nakagami
+
+
+def law_of(model):
+    """SciPy's distribution of the power, and the mean in dB."""
+    if isinstance(model, Nakagami):
+        return gamma(model.m, scale=1.0 / model.m), nakagami_mean_db(model.m)
+    k = model.k_factor
+    return ncx2(2.0, 2.0 * k, scale=0.5 / (k + 1.0)), rician_mean_db(k)

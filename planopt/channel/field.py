@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as scipy_fft
 
+from planopt.channel.fourier import even_spectrum, fast_even_length, transform_corner
 from planopt.errors import InputError
 
 CLIPPED_SHARE_TOLERANCE = 1e-4
@@ -94,8 +94,7 @@ def shadow_field_pair_db(
     noise.real = generator.standard_normal((rows, columns))
     noise.imag = generator.standard_normal((rows, columns))
     noise *= amplitude
-    # Only the lattice's part of the torus is computed.
-    field = scipy_fft.fft(scipy_fft.fft(noise, axis=1)[:, :nx], axis=0)[:ny]
+    field = transform_corner(noise, ny, nx)
     padding = (rows - ny, columns - nx)
     first, second = (
         ShadowField(shadow_std_db * part, padding, clipped_share)
@@ -128,7 +127,7 @@ def _embedding(
         if clipped_share <= CLIPPED_SHARE_TOLERANCE:
             return torus, eigenvalues, clipped_share
         # The shorter side first: both must be long against the decorrelation distance.
-        longer = 2 * scipy_fft.next_fast_len(math.ceil(GROWTH * min(torus) / 2.0))
+        longer = fast_even_length(math.ceil(GROWTH * min(torus)))
         torus = (max(torus[0], longer), max(torus[1], longer))
 
 
@@ -139,4 +138,4 @@ def _torus_eigenvalues(torus: tuple[int, int], step: float) -> NDArray[np.float6
     """
     dy, dx = (np.arange(n // 2 + 1) * step for n in torus)
     quarter = np.exp(-np.hypot(dy[:, None], dx[None, :]))
-    return np.asarray(scipy_fft.dctn(quarter, type=1), dtype=np.float64)
+    return even_spectrum(quarter)

@@ -24,6 +24,9 @@ FIRST_POINTS = 2**9
 LAST_POINTS = 2**15
 """Points of the lattice, doubled from the first number to the last until accurate enough."""
 
+FAR = 1e8
+"""Scores are not taken further out: the logarithm of the normal tail must be squared safely."""
+
 ERRORS = 3.0
 """An error is this many standard errors over the shifts."""
 
@@ -119,7 +122,9 @@ def _products(
         # What earlier values determine is inside or not, and needs no draw.
         spread = lower[k, k]
         log_inside = (
-            _array(log_ndtr(room / spread)) if spread > 0.0 else np.where(room >= 0.0, 0.0, -np.inf)
+            _array(log_ndtr(np.clip(room / spread, -FAR, FAR)))
+            if spread > 0.0
+            else np.where(room >= 0.0, 0.0, -np.inf)
         )
         log_product += log_inside
         mean[k] = np.exp(log_product).mean()

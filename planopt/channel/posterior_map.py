@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.measurements import Measurements
@@ -29,6 +30,9 @@ NEIGHBOURS = 256
 """Beyond that, each tile of cells uses this many of the nearest. On the campus logs of 5,000 (868
 censored) the mean is then off by 0.008 dB on average and 0.22 dB at most, the deviation by
 0.07 % at most."""
+
+BLOCK_CELLS = 80
+"""Cells along a block's side: its tiles keep 150 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +80,8 @@ def posterior_map(
     Raises
     ------
     InputError
-        The bounds are not ordered, the cell is not positive, or there would be too many cells.
+        The bounds are not ordered, the cell is not positive, there would be too many cells, or the
+        threshold is not finite.
     """
     x_min, y_min, x_max, y_max = bounds_m
     if not (np.isfinite(bounds_m).all() and x_min < x_max and y_min < y_max):
@@ -89,6 +94,8 @@ def posterior_map(
             key="cell",
             remedy="use larger cells or smaller bounds",
         )
+    if not math.isfinite(threshold_dbm):
+        raise InputError(f"{threshold_dbm:g} is not a power", key="threshold", remedy="use dBm")
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
     count = len(posterior.measurements)
     exact = count <= NEIGHBOURS or count**2 * x.size * y.size <= EXACT_OPERATIONS
@@ -97,9 +104,7 @@ def posterior_map(
         mean = prediction.mean_db.reshape(y.size, x.size)
         deviation = prediction.deviation_db.reshape(y.size, x.size)
     else:
-        tiles = TileMap(x, y, np.ones((y.size, x.size), dtype=bool), neighbours=NEIGHBOURS)
-        tiles.refresh(posterior)
-        mean, deviation = tiles.mean_db, tiles.deviation_db
+        mean, deviation = _from_neighbours(posterior, x, y)
     return PosteriorMap(
         Raster(x, y, mean),
         Raster(x, y, deviation),
@@ -107,6 +112,21 @@ def posterior_map(
         threshold_dbm,
         "exact" if exact else f"neighbours:{NEIGHBOURS}",
     )
+
+
+def _from_neighbours(
+    posterior: ChannelPosterior, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and deviation (ny, nx), block by block."""
+    mean, deviation = (np.empty((y_m.size, x_m.size)) for _ in range(2))
+    for row in range(0, y_m.size, BLOCK_CELLS):
+        for column in range(0, x_m.size, BLOCK_CELLS):
+            part = np.s_[row : row + BLOCK_CELLS, column : column + BLOCK_CELLS]
+            x, y = x_m[part[1]], y_m[part[0]]
+            block = TileMap(x, y, np.ones((y.size, x.size), dtype=bool), neighbours=NEIGHBOURS)
+            block.refresh(posterior)
+            mean[part], deviation[part] = block.mean_db, block.deviation_db
+    return mean, deviation
 
 
 def default_cell_m(bounds_m: Bounds) -> float:

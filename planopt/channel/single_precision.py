@@ -17,7 +17,8 @@ from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
-ELEMENTS = 2**21
+PLACES = 1024
+"""Worked on at once: covariances stay in the processor's cache."""
 
 
 def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
@@ -32,7 +33,7 @@ def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]
     posterior
         The channel given measurements.
     positions_m
-        ``(n, 2)``; memory stays bounded whatever n.
+        ``(n, 2)``.
 
     Raises
     ------
@@ -54,9 +55,8 @@ def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]
     explained = np.empty(len(places))
     rate = np.float32(-1.0 / parameters.decorrelation_m)
     scale = np.float32(parameters.shadow_std_db**2)
-    block = max(1, ELEMENTS // max(1, len(measured)))
-    for start in range(0, len(places), block):
-        part = slice(start, start + block)
+    for start in range(0, len(places), PLACES):
+        part = slice(start, start + PLACES)
         solved = measured_single[:, None, 0] - places_single[None, part, 0]
         across_y = measured_single[:, None, 1] - places_single[None, part, 1]
         solved *= solved

@@ -66,6 +66,7 @@ def map_log(
     json: JsonOption = False,
 ) -> int:
     """Fit a log and write what it tells of every place."""
+    from planopt.channel.one_thread import one_blas_thread
     from planopt.channel.posterior import condition
     from planopt.channel.posterior_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.world.raster_files import check_raster_output, write_rasters
@@ -73,7 +74,7 @@ def map_log(
     check_raster_output(out)
     box = None if bounds is None else parse_bounds(bounds)
     with _writable(out, picture):
-        with progress("mapping"):
+        with progress("mapping"), one_blas_thread():
             measurements, found = read_and_fit(log, station, method, columns, censored, floor)
             box = measured_bounds_m(measurements) if box is None else box
             maps = posterior_map(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,19 @@ from planopt.planning.lattice_search import search_lattice
 from planopt.planning.node_margins import NodeMargins
 from planopt.planning.road_map import Ways, shortest_ways, way_from
 from planopt.planning.scene import Scene, first_moves
-from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
 from planopt.problems.problem import Problem
+from planopt.world.clearance import inside_bounds, swept_clearance_m
 
 STAGNANT_STEPS = 0.75
 """A path that stays within this many longest steps of the robot gets nowhere; a lattice path can
 only end on a node, so that even one that wants to stay moves a little."""
 MAX_CLOSINGS = 50
 """How many gaps may be given up in one step."""
+FINE_PLACES = 6
+"""Places along the radius of a first step that is looked for between the nodes."""
+FINE_TRIALS = 4
+"""How many of them are tried, those nearest to the path first."""
 CROSSING_SHARE = 0.5
 """What a step through a gap is charged when it must be crossed, as a share of what the cost to go
 charges for a longest step there: less, or crossing would never pay within the horizon."""
@@ -95,9 +100,16 @@ class GlobalSearch:
             ``(m, 2)`` where power has been measured.
         """
         if self._problem.objective.cost_to_go == "geodesic":
-            return self._search(position_m, self._scene.goal_node, self._scene.ways)
+            start = self._search(position_m, self._scene.goal_node, self._scene.ways)
+            return self._with_fine_first_step(position_m, start)
         if self._frontier.crossing:
-            self._frontier.follow(self._margins.at(position_m) < 0.0)
+            self._frontier.follow(bool(self._margins.at(position_m[None])[0] < 0.0))
+        return self._with_fine_first_step(position_m, self._past_gaps(position_m, measured_m))
+
+    def _past_gaps(
+        self, position_m: NDArray[np.float64], measured_m: NDArray[np.float64]
+    ) -> GlobalStart | None:
+        """Search towards the goal, and decide what to do at a gap that is in the way."""
         start = self._towards_goal(position_m)
         for _ in range(MAX_CLOSINGS):
             if start is None or self._frontier.crossing:
@@ -137,8 +149,61 @@ class GlobalSearch:
         at_goal = int(start.nodes[-1]) == self._scene.goal_node
         return not at_goal and bool(farthest <= STAGNANT_STEPS * self._problem.step_length_m)
 
+    def _with_fine_first_step(
+        self, position_m: NDArray[np.float64], start: GlobalStart | None
+    ) -> GlobalStart | None:
+        """Look between the nodes for a first step that keeps the bound, where no node does."""
+        if start is None or start.margin_db[0] >= 0.0:
+            return start
+        problem, horizon = self._problem, len(start.nodes)
+        length = problem.step_length_m - STEP_PAD_M
+        offsets = length * np.linspace(-1.0, 1.0, 2 * FINE_PLACES + 1)
+        grid = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+        places = position_m + grid[np.linalg.norm(grid, axis=1) <= length]
+        fan = np.repeat(position_m[None], 2 * len(places) + 1, axis=0)
+        fan[1::2] = places
+        clear = swept_clearance_m(self._scene.index, fan)[0::2] >= problem.constraints.clearance_m
+        places = places[clear & inside_bounds(problem.workspace, places)]
+        margin = self._margins.at(places)
+        places, margin = places[margin >= MARGIN_PAD_DB], margin[margin >= MARGIN_PAD_DB]
+        ahead = start.path_m[min(1, horizon - 1)]
+        for k in np.argsort(np.linalg.norm(places - ahead, axis=1))[:FINE_TRIALS]:
+            first = replace(
+                start,
+                nodes=np.array([self._nearest(places[k])]),
+                path_m=places[k : k + 1],
+                margin_db=margin[k : k + 1],
+            )
+            fine = first if horizon == 1 else self._continued(first, start.ways, horizon - 1)
+            # A gap is not left on the side that it was entered from.
+            behind = start.ways.cost_m[start.nodes[-1]] + problem.step_length_m
+            if fine is not None and not (
+                start.crossing and start.ways.cost_m[fine.nodes[-1]] > behind
+            ):
+                return fine
+        return start
+
+    def _continued(self, first: GlobalStart, ways: Ways, horizon: int) -> GlobalStart | None:
+        """Search on from a first step; None if the rest does not keep the bound throughout."""
+        rest = self._search(first.path_m[0], self._scene.goal_node, ways, horizon)
+        if rest is None or (rest.margin_db < 0.0).any():
+            return None
+        return replace(
+            rest,
+            nodes=np.concatenate([first.nodes, rest.nodes]),
+            path_m=np.vstack([first.path_m, rest.path_m]),
+            margin_db=np.concatenate([first.margin_db, rest.margin_db]),
+        )
+
+    def _nearest(self, place_m: NDArray[np.float64]) -> int:
+        return int(np.argmin(np.linalg.norm(self._scene.road_map.nodes_m - place_m, axis=1)))
+
     def _search(
-        self, position_m: NDArray[np.float64], target: int, ways: Ways
+        self,
+        position_m: NDArray[np.float64],
+        target: int,
+        ways: Ways,
+        horizon: int | None = None,
     ) -> GlobalStart | None:
         """Search once, with exact margins wherever the path rests on them."""
         settings, scene, margins = self._problem.planner, self._scene, self._margins
@@ -151,7 +216,7 @@ class GlobalSearch:
                 scene.road_map,
                 first_nodes,
                 first_lengths,
-                settings.horizon,
+                settings.horizon if horizon is None else horizon,
                 settings.step_s,
                 self._problem.objective.effort_weight_s2_m2,
                 target,

@@ -55,15 +55,12 @@ class NodeMargins:
         )
         self._exact[:] = False
 
-    def at(self, position_m: NDArray[np.float64]) -> float:
-        """Exact margin at one place."""
+    def at(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Margins at any places (n, 2), as good as searches need them."""
         if self._posterior is None:
             raise AssertionError("refresh first")
-        power = search_prediction(self._posterior, position_m[None])
-        margin = bound_margin_db(
-            power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min
-        )
-        return float(margin[0])
+        power = search_prediction(self._posterior, places_m)
+        return bound_margin_db(power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min)
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
         """Put exact values at these nodes; true if any of them had not been exact before."""
@@ -72,9 +69,6 @@ class NodeMargins:
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
-        power = search_prediction(self._posterior, self._road_map.nodes_m[new])
-        self.margin_db[new] = bound_margin_db(
-            power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min
-        )
+        self.margin_db[new] = self.at(self._road_map.nodes_m[new])
         self._exact[new] = True
         return True

@@ -24,6 +24,18 @@ def test_agrees_with_numpy():
     assert log_determinant(lower) == pytest.approx(np.linalg.slogdet(matrix)[1])
 
 
+def test_rows_are_solved_in_place():
+    """Each row by forward substitution, in the caller's array; single precision to its digits."""
+    lower = np.tril(np.random.default_rng(1).uniform(1.0, 2.0, (5, 5)))
+    rows = np.random.default_rng(2).standard_normal((7, 5))
+    expected = np.linalg.solve(lower, rows.T)
+    single = solve_lower_single(lower.astype(np.float32), rows.T.astype(np.float32))
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, expected, atol=1e-4)
+    solve_rows(np.asfortranarray(lower), rows)
+    np.testing.assert_allclose(rows, expected.T, atol=1e-12)
+
+
 def test_a_matrix_that_is_no_covariance_is_refused():
     """An indefinite matrix is a defect of the caller, and is not factored silently."""
     with pytest.raises(AssertionError):

@@ -36,6 +36,15 @@ def test_independent_far_tail():
     np.testing.assert_allclose(found.probability, norm.cdf(-20.0) ** np.arange(1.0, 4.0), rtol=1e-9)
 
 
+@pytest.mark.parametrize("far", [1e3, 1e12, 1e160])
+def test_bounds_out_of_all_proportion(far):
+    """Certain and impossible, without overflow."""
+    covariance = 0.5 + 0.5 * np.eye(3)
+    bound = np.array([far, -far, far])
+    found = prefix_probabilities(bound, covariance, rng())
+    np.testing.assert_allclose(found.probability, [1.0, 0.0, 0.0], atol=1e-12)
+
+
 def test_singular_covariance():
     """A repeated variable changes nothing; a constant is in or out."""
     covariance = np.array([[1.0, 1.0, 0.5], [1.0, 1.0, 0.5], [0.5, 0.5, 1.0]])

@@ -362,3 +362,18 @@ def test_connectivity_falls_with_the_threshold():
     assert posterior.connectivity(spot, mean)[0] == pytest.approx(0.5)
     assert posterior.connectivity(spot, mean - 5.0)[0] > 0.5
     assert posterior.connectivity(spot, mean + 5.0)[0] < 0.5
+
+
+@pytest.mark.parametrize("count", [0, 1, 150])
+def test_many_places_equal_few(count):
+    """A map's in-place solve gives what a few places at a time give, extended factor included."""
+    posterior = extend(condition(PARAMETERS, measured(count)), measured(5, seed=3))
+    everywhere = places(2500)
+    whole = posterior.predict(everywhere)
+    parts = [posterior.predict(some) for some in np.array_split(everywhere, 5)]
+    np.testing.assert_allclose(
+        whole.mean_db, np.concatenate([one.mean_db for one in parts]), rtol=1e-11
+    )
+    np.testing.assert_allclose(
+        whole.deviation_db, np.concatenate([one.deviation_db for one in parts]), rtol=1e-11
+    )

@@ -40,6 +40,7 @@ def test_nearest_measurements_agree_with_all(monkeypatch: pytest.MonkeyPatch) ->
     bounds = (0.0, 0.0, 100.0, 80.0)
     exact = posterior_map(posterior, bounds, 5.0, -72.0)
     monkeypatch.setattr(module, "EXACT_OPERATIONS", 1e6)
+    monkeypatch.setattr(module, "BLOCK_CELLS", 15)
     near = posterior_map(posterior, bounds, 5.0, -72.0)
     assert (exact.posterior, near.posterior) == ("exact", "neighbours:256")
     assert 0.0 < np.abs(near.mean_db.values - exact.mean_db.values).max() < 0.1
@@ -72,3 +73,10 @@ def test_default_grid() -> None:
     np.testing.assert_allclose(box[:2], measured(50).positions_m.min(axis=0))
     np.testing.assert_allclose(box[2:], measured(50).positions_m.max(axis=0))
     assert 190 <= (box[2] - box[0]) / default_cell_m(box) <= 211
+
+
+@pytest.mark.parametrize("threshold", [float("nan"), float("-inf")])
+def test_a_threshold_that_is_no_power(threshold: float) -> None:
+    """No map of NaN."""
+    with pytest.raises(InputError, match="key threshold"):
+        posterior_map(condition(PARAMETERS, measured(3)), (0.0, 0.0, 5.0, 5.0), 1.0, threshold)

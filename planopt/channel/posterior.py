@@ -38,8 +38,11 @@ FACTOR_BLOCK = 512
 PREDICTION_ELEMENTS = 2**21
 
 MANY_PLACES = 1024
-"""From so many places on a copy of the factor is worth its time, and they are solved for in place,
-so many at once that covariances stay in the processor's cache: a map takes half as long."""
+"""From so many places on a copy of the factor is worth its time, and they are solved for in place:
+a map takes half as long."""
+
+PLACES_AT_ONCE = 512
+"""Of many places: their covariances then stay in the processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +190,7 @@ def kriging_terms(posterior: ChannelPosterior, positions_m: NDArray[np.float64])
     measured = posterior.measurements.positions_m
     many = count >= MANY_PLACES and len(measured) > 0
     lower = np.asfortranarray(posterior.factor) if many else posterior.factor
-    block = MANY_PLACES if many else max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
+    block = PLACES_AT_ONCE if many else max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
     for start in range(0, count, block):
         part = slice(start, start + block)
         if many:

@@ -14,11 +14,8 @@ from planopt.channel.cholesky import solve_lower_single
 from planopt.channel.factor import SOLVE_BLOCK
 from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.posterior import PLACES_AT_ONCE, ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
-
-PLACES = 1024
-"""Worked on at once: covariances stay in the processor's cache."""
 
 
 def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
@@ -55,8 +52,8 @@ def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]
     explained = np.empty(len(places))
     rate = np.float32(-1.0 / parameters.decorrelation_m)
     scale = np.float32(parameters.shadow_std_db**2)
-    for start in range(0, len(places), PLACES):
-        part = slice(start, start + PLACES)
+    for start in range(0, len(places), PLACES_AT_ONCE):
+        part = slice(start, start + PLACES_AT_ONCE)
         solved = measured_single[:, None, 0] - places_single[None, part, 0]
         across_y = measured_single[:, None, 1] - places_single[None, part, 1]
         solved *= solved

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fading import rician_field_db
 from planopt.channel.field import shadow_field_db
 from planopt.channel.measurements import Measurements
+from planopt.channel.multipath_field import multipath_field_db
+from planopt.channel.multipath_models import Lognormal, Multipath
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
 from planopt.world.raster import Raster, cell_centres_m, nearest_cells
@@ -35,7 +36,7 @@ def raster_truth(
     path_gain: Raster,
     transmit_power_dbm: float,
     floor_gain_db: float,
-    rician_k: float | None,
+    multipath: Multipath | None,
     generator: np.random.Generator,
 ) -> Truth:
     """Truth from a map of path gains, such as a ray tracer's.
@@ -48,14 +49,14 @@ def raster_truth(
         Added to the gains.
     floor_gain_db
         The receiver's floor as a gain; smaller ones, fading included, are clipped to it.
-    rician_k
-        K-factor (linear) of the fading drawn for each cell, or None for none.
+    multipath
+        The fading drawn for each cell, or None for none.
     generator
         Source of the fading.
     """
     gain = np.asarray(path_gain.values, dtype=np.float64)
-    if rician_k is not None:
-        gain = gain + rician_field_db(gain.shape, rician_k, generator)
+    if multipath is not None:
+        gain = gain + multipath_field_db(gain.shape, multipath, generator)
     # fmax prefers the floor to NaN.
     power = np.fmax(gain, floor_gain_db) + transmit_power_dbm
     return Truth(Raster(path_gain.x_m, path_gain.y_m, power), floor_gain_db + transmit_power_dbm)
@@ -67,13 +68,14 @@ def model_truth(
     cell_m: float,
     floor_dbm: float | None,
     generator: np.random.Generator,
+    multipath: Multipath | None = None,
 ) -> Truth:
     """Truth drawn from the channel model itself (seed, section II).
 
     Parameters
     ----------
     parameters
-        Path loss, shadowing and multipath; the multipath is Gaussian in dB, one value a cell.
+        Path loss, shadowing and multipath, one value a cell.
     bounds_m
         ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
     cell_m
@@ -82,6 +84,8 @@ def model_truth(
         The receiver's floor, or None for none.
     generator
         Source of shadowing and multipath.
+    multipath
+        Its law; None for one that is Gaussian in dB, with the parameters' deviation.
     """
     x_min, y_min, x_max, y_max = bounds_m
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
@@ -93,7 +97,8 @@ def model_truth(
     power += shadow_field_db(
         shape, cell_m, parameters.shadow_std_db, parameters.decorrelation_m, generator
     ).values_db
-    power += parameters.multipath_std_db * generator.standard_normal(shape)
+    law = Lognormal(parameters.multipath_std_db) if multipath is None else multipath
+    power += multipath_field_db(shape, law, generator)
     if floor_dbm is not None:
         power = np.maximum(power, floor_dbm)
     return Truth(Raster(x, y, power), floor_dbm)

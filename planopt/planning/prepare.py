@@ -18,7 +18,7 @@ from planopt.channel.truth import Truth, measure, model_truth, raster_truth
 from planopt.errors import InputError
 from planopt.problems.problem import LoggedMeasurements, ModelTruth, Problem, RasterTruth
 from planopt.world.clearance import clearance_m, index_obstacles
-from planopt.world.raster import read_npz
+from planopt.world.raster_files import read_raster
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ def draw_truth(problem: Problem, generator: np.random.Generator) -> Truth | None
     """Make the simulator's truth, or None if the problem has none."""
     setup, radio = problem.channel.truth, problem.stations[0]
     if isinstance(setup, RasterTruth):
-        gain = read_npz(setup.file, setup.variable)
+        gain = read_raster(setup.file, setup.variable)
         return raster_truth(
-            gain, radio.transmit_power_dbm, setup.floor_db, setup.rician_k, generator
+            gain, radio.transmit_power_dbm, setup.floor_db, setup.multipath, generator
         )
     if isinstance(setup, ModelTruth):
         parameters = ChannelParameters(
@@ -98,7 +98,14 @@ def draw_truth(problem: Problem, generator: np.random.Generator) -> Truth | None
             station=radio.site,
         )
         floor = None if setup.floor_db is None else setup.floor_db + radio.transmit_power_dbm
-        return model_truth(parameters, problem.workspace.bounds_m, setup.cell_m, floor, generator)
+        return model_truth(
+            parameters,
+            problem.workspace.bounds_m,
+            setup.cell_m,
+            floor,
+            generator,
+            setup.multipath,
+        )
     return None
 
 

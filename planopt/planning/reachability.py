@@ -15,11 +15,16 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.world.clearance import ObstacleIndex, clearance_m
 
-GRID_STEPS = 12
-"""Grid nodes along the radius of the disc."""
+FINE_NODES, COARSE_NODES = 12, 4
+"""Grid nodes a step of the search within reach: up to `FINE_STEPS` steps, and beyond."""
+FINE_STEPS = 4
+REFINED_STEPS = 12
+"""How many steps are refined, the first ones; a later one is at least as good as these."""
 REFINED_NODES = 24
 """How many of the best nodes each refinement looks around."""
 REFINEMENTS = 2
@@ -59,13 +64,7 @@ def connected_way_exists(
         With 0 they begin at the start itself, whatever its margin.
     """
     spacing = FLOOD_SPACING_STEPS * step_length_m
-    x_min, y_min, x_max, y_max = bounds_m
-    # Anchored at the start, so that it is a node.
-    columns = _steps_within(x_min - start_m[0], x_max - start_m[0], spacing)
-    rows = _steps_within(y_min - start_m[1], y_max - start_m[1], spacing)
-    grid = np.empty((len(rows), len(columns), 2))
-    grid[..., 0] = start_m[0] + columns
-    grid[..., 1] = start_m[1] + rows[:, None]
+    grid = _grid(bounds_m, start_m, spacing)
     x, y = grid[..., 0], grid[..., 1]
     away = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape)
     # However coarse the grid is against the clearance, no way leads through an obstacle.
@@ -78,6 +77,23 @@ def connected_way_exists(
     begins = parts[open_ & (from_start <= max(within_m, 0.5 * spacing))]
     at_goal = np.hypot(x - goal_m[0], y - goal_m[1]) <= spacing
     return bool(np.isin(parts[at_goal & open_], begins).any())
+
+
+def _grid(
+    bounds_m: tuple[float, float, float, float],
+    anchor_m: NDArray[np.float64],
+    spacing_m: float,
+    radius_m: float = np.inf,
+) -> NDArray[np.float64]:
+    """Places of a grid over the workspace, one of them the anchor, none far beyond the radius."""
+    low = np.maximum(np.array(bounds_m[:2]) - anchor_m, -radius_m)
+    high = np.minimum(np.array(bounds_m[2:]) - anchor_m, radius_m)
+    columns = _steps_within(float(low[0]), float(high[0]), spacing_m)
+    rows = _steps_within(float(low[1]), float(high[1]), spacing_m)
+    grid = np.empty((len(rows), len(columns), 2))
+    grid[..., 0] = anchor_m[0] + columns
+    grid[..., 1] = anchor_m[1] + rows[:, None]
+    return grid
 
 
 def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64]:
@@ -94,49 +110,131 @@ def _parts(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.asarray(numbered[0], dtype=np.int32)
 
 
-def best_margin_within_reach(
+def best_margins_by_step(
     index: ObstacleIndex,
+    bounds_m: tuple[float, float, float, float],
     margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     start_m: NDArray[np.float64],
-    radius_m: float,
+    step_length_m: float,
+    steps: NDArray[np.intp],
     clearance: float,
-) -> float:
-    """Largest connectivity margin (dB) over the places within `radius_m` of `start_m`.
+) -> tuple[float, ...]:
+    """Largest connectivity margin (dB) over the places within reach by each of some steps.
+
+    One grid serves all steps, so that more time never gives a worse place.
 
     Parameters
     ----------
-    index
-        The obstacles.
+    index, bounds_m
+        The obstacles and the workspace.
     margin_db
         Positions (n, 2) to margins (n,).
     start_m
         ``(2,)`` where the robot is.
-    radius_m
-        How far it can get.
+    step_length_m
+        How far it gets in a step.
+    steps
+        ``(k,)`` increasing, the first step being 1.
     clearance
-        The clearance it must keep, in metres.
+        The clearance that it must keep, in metres.
     """
-    steps = np.arange(-GRID_STEPS, GRID_STEPS + 1)
-    spacing = radius_m / GRID_STEPS
-    x, y = np.meshgrid(steps * spacing, steps * spacing)
-    grid = start_m + np.stack([x, y], axis=-1)
-    # A path may pass between nodes that are all a little too near to an obstacle.
-    passable = clearance_m(index, grid.reshape(-1, 2)).reshape(x.shape) >= clearance - spacing
-    passable[GRID_STEPS, GRID_STEPS] = True
+    radius = float(steps[-1]) * step_length_m
+    spacing = step_length_m / (FINE_NODES if steps[-1] <= FINE_STEPS else COARSE_NODES)
+    grid = _grid(bounds_m, start_m, spacing, radius)
+    from_start = np.linalg.norm(grid - start_m, axis=-1)
+    # A path may pass between nodes that are all a little too near to an obstacle, not through one.
+    away = clearance_m(index, grid.reshape(-1, 2)).reshape(from_start.shape)
+    passable = (away > 0.0) & (away >= clearance - spacing)
+    passable |= from_start == 0.0
     parts = _parts(passable)
-    reachable = (parts == parts[GRID_STEPS, GRID_STEPS]) & (np.hypot(x, y) <= radius_m)
-    places = grid[reachable]
+    reachable = (parts == parts[from_start == 0.0]) & (from_start <= radius)
+    order = np.argsort(from_start[reachable])
+    places, distance = grid[reachable][order], from_start[reachable][order]
     margins = margin_db(places)
-    best = float(margins.max())
-    around = np.stack(np.meshgrid([-0.5, -0.25, 0.0, 0.25, 0.5], [-0.5, -0.25, 0.0, 0.25, 0.5]), -1)
+    best: list[float] = []
+    for k, step in enumerate(steps):
+        reach = float(step) * step_length_m
+        within = slice(0, int(np.searchsorted(distance, reach, side="right")))
+        here = float(margins[within].max())
+        if here < 0.0 and k < REFINED_STEPS:
+            top = places[within][np.argsort(-margins[within])[:REFINED_NODES]]
+            refined = _refined(index, bounds_m, margin_db, start_m, reach, clearance, top, spacing)
+            here = max(here, refined)
+        best.append(max(here, best[-1]) if best else here)
+    return tuple(best)
+
+
+def _refined(
+    index: ObstacleIndex,
+    bounds_m: tuple[float, float, float, float],
+    margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    start_m: NDArray[np.float64],
+    radius_m: float,
+    clearance: float,
+    top_m: NDArray[np.float64],
+    spacing_m: float,
+) -> float:
+    """Largest margin found near the best nodes, on grids that grow finer."""
+    best = -np.inf
+    fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+    around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
+    lower, upper = np.array(bounds_m[:2]), np.array(bounds_m[2:])
     for _ in range(REFINEMENTS):
-        top = places[np.argsort(-margins)[:REFINED_NODES]]
-        places = (top[:, None] + spacing * around.reshape(1, -1, 2)).reshape(-1, 2)
+        places = (top_m[:, None] + spacing_m * around).reshape(-1, 2)
         places = places[np.linalg.norm(places - start_m, axis=1) <= radius_m]
+        places = places[((places >= lower) & (places <= upper)).all(axis=1)]
         places = places[clearance_m(index, places) >= clearance]
         if len(places) == 0:
             break
         margins = margin_db(places)
         best = max(best, float(margins.max()))
-        spacing /= 4.0
+        top_m = places[np.argsort(-margins)[:REFINED_NODES]]
+        spacing_m /= 4.0
     return best
+
+
+def least_outage_m(
+    index: ObstacleIndex,
+    bounds_m: tuple[float, float, float, float],
+    margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    places_m: NDArray[np.float64],
+    goal_m: NDArray[np.float64],
+    clearance: float,
+    step_length_m: float,
+) -> NDArray[np.float64]:
+    """Least length below the bound on a way from each place to the goal, in metres; (n,).
+
+    By Dijkstra's algorithm on a grid of half a step's spacing, corners included; infinite where
+    obstacles cut a place off. An edge counts as below the bound by the share of its ends that are.
+
+    Parameters
+    ----------
+    places_m
+        ``(n, 2)`` the first is a node of the grid; every other takes its nearest open node's value.
+    index, bounds_m, margin_db, goal_m, clearance, step_length_m
+        As for :func:`connected_way_exists`.
+    """
+    spacing = FLOOD_SPACING_STEPS * step_length_m
+    grid = _grid(bounds_m, places_m[0], spacing)
+    away = clearance_m(index, grid.reshape(-1, 2)).reshape(grid.shape[:2])
+    open_ = (away > 0.0) & (away >= clearance - 0.5 * spacing)
+    number = np.full(open_.shape, -1)
+    number[open_] = np.arange(int(open_.sum()))
+    nodes = grid[open_]
+    below = margin_db(nodes) < 0.0
+    ends: list[NDArray[np.intp]] = []
+    high, wide = len(grid), len(grid[0])
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        one = number[: high - down, max(0, -right) : wide - max(0, right)]
+        other = number[down:, max(0, right) : wide + min(0, right)]
+        both = (one >= 0) & (other >= 0)
+        ends.append(np.stack([one[both], other[both]]))
+    first, second = np.concatenate(ends, axis=1)
+    length = np.linalg.norm(nodes[first] - nodes[second], axis=1)
+    # An edge of no cost would be no edge to the solver; a millionth keeps ways short among equals.
+    outage = length * (0.5 * (below[first].astype(float) + below[second]) + 1e-6)
+    graph = csr_matrix((outage, (first, second)), shape=(len(nodes), len(nodes)))
+    goal = int(np.argmin(np.linalg.norm(nodes - goal_m, axis=1)))
+    from_goal = cast("NDArray[np.float64]", dijkstra(graph, directed=False, indices=goal))
+    nearest = [int(np.argmin(np.linalg.norm(nodes - place, axis=1))) for place in places_m]
+    return from_goal[nearest]

@@ -4,12 +4,14 @@ Imports nothing of the transcription or the solvers. A plan is verified when the
 keeps the clearance and the workspace, every step keeps the speed, and the probability of connection
 (exact posterior, today's deviation: theory 4.1) is at least p_min at every step where that is
 possible. Where it is not possible is proven, not assumed. A step may miss the bound only if no
-place within reach meets it by then, or if no way to the goal keeps it at all; and the bound must be
+place within reach meets it by then, or if no way to the goal keeps it at all and the steps below it
+lead across a gap by about the least length there is; and the bound must be
 met at one step of the plan at least: a threshold that cannot be met is an answer, not a plan.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +22,11 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.predictions import certified_prediction, search_prediction
-from planopt.planning.reachability import best_margin_within_reach, connected_way_exists
+from planopt.planning.reachability import (
+    best_margins_by_step,
+    connected_way_exists,
+    least_outage_m,
+)
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
     DYNAMICS_TOLERANCE_M,
@@ -29,6 +35,9 @@ from planopt.planning.tolerances import (
 from planopt.problems.problem import Problem
 from planopt.robots.single_integrator import dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, swept_clearance_m
+
+OUTAGE_LEEWAY_STEPS = 2.0
+"""How much longer, in longest steps, a way through a gap may be than the least one."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +129,8 @@ def judge(
             for step, margin in zip(missed, best, strict=True)
             if margin >= 0.0
         ][:1]
+    if no_connected_way:
+        reasons += _needless_outage(problem, index, posterior, positions_m, missed)
     if len(missed) == len(margins):
         reasons.append(
             f"constraints.p_min {constraints.p_min:g} is met at none of the {len(margins)} steps, "
@@ -156,28 +167,20 @@ def _what_is_possible(
     the first step that meets the bound or could.
     """
     constraints, length = problem.constraints, problem.step_length_m
-
-    def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        power = search_prediction(posterior, places)
-        return bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            problem.stations[0].threshold_dbm,
-            constraints.p_min,
-        )
-
-    def best_by(step: int) -> float:
-        return best_margin_within_reach(
-            index, margin_db, start_m, step * length, constraints.clearance_m
-        )
-
+    margin_db = _margins_of(problem, posterior)
     if missed.size == 0:
         return (), False
-    # What cannot be met by the last of these steps cannot be met by an earlier one.
-    best = (best_by(int(missed[-1])),) * len(missed)
-    if best[0] < 0.0:
+    best = best_margins_by_step(
+        index,
+        problem.workspace.bounds_m,
+        margin_db,
+        start_m,
+        length,
+        missed,
+        constraints.clearance_m,
+    )
+    if best[-1] < 0.0:
         return best, False
-    best = tuple(best_by(int(step)) for step in missed)
     possible = {int(step) for step, margin in zip(missed, best, strict=True) if margin >= 0.0}
     impossible = set(missed.tolist()) - possible
     first = next(step for step in range(1, int(missed[-1]) + 1) if step not in impossible)
@@ -191,3 +194,51 @@ def _what_is_possible(
         length,
         within_m=0.0 if starts_within else first * length,
     )
+
+
+def _needless_outage(
+    problem: Problem,
+    index: ObstacleIndex,
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    missed: NDArray[np.intp],
+) -> list[str]:
+    """Object to missed steps that lead across no gap, where no way to the goal keeps the bound.
+
+    What is driven below the bound must be saved on the least outage of the rest of the way, but
+    for the two steps of leeway that the grid and the steps at the gap's edges need.
+    """
+    here, end = least_outage_m(
+        index,
+        problem.workspace.bounds_m,
+        _margins_of(problem, posterior),
+        positions_m[[0, -1]],
+        np.asarray(problem.robots[0].goal_m),
+        problem.constraints.clearance_m,
+        problem.step_length_m,
+    )
+    driven = float(np.linalg.norm(np.diff(positions_m, axis=0), axis=1)[missed - 1].sum())
+    saved = float(here - end)
+    if driven <= saved + OUTAGE_LEEWAY_STEPS * problem.step_length_m:
+        return []
+    return [
+        f"{driven:.1f} m are driven below constraints.p_min {problem.constraints.p_min:g}, which "
+        f"shortens what must be driven below it on the way to the goal by {saved:.1f} m"
+    ]
+
+
+def _margins_of(
+    problem: Problem, posterior: ChannelPosterior
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Connectivity margin by position, as searches look at it."""
+
+    def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        power = search_prediction(posterior, places)
+        return bound_margin_db(
+            power.mean_db,
+            power.deviation_db,
+            problem.stations[0].threshold_dbm,
+            problem.constraints.p_min,
+        )
+
+    return margin_db

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from planopt.channel.multipath_models import Rician
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
 from planopt.problems.problem import (
@@ -125,8 +126,23 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
 
 def _truth(table: RasterTruthTable | ModelTruthTable, folder: Path) -> RasterTruth | ModelTruth:
     if isinstance(table, RasterTruthTable):
-        return RasterTruth(folder / table.file, table.variable, table.floor_db, table.rician_k)
-    return ModelTruth(**table.model_dump(exclude={"kind"}))
+        multipath = None if table.rician_k is None else Rician(table.rician_k)
+        if table.multipath is not None:
+            multipath = table.multipath.law
+        return RasterTruth(folder / table.file, table.variable, table.floor_db, multipath)
+    multipath = None if table.multipath is None else table.multipath.law
+    # The schema lets exactly one of multipath and its deviation be absent.
+    deviation = (table.multipath_std_db or 0.0) if multipath is None else multipath.std_db
+    return ModelTruth(
+        table.k_pl_db,
+        table.n_pl,
+        table.shadow_std_db,
+        table.decorrelation_m,
+        deviation,
+        table.cell_m,
+        table.floor_db,
+        multipath,
+    )
 
 
 def _measurements(

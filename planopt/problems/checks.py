@@ -25,6 +25,7 @@ from planopt.world.clearance import (
     index_obstacles,
     inside_bounds,
 )
+from planopt.world.raster_files import raster_ending
 
 #: A drawn truth of more cells than this would not fit the memory of a small machine.
 MAX_TRUTH_CELLS = 4_000_000
@@ -60,6 +61,12 @@ def check_files(problem: Problem) -> None:
     truth, measurements = problem.channel.truth, problem.channel.measurements
     if isinstance(truth, RasterTruth):
         _check_file(problem, truth.file, "channel.truth.file")
+        try:
+            raster_ending(truth.file)
+        except InputError as error:
+            raise InputError(
+                error.message, file=problem.file, key="channel.truth.file", remedy=error.remedy
+            ) from error
     if isinstance(measurements, LoggedMeasurements):
         _check_file(problem, measurements.file, "channel.measurements.file")
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from planopt.channel.multipath_models import Multipath
 from planopt.channel.parameters import Station
 from planopt.world.workspace import Workspace
 
@@ -65,19 +66,19 @@ class RasterTruth:
     Attributes
     ----------
     file
-        An ``npz`` with the variable below on ``[iy, ix]`` and cell centres ``x`` and ``y``.
+        A map that :func:`planopt.world.raster_files.read_raster` reads.
     variable
         Name of the path gain in dB; NaN where nothing arrives.
     floor_db
         The receiver's floor as a path gain: smaller gains are clipped to it and censored.
-    rician_k
-        K-factor (linear) of the fading, or None for none.
+    multipath
+        The law of the fading, or None for none.
     """
 
     file: Path
     variable: str
     floor_db: float
-    rician_k: float | None
+    multipath: Multipath | None
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,8 @@ class ModelTruth:
         Cell side of the drawn raster.
     floor_db
         As in :class:`RasterTruth`, or None for no floor.
+    multipath
+        Its law, of deviation ``multipath_std_db``; None for Gaussian in dB.
     """
 
     k_pl_db: float
@@ -102,6 +105,7 @@ class ModelTruth:
     multipath_std_db: float
     cell_m: float
     floor_db: float | None
+    multipath: Multipath | None = None
 
 
 @dataclass(frozen=True)

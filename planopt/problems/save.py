@@ -8,12 +8,13 @@ does not need, are named by their absolute path.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
 import shapely
 
+from planopt.channel.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import (
     ChannelSetup,
@@ -93,7 +94,24 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
 
 def _truth(truth: RasterTruth | ModelTruth) -> dict[str, Any]:
     kind = "raster" if isinstance(truth, RasterTruth) else "model"
-    return {"kind": kind, **_plain(asdict(truth))}
+    table = {"kind": kind, **_plain(asdict(replace(truth, multipath=None)))}
+    law = truth.multipath
+    if isinstance(truth, RasterTruth) and isinstance(law, Rician) and law.k_factor > 0.0:
+        return {**table, "rician_k": law.k_factor}
+    if law is not None:
+        table.pop("multipath_std_db", None)
+        table["multipath"] = _multipath(law)
+    return table
+
+
+def _multipath(law: Multipath) -> dict[str, Any]:
+    match law:
+        case Rician():
+            return {"kind": "rician", "k": law.k_factor}
+        case Nakagami():
+            return {"kind": "nakagami", "m": law.m}
+        case Lognormal():
+            return {"kind": "lognormal", "std_db": law.std_db}
 
 
 def _measurements(channel: ChannelSetup) -> dict[str, Any]:

@@ -7,8 +7,46 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.channel.multipath_field import MultipathKind, multipath_of
+from planopt.channel.multipath_models import Multipath
+from planopt.errors import InputError
 from planopt.problems.problem import FitMethod
 from planopt.problems.tables import Decibels, FileName, Table
+
+MIN_DEVIATION_DB = 0.001
+"""Weaker fading is none; m and K grow with the inverse square of its deviation."""
+
+
+class MultipathTable(Table):
+    """``multipath``: a kind, and exactly one of m, k and std_db (none for rayleigh)."""
+
+    kind: MultipathKind = Field(description="nakagami, rician, rayleigh or lognormal.")
+    m: float | None = Field(
+        default=None, ge=0.5, le=1e8, description="Nakagami's m (a number, at least 1 for rician)."
+    )
+    k: float | None = Field(default=None, ge=0, le=1e8, description="Rician K (linear ratio).")
+    std_db: float | None = Field(
+        default=None, ge=0, le=100, description="omega, deviation of multipath in dB."
+    )
+
+    @property
+    def law(self) -> Multipath:
+        """The multipath in its own number."""
+        return multipath_of(self.kind, m=self.m, k=self.k, std_db=self.std_db)
+
+    @model_validator(mode="after")
+    def _exists(self) -> MultipathTable:
+        try:
+            deviation = self.law.std_db
+        except InputError as error:
+            words = error.message if error.remedy is None else f"{error.message} ({error.remedy})"
+            raise PydanticCustomError("one_of", "{words}", {"words": words}) from error
+        # Whatever number it was given by, its own one can then be saved.
+        if deviation < MIN_DEVIATION_DB and self.kind != "lognormal":
+            raise PydanticCustomError(
+                "one_of", "is fading of less than {least} dB", {"least": MIN_DEVIATION_DB}
+            )
+        return self
 
 
 class RasterTruthTable(Table):
@@ -16,8 +54,8 @@ class RasterTruthTable(Table):
 
     kind: Literal["raster"] = Field(description="A map of path gains from a file.")
     file: FileName = Field(
-        description="npz with x, y (cell centres in metres) and the variable on [iy, ix], "
-        "relative to the problem file."
+        description="npz (x, y and the variable on [iy, ix], or a radio map of Sionna RT), CSV, "
+        "NetCDF or GeoTIFF, by ending; relative to the problem file."
     )
     variable: str = Field(
         default="path_gain_db", min_length=1, description="Name of the path gain in dB."
@@ -29,9 +67,18 @@ class RasterTruthTable(Table):
     rician_k: float | None = Field(
         default=None,
         gt=0,
-        le=1e6,
+        le=1e8,
         description="Rician K factor (linear ratio) of small-scale fading; left out: no fading.",
     )
+    multipath: MultipathTable | None = Field(
+        default=None, description="Small-scale fading of another kind than rician_k gives."
+    )
+
+    @model_validator(mode="after")
+    def _one_fading(self) -> RasterTruthTable:
+        if self.rician_k is not None and self.multipath is not None:
+            raise PydanticCustomError("one_of", "has rician_k and multipath, one is enough")
+        return self
 
 
 class ModelTruthTable(Table):
@@ -44,14 +91,30 @@ class ModelTruthTable(Table):
     decorrelation_m: float = Field(
         gt=0, le=1e6, description="beta, decorrelation distance of shadowing in metres."
     )
-    multipath_std_db: float = Field(
-        ge=0, le=100, description="omega, deviation of multipath in dB."
+    multipath_std_db: float | None = Field(
+        default=None,
+        ge=0,
+        le=100,
+        description="omega, deviation in dB of multipath that is Gaussian in dB.",
+    )
+    multipath: MultipathTable | None = Field(
+        default=None, description="Multipath of another kind, in place of multipath_std_db."
     )
     cell_m: float = Field(gt=0, le=1e6, description="Cell side of the drawn map in metres.")
     floor_db: Decibels | None = Field(
         default=None,
         description="The receiver's floor as a path gain in dB; left out: no floor.",
     )
+
+    @model_validator(mode="after")
+    def _one_multipath(self) -> ModelTruthTable:
+        if (self.multipath_std_db is None) == (self.multipath is None):
+            raise PydanticCustomError(
+                "one_of",
+                "needs exactly one of multipath_std_db and multipath, has {given}",
+                {"given": "none" if self.multipath is None else "both"},
+            )
+        return self
 
 
 class ColumnsTable(Table):

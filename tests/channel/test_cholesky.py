@@ -8,6 +8,8 @@ from planopt.channel.cholesky import (
     log_determinant,
     lower_factor,
     solve_lower,
+    solve_lower_single,
+    solve_rows,
     solve_upper,
 )
 

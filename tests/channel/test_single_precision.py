@@ -31,7 +31,7 @@ def test_against_double(omega, tolerance_db):
 
 def test_blocks_and_large_coordinates(monkeypatch):
     """Projected coordinates of 3e6 m keep their digits; so do places split into blocks."""
-    monkeypatch.setattr("planopt.channel.single_precision.PLACES", 64)
+    monkeypatch.setattr("planopt.channel.single_precision.PLACES_AT_ONCE", 64)
     far = np.array([500_000.0, 3_000_000.0])
     data = simulated(CHANNEL, 2, 150, 50.0)
     moved = Measurements(data.positions_m + far, data.power_dbm, data.censored)

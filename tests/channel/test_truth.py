@@ -1,8 +1,11 @@
 """The simulator's truth: seeded, fixed in place, clipped at the floor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from planopt.channel.multipath_models import Nakagami, Rician
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors
 from planopt.channel.truth import measure, model_truth, raster_truth, true_power_dbm
@@ -41,7 +44,8 @@ def test_power_is_read_at_the_nearest_cell():
 def test_a_place_keeps_its_fading():
     """The same seed gives the same field; another seed another; asking twice changes nothing."""
     one, again, other = (
-        raster_truth(MAP, 30.0, -130.0, 10.0, np.random.default_rng(seed)) for seed in (1, 1, 2)
+        raster_truth(MAP, 30.0, -130.0, Rician(10.0), np.random.default_rng(seed))
+        for seed in (1, 1, 2)
     )
     first = true_power_dbm(one, CENTRES)
     np.testing.assert_array_equal(first, true_power_dbm(one, CENTRES))
@@ -53,7 +57,7 @@ def test_a_place_keeps_its_fading():
 def test_fading_comes_before_the_floor():
     """Gains just below the floor rise above it in some places, and none falls under it."""
     wide = Raster(np.arange(100.0), np.arange(100.0), np.full((100, 100), -130.5))
-    truth = raster_truth(wide, 0.0, -130.0, 10.0, np.random.default_rng(3))
+    truth = raster_truth(wide, 0.0, -130.0, Rician(10.0), np.random.default_rng(3))
     assert truth.raster.values.min() == -130.0
     assert 0.2 < (truth.raster.values > -130.0).mean() < 0.6
 
@@ -81,3 +85,20 @@ def test_model_truth_is_the_model(floor):
         np.testing.assert_array_equal(found.censored, found.power_dbm == floor)
         free = model_truth(PARAMETERS, bounds, 4.0, None, np.random.default_rng(5))
         np.testing.assert_array_equal(np.maximum(free.raster.values, floor), truth.raster.values)
+
+
+def test_model_truth_of_another_multipath():
+    """The same shadowing; what differs has the law's deviation, and its skewness to the left."""
+    bounds = (0.0, 0.0, 400.0, 400.0)
+    law = Nakagami(1.0)
+    plain = model_truth(replace(PARAMETERS, multipath_std_db=0.0), bounds, 4.0, None, generator())
+    faded = model_truth(PARAMETERS, bounds, 4.0, None, generator(), law)
+    fading = (faded.raster.values - plain.raster.values).ravel()
+    assert abs(fading.mean()) < 4.0 * law.std_db / 100.0
+    assert fading.std() == pytest.approx(law.std_db, rel=0.05)
+    assert ((fading / law.std_db) ** 3).mean() < -0.8
+
+
+def generator():
+    """The same each time."""
+    return np.random.default_rng(8)

@@ -87,12 +87,12 @@ def test_the_margin_at_a_place_is_exact(margins):
     posterior = condition(PARAMETERS, data(200))
     margins.refresh(posterior)
     place = np.array([3.21, 1.234])
-    assert margins.at(place) == pytest.approx(exact(posterior, place[None])[0], abs=1e-9)
+    assert margins.at(place[None])[0] == pytest.approx(exact(posterior, place[None])[0], abs=1e-9)
 
 
 def test_without_a_belief_there_is_no_margin(margins):
     """Asking before the first refresh is a mistake of the caller."""
     with pytest.raises(AssertionError, match="refresh first"):
-        margins.at(np.zeros(2))
+        margins.at(np.zeros((1, 2)))
     with pytest.raises(AssertionError, match="refresh first"):
         margins.correct(np.array([0]))

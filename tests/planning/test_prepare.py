@@ -11,10 +11,13 @@ from scenes import RING, good_everywhere, small_problem
 
 from planopt import load
 from planopt.channel.measurements import Measurements
+from planopt.channel.multipath_models import Nakagami
 from planopt.channel.truth import true_power_dbm
 from planopt.errors import InputError
 from planopt.planning.prepare import draw_truth, free_places, learn, prepare
 from planopt.problems.problem import RasterTruth, SampledMeasurements
+from planopt.world.raster import Raster
+from planopt.world.raster_files import write_rasters
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +105,23 @@ def test_raster_truth(problem, tmp_path):
     )
     places = np.array([(0.4, 0.4), (50.5, 20.5)])
     assert np.allclose(true_power_dbm(truth, places), [-100.0, -90.0 + 5.05 + 20.0])
+
+
+@pytest.mark.parametrize("ending", ["csv", "nc"])
+def test_raster_truth_of_another_format(problem, tmp_path, ending):
+    """The same map from CSV and NetCDF; the fading is of the law asked for."""
+    x, y = np.arange(0.5, 120.0), np.arange(0.5, 100.0)
+    gain = Raster(x, y, -90.0 + 0.1 * x[None] + 0.0 * y[:, None])
+    path = tmp_path / f"map.{ending}"
+    write_rasters(path, {"gain": gain}, {"gain": "dB"})
+    values = []
+    for law in (None, Nakagami(2.0)):
+        setup = RasterTruth(path, "gain", -500.0, law)
+        channel = replace(problem.channel, truth=setup)
+        drawn = draw_truth(replace(problem, channel=channel), np.random.default_rng(0))
+        values.append(drawn.raster.values)
+    np.testing.assert_allclose(values[0], gain.values + 20.0, atol=1e-9)
+    assert (values[1] - values[0]).std() == pytest.approx(Nakagami(2.0).std_db, rel=0.05)
 
 
 def test_no_truth_and_no_log(problem):

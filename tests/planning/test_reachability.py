@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.ndimage
 import shapely
-from scenes import RING, WALL, small_problem
+from scenes import RING, WALL, bad_band, small_problem
 
-from planopt.planning.reachability import best_margin_within_reach, connected_way_exists
+from planopt.planning.reachability import best_margins_by_step, connected_way_exists, least_outage_m
 from planopt.world.clearance import index_obstacles
 
 START, GOAL = np.array([5.0, 15.0]), np.array([35.0, 15.0])
@@ -18,6 +18,11 @@ BOUNDS = (0.0, 0.0, 40.0, 30.0)
 def index_of(*polygons):
     """The index of these obstacles."""
     return index_obstacles(small_problem(*polygons).workspace)
+
+
+def best_margin_within_reach(index, margin, start, radius, clearance, bounds=(-60, -60, 100, 90)):
+    """The best margin by the first step of this length."""
+    return best_margins_by_step(index, bounds, margin, start, radius, np.array([1]), clearance)[0]
 
 
 def way_exists(index, bounds, margin, start, goal, clearance, step, within_m=0.0):
@@ -47,7 +52,7 @@ def test_best_place_against_a_dense_grid():
     waves, phases = rng.normal(0.0, 0.6, (8, 2)), rng.uniform(0.0, 6.0, 8)
 
     def margin(q):
-        return np.sin(q @ waves.T + phases).sum(1)
+        return np.sin(q @ waves.T + phases).sum(1) - 10.0
 
     x, y = np.meshgrid(np.linspace(-6, 6, 301), np.linspace(-6, 6, 301))
     places = START + np.stack([x, y], -1).reshape(-1, 2)
@@ -211,3 +216,40 @@ def test_ways_that_begin_near_the_start():
     ):
         found = way_exists(index_of(), BOUNDS, margin, START, GOAL, 0.5, 2.0, within_m)
         assert found == expected
+
+
+def test_places_outside_the_workspace_are_out_of_reach():
+    """The peak lies beyond the border: the best place is on it."""
+    best = best_margin_within_reach(
+        index_of(), nearness_to((-5.0, 15.0)), START, 12.0, 0.5, bounds=BOUNDS
+    )
+    assert best == pytest.approx(-5.0, abs=0.2)
+
+
+def test_more_steps_are_never_worse():
+    """A small good place near the start stays found however many steps are asked about."""
+    peak = nearness_to((11.0, 17.0))
+    steps = np.arange(1, 301)
+    bests = best_margins_by_step(
+        index_of(), BOUNDS, lambda q: peak(q) + 3.0, START, 2.0, steps, 0.5
+    )
+    assert (np.diff(bests) >= 0.0).all()
+    assert bests[0] < 0.0 < bests[3]
+    assert bests[-1] == pytest.approx(3.0, abs=0.5)
+
+
+def test_least_outage_of_a_band():
+    """A band across the workspace costs its width, from either side of it nothing more or less."""
+    places = np.array([START, [20.0, 15.0], [30.0, 15.0]])
+    below = bad_band(18.0, 24.0)
+    outage = least_outage_m(index_of(), BOUNDS, lambda q: below(q) + 83.0, places, GOAL, 0.5, 1.0)
+    assert outage == pytest.approx([6.0, 4.0, 0.0], abs=0.6)
+
+
+def test_least_outage_takes_the_way_round():
+    """Where the band is open at one end nothing need be driven below the bound."""
+    below = bad_band(18.0, 24.0, open_above_m=20.0)
+    outage = least_outage_m(
+        index_of(), BOUNDS, lambda q: below(q) + 83.0, START[None], GOAL, 0.5, 1.0
+    )
+    assert outage[0] < 0.1

@@ -39,7 +39,8 @@ from planopt.world.clearance import index_obstacles
 
 CLEARANCE, BOUNDS, SPEED = "clearance_m", "bounds_m", "speed_max_m_s"
 BELOW, NOWHERE = "within reach, and so", "is met at none"
-KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, "not finite")
+NEEDLESS = "are driven below"
+KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, NEEDLESS, "not finite")
 
 
 @dataclass(frozen=True)
@@ -194,6 +195,21 @@ CASES: dict[str, Case] = {
     "gap with no way round": Case(
         ACROSS, power_at=GAP, relaxed=(2, 3), hopeless=(False, False), no_way=True
     ),
+    "wide gap": Case(
+        along(16, 18, 20, 22, 24, 26, 28),
+        power_at=bad_band(17.0, 27.0),
+        relaxed=(1, 2, 3, 4, 5),
+        hopeless=(False,) * 5,
+        no_way=True,
+    ),
+    "into a gap and back": Case(
+        along(16, 18, 20, 22, 20, 18, 16, 17),
+        {NEEDLESS},
+        power_at=GAP,
+        relaxed=(2, 3, 4),
+        hopeless=(False, False, False),
+        no_way=True,
+    ),
     "gap with a way round": Case(
         ACROSS, {BELOW}, power_at=OPEN_GAP, relaxed=(2, 3), hopeless=(False, False)
     ),
@@ -266,7 +282,7 @@ def module_of(name: str, source: str) -> ModuleType:
 def verifier_of(verify: str, reachability: str) -> Callable[..., tuple]:
     """The verifier of two texts, the second serving the first."""
     searches, judging = module_of(REACHABILITY, reachability), module_of(VERIFY, verify)
-    for name in ("best_margin_within_reach", "connected_way_exists"):
+    for name in ("best_margins_by_step", "connected_way_exists", "least_outage_m"):
         setattr(judging, name, getattr(searches, name))
     return judging.verify
 
@@ -452,34 +468,55 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "        kkt_residual=kkt_residual,\n",
         "        kkt_residual=None,\n",
     ),
-    "reach of one step less": (VERIFY, "start_m, step * length,", "start_m, (step - 1) * length,"),
-    "reach of one step more": (VERIFY, "start_m, step * length,", "start_m, (step + 1) * length,"),
-    "reach of one step": (VERIFY, "start_m, step * length,", "start_m, length,"),
+    "reach of one step less": (
+        REACHABILITY,
+        "reach = float(step) * step_length_m",
+        "reach = (float(step) - 1.0) * step_length_m",
+    ),
+    "reach of one step more": (
+        REACHABILITY,
+        "reach = float(step) * step_length_m",
+        "reach = (float(step) + 1.0) * step_length_m",
+    ),
+    "reach of one step": (
+        REACHABILITY,
+        "reach = float(step) * step_length_m",
+        "reach = step_length_m",
+    ),
     "hopeless at the last step, the wrong way round": (
         VERIFY,
-        "if best[0] < 0.0:",
-        "if best[0] >= 0.0:",
+        "if best[-1] < 0.0:",
+        "if best[-1] >= 0.0:",
     ),
-    "best of the first missed step for all": (
+    "no outage leads across": (VERIFY, "if driven <= saved", "if driven < 0.0 * saved"),
+    "outage however long": (VERIFY, "OUTAGE_LEEWAY_STEPS *", "1e3 *"),
+    "outage of no leeway": (VERIFY, "OUTAGE_LEEWAY_STEPS *", "-1.0 *"),
+    "any outage will do": (
         VERIFY,
-        "best = (best_by(int(missed[-1])),) * len(missed)\n",
-        "best = (best_by(int(missed[0])),) * len(missed)\n",
+        "reasons += _needless_outage(",
+        "_needless_outage(",
     ),
-    "best of the last missed step for all": (
-        VERIFY,
-        "best = tuple(best_by(int(step)) for step in missed)",
-        "best = tuple(best_by(int(missed[-1])) for step in missed)",
+    "outage turned round": (VERIFY, "saved = float(here - end)", "saved = float(end - here)"),
+    "outage of the wrong steps": (VERIFY, "axis=1)[missed - 1].sum()", "axis=1).sum()"),
+    "outage without the bound": (
+        REACHABILITY,
+        "margin_db(nodes) < 0.0",
+        "margin_db(nodes) < -1e9",
     ),
     "way turned round": (
         VERIFY,
         "return best, not connected_way_exists(",
         "return best, connected_way_exists(",
     ),
-    "way to where the robot is": (VERIFY, "np.asarray(problem.robots[0].goal_m)", "start_m"),
+    "way to where the robot is": (
+        VERIFY,
+        "        start_m,\n        np.asarray(problem.robots[0].goal_m),",
+        "        start_m,\n        start_m,",
+    ),
     "flood through obstacles": (
         REACHABILITY,
-        "(away > 0.0) & (away >=",
-        "(away > -1.0) | (away >=",
+        "through an obstacle.\n    open_ = (away > 0.0) & (away >=",
+        "through an obstacle.\n    open_ = (away > -1.0) | (away >=",
     ),
     "flood without the bound": (
         REACHABILITY,
@@ -516,33 +553,28 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "flood that does not turn corners": (REACHABILITY, "np.ones((3, 3)", "np.eye(3"),
     "grid mirrored": (
         REACHABILITY,
-        "grid[..., 1] = start_m[1] + rows[:, None]",
-        "grid[..., 1] = start_m[1] - rows[:, None]",
+        "grid[..., 1] = anchor_m[1] + rows[:, None]",
+        "grid[..., 1] = anchor_m[1] - rows[:, None]",
     ),
     "reach through walls": (
         REACHABILITY,
-        "(parts == parts[GRID_STEPS, GRID_STEPS]) & (np",
-        "(parts > -1) & (np",
+        "(parts == parts[from_start == 0.0]) &",
+        "(parts > -1) &",
     ),
     "reach beyond the disc": (
         REACHABILITY,
-        "(np.hypot(x, y) <= radius_m)",
-        "(np.hypot(x, y) <= 9.0 * radius_m)",
+        "np.searchsorted(distance, reach,",
+        "np.searchsorted(distance, 9.0 * reach,",
     ),
     "only the rim is in reach": (
         REACHABILITY,
-        "(np.hypot(x, y) <= radius_m)",
-        "(np.hypot(x, y) > radius_m)",
+        "(from_start <= radius)\n",
+        "(from_start > radius)\n",
     ),
     "reach counted from the corner": (
         REACHABILITY,
-        "parts[GRID_STEPS, GRID_STEPS]) &",
+        "parts[from_start == 0.0]) &",
         "parts[0, 0]) &",
-    ),
-    "least margin of the refinement": (
-        REACHABILITY,
-        "best = max(best, float(margins.max()))",
-        "best = float(margins.min())",
     ),
 }
 

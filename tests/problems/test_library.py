@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from planopt.channel.multipath_models import Rician
 from planopt.errors import InputError
 from planopt.problems import library
 from planopt.problems.library import find_problem, list_problems
@@ -58,7 +59,7 @@ def test_munich_files_agree_with_their_map(name: str) -> None:
     problem = load(name)
     truth = problem.channel.truth
     assert isinstance(truth, RasterTruth)
-    assert (truth.floor_db, truth.rician_k) == (-130, 10)
+    assert (truth.floor_db, truth.multipath) == (-130, Rician(10.0))
     with np.load(truth.file, allow_pickle=False) as data:
         x, y, gain = data["x"], data["y"], data[truth.variable]
         mast, receiver_height = data["tx"], float(data["rx_z"])

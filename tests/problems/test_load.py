@@ -161,6 +161,17 @@ def test_data_file_with_a_name_too_long_is_one_error(tmp_path: Path) -> None:
     assert caught.value.key == "channel.measurements.file"
 
 
+def test_map_of_an_unknown_format_is_one_error(tmp_path: Path) -> None:
+    """The ending is told when the problem is loaded, with its key."""
+    (tmp_path / "map.asc").write_text("")
+    table = '[channel.truth]\nkind = "raster"\nfile = "map.asc"\nfloor_db = -130.0\n'
+    head, rest = OPEN_FIELD.split("[channel.truth]")
+    text = head + table + rest[rest.index("\n[channel.") :]
+    with pytest.raises(InputError, match=r"'\.asc' is no format of maps") as caught:
+        load(written(tmp_path, text))
+    assert caught.value.key == "channel.truth.file"
+
+
 def test_file_that_cannot_be_read_is_one_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

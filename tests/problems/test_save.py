@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from planopt.channel.multipath_models import Nakagami, Rician
 from planopt.errors import InputError
 from planopt.problems.library import list_problems
 from planopt.problems.load import load
@@ -106,3 +107,34 @@ def test_moved_coordinate_is_seen() -> None:
     robot = problem.robots[0]
     moved = replace(robot, start_m=(robot.start_m[0] + 1e-14, robot.start_m[1]))
     assert there_and_back(replace(problem, robots=(moved,))) != problem
+
+
+@pytest.mark.parametrize(
+    "fading",
+    [
+        {"multipath": {"kind": "rayleigh"}},
+        {"multipath": {"kind": "rician", "m": 3.27}},
+        {"multipath": {"kind": "nakagami", "std_db": 2.6}},
+        {"multipath": {"kind": "lognormal", "k": 10.0}},
+        {"rician_k": 10.0},
+        {},
+    ],
+)
+def test_multipath_of_a_map_survives(tables: Tables, built: Build, fading: Tables) -> None:
+    """Whatever it was given by, the law comes back exactly; a K keeps its old key."""
+    tables["channel"]["truth"] = {"kind": "raster", "file": "a.nc", "floor_db": -130.0, **fading}
+    problem = built(tables)
+    assert there_and_back(problem) == problem
+    saved = problem_to_dict(problem)["channel"]["truth"]
+    law = problem.channel.truth.multipath
+    assert ("rician_k" in saved) == (isinstance(law, Rician) and law != Rician(0.0))
+
+
+def test_multipath_of_a_model_survives(tables: Tables, built: Build) -> None:
+    """The law in place of its deviation, which it gives."""
+    del tables["channel"]["truth"]["multipath_std_db"]
+    tables["channel"]["truth"]["multipath"] = {"kind": "nakagami", "m": 3.27}
+    problem = built(tables)
+    truth = problem.channel.truth
+    assert truth.multipath == Nakagami(3.27) and abs(truth.multipath_std_db - 2.60) < 0.01
+    assert there_and_back(problem) == problem

@@ -215,3 +215,33 @@ def test_every_key_is_described() -> None:
     assert schema["properties"]["robots"]["maxItems"] == 1
     assert definitions["PlannerTable"]["properties"]["horizon"]["maximum"] == 500
     assert "schema" in definitions["ProblemTable"]["required"]
+
+
+RASTER = {"kind": "raster", "file": "a.npz", "floor_db": -130.0}
+MODEL = {"kind": "model", "k_pl_db": -30.0, "n_pl": 2.0, "shadow_std_db": 4.0} | {
+    "decorrelation_m": 10.0,
+    "cell_m": 1.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("truth", "says"),
+    [
+        (RASTER | {"multipath": {"kind": "rician"}}, "is given by nothing"),
+        (RASTER | {"multipath": {"kind": "rician", "m": 3.0, "k": 5.0}}, "given by m and k"),
+        (RASTER | {"multipath": {"kind": "rayleigh", "k": 5.0}}, "the kind alone"),
+        (RASTER | {"multipath": {"kind": "rician", "std_db": 7.0}}, "deviation of 7"),
+        (RASTER | {"multipath": {"kind": "rician", "std_db": 0.0}}, "deviation of 0"),
+        (RASTER | {"multipath": {"kind": "nakagami", "m": 1e8}}, "less than 0.001 dB"),
+        (RASTER | {"multipath": {"kind": "rice", "k": 5.0}}, "channel.truth.multipath.kind"),
+        (RASTER | {"multipath": {"kind": "rayleigh"}, "rician_k": 5.0}, "one is enough"),
+        (MODEL, "multipath_std_db and multipath, has none"),
+        (MODEL | {"multipath": {"kind": "rayleigh"}, "multipath_std_db": 2.0}, "has both"),
+    ],
+)
+def test_multipath_that_is_not_one(tables: Tables, built: Build, truth: Tables, says: str) -> None:
+    """Too many numbers, too few, or one for which there is no such fading; the key is named."""
+    tables["channel"]["truth"] = truth
+    with pytest.raises(InputError) as caught:
+        built(tables)
+    assert says in str(caught.value) and "channel.truth" in str(caught.value)

@@ -93,7 +93,7 @@ def simulate(
             outcome = Outcome.STALLED
             reason = (
                 f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
-                "with nothing new to learn"
+                f"with nothing new to learn{_detail(plan)}"
             )
     log = _log(problem, truth, np.array(track), plans)
     run = Run(
@@ -130,8 +130,11 @@ def _circling(track: list[NDArray[np.float64]], step_length_m: float) -> bool:
 
 
 def _standing_reason(plan: Plan) -> str:
-    detail = f": {plan.message}" if plan.message else ""
-    return f"standing still with nothing new to learn{detail}"
+    return f"standing still with nothing new to learn{_detail(plan)}"
+
+
+def _detail(plan: Plan) -> str:
+    return f": {plan.message}" if plan.message else ""
 
 
 def _log(problem: Problem, truth: Truth, track: NDArray[np.float64], plans: list[Plan]) -> StepLog:

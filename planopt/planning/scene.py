@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from planopt.errors import NoPlanError
@@ -75,12 +76,31 @@ def build_scene(problem: Problem) -> Scene:
     scene = Scene(index, pack_pieces(problem.workspace), road_map, goal_node, ways)
     nodes, _ = first_moves(scene, problem, np.asarray(robot.start_m))
     if nodes.size == 0 or not np.isfinite(scene.ways.cost_m[nodes]).any():
-        raise NoPlanError(
-            f"obstacles cut robots[0].goal_m {list(robot.goal_m)} off from start_m "
-            f"{list(robot.start_m)}: no way keeps constraints.clearance_m {clearance:g} m "
-            f"(searched on a lattice of {lattice.spacing_m:.2f} m)"
-        )
+        raise NoPlanError(_why_no_way(problem, lattice.spacing_m))
     return scene
+
+
+def _why_no_way(problem: Problem, spacing_m: float) -> str:
+    """Whether obstacles cut the goal off, exactly, or the lattice is too coarse for the way."""
+    robot, clearance = problem.robots[0], problem.constraints.clearance_m
+    free = shapely.box(*problem.workspace.bounds_m)
+    for obstacle in problem.workspace.obstacles:
+        free = free.difference(obstacle.polygon.buffer(clearance))
+    start, goal = shapely.Point(robot.start_m), shapely.Point(robot.goal_m)
+    # Both may lie on the very edge of what the clearance leaves.
+    parts = [free] if isinstance(free, shapely.Polygon) else list(shapely.get_parts(free))
+    joined = any(
+        part.distance(start) <= CLEARANCE_PAD_M and part.distance(goal) <= CLEARANCE_PAD_M
+        for part in parts
+    )
+    between = f"robots[0].goal_m {list(robot.goal_m)} from start_m {list(robot.start_m)}"
+    if joined:
+        return (
+            f"no way found to {between} on a lattice of {spacing_m:.2f} m, although there is one "
+            f"with constraints.clearance_m {clearance:g} m: a smaller planner.step_s or "
+            "robots[0].speed_max_m_s makes the lattice finer"
+        )
+    return f"obstacles cut off {between}: no way keeps constraints.clearance_m {clearance:g} m"
 
 
 def first_moves(

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from planopt.studies.comparison import Comparison
 
 COMPARISON_FILE = "comparison.json"
-BACKENDS = ("loky",)
 
 Value = TypeVar("Value")
 
@@ -43,7 +42,7 @@ def compare(
     """Compare settings. Exit code 0 verified throughout, 3 not throughout, 4 a run not ended."""
     from planopt.problems.load import load
     from planopt.problems.overrides import with_overrides
-    from planopt.studies.compare import compare_horizons
+    from planopt.studies.compare import BACKENDS, compare_horizons
 
     if backend not in BACKENDS:
         raise InputError(

@@ -138,11 +138,7 @@ def _by_likelihood(
     if len(rows) < len(measurements):
         notes = (f"fitted on {MAX_MEASUREMENTS} of {len(measurements)} measurements",)
         model = MeanModel(model.columns[rows], model.offset_db[rows], model.regressor_mean)
-        measurements = Measurements(
-            measurements.positions_m[rows],
-            measurements.power_dbm[rows],
-            measurements.censored[rows],
-        )
+        measurements = measurements.take(rows)
     found = reml_fit(model, measurements, bounds)
     return _Estimate(
         found.covariance,

@@ -93,13 +93,7 @@ def held_out_predictions(
     mean, deviation = np.empty(len(measurements)), np.empty(len(measurements))
     for fold in range(folds):
         out = fold_of == fold
-        predict = learn(
-            Measurements(
-                measurements.positions_m[~out],
-                measurements.power_dbm[~out],
-                measurements.censored[~out],
-            )
-        )
+        predict = learn(measurements.take(~out))
         prediction = predict(measurements.positions_m[out])
         mean[out], deviation[out] = prediction.mean_db, prediction.deviation_db
     return Prediction(mean, deviation)

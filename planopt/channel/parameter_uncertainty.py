@@ -156,11 +156,7 @@ def _exact_data(
     """The uncensored measurements, at most `MAX_MEASUREMENTS`, as the likelihood needs them."""
     rows = np.flatnonzero(~measurements.censored)
     rows = rows[thinned(len(rows), MAX_MEASUREMENTS)]
-    exact = Measurements(
-        measurements.positions_m[rows],
-        measurements.power_dbm[rows],
-        np.zeros(len(rows), dtype=bool),
-    )
+    exact = measurements.take(rows)
     model = mean_model(exact.positions_m, ~exact.censored, parameters.station, n_pl_identifiable)
     return likelihood_data(model, exact)
 

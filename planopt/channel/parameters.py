@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -43,6 +44,9 @@ class ChannelParameters:
         omega: deviation of multipath fading in dB.
     station
         The fixed station.
+    forgetting_s
+        Time over which shadowing forgets: its covariance also has the factor ``exp(-age /
+        forgetting_s)``. Infinite for a channel that does not drift.
     """
 
     k_pl_db: float
@@ -51,3 +55,4 @@ class ChannelParameters:
     decorrelation_m: float
     multipath_std_db: float
     station: Station
+    forgetting_s: float = math.inf

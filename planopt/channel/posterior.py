@@ -152,9 +152,7 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
         if not more.censored[start]:
             while stop < len(more) and not more.censored[stop]:
                 stop += 1
-        part = Measurements(
-            more.positions_m[start:stop], more.power_dbm[start:stop], more.censored[start:stop]
-        )
+        part = more.take(slice(start, stop))
         sites = (
             _censored_site(posterior, part)
             if part.censored[0]

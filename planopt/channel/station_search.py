@@ -78,9 +78,7 @@ def fit_channel_and_station(
     require_usable(measurements, None)
     _require_locating(measurements)
     rows = thinned(len(measurements), SEARCH_MEASUREMENTS)
-    sample = Measurements(
-        measurements.positions_m[rows], measurements.power_dbm[rows], measurements.censored[rows]
-    )
+    sample = measurements.take(rows)
     climbs = [_climb(sample, start, height_m) for start in _grid_starts(sample, height_m)]
     _, position = min(climbs)
     station = _clear_of(measurements, Station(position, height_m))

@@ -1,0 +1,122 @@
+"""What a batch of future measurements would tell: S, B and mu of theory 4.0, and covariances of it.
+
+Learning path loss and mapping the channel both ask what is known after the robot has measured at
+q_1 .. q_h. That does not depend on the values it will measure, only on these terms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.factor import whiten
+from planopt.channel.joint import joint_prediction
+from planopt.channel.kriging import kriging_terms
+from planopt.channel.measurement_covariance import covariance_db2, place_origins
+from planopt.channel.places import require_places
+from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import InputError
+from planopt.objectives.near_posterior import factored_near
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """h future measurements, given those there are (theory 4.0).
+
+    Attributes
+    ----------
+    mean_db
+        ``(h,)`` mu, dBm.
+    covariance_db2
+        ``(h, h)`` S, as if theta were known.
+    trend
+        ``(h, 2)`` B: row i is varphi(q_i)'.
+    theta_covariance
+        ``(2, 2)`` M; zero where theta is known.
+    """
+
+    mean_db: NDArray[np.float64]
+    covariance_db2: NDArray[np.float64]
+    trend: NDArray[np.float64]
+    theta_covariance: NDArray[np.float64]
+
+    def covariance(self, universal: bool) -> NDArray[np.float64]:
+        """S, or S + B M B' (`universal`) that counts what is not known of theta; ``(h, h)``."""
+        if not universal:
+            return self.covariance_db2
+        return self.covariance_db2 + self.trend @ self.theta_covariance @ self.trend.T
+
+
+def batch_of(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> Batch:
+    """The terms for measuring at `path_m` (h, 2); O(kappa^2 h).
+
+    From all measurements, or from those near where they are very many
+    (:func:`planopt.objectives.near_posterior.factored_near`).
+
+    Raises
+    ------
+    InputError
+        `path_m` is no path.
+    """
+    places = require_places(path_m)
+    near = factored_near(posterior, places)
+    prediction = joint_prediction(replace(near, theta_covariance=np.zeros((2, 2))), places)
+    return Batch(
+        prediction.mean_db,
+        prediction.covariance_db2,
+        kriging_terms(near, places).trend,
+        posterior.theta_covariance,
+    )
+
+
+def cross_covariance_db2(
+    posterior: ChannelPosterior,
+    path_m: NDArray[np.float64],
+    grid_m: NDArray[np.float64],
+    universal: bool,
+) -> NDArray[np.float64]:
+    """Covariance of what is measured on a path with the power at other places; ``(h, g)``.
+
+    c(q) = k_h(q) - Phi' U^-1 phi(q) (theory 4.5), plus B M varphi(q) where `universal`.
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    path_m, grid_m
+        ``(h, 2)`` and ``(g, 2)``.
+    universal
+        Count what is not known of theta.
+    """
+    posterior = factored_near(posterior, path_m)
+    parameters = posterior.parameters
+    path, grid = (place_origins(places, posterior.now_s, parameters) for places in (path_m, grid_m))
+    from_path, from_grid = (
+        whiten(posterior.factor, covariance_db2(posterior.origins, places, parameters))
+        for places in (path, grid)
+    )
+    covariance = covariance_db2(path, grid, parameters) - from_path.T @ from_grid
+    if universal:
+        trend, other = (kriging_terms(posterior, places).trend for places in (path_m, grid_m))
+        covariance += trend @ posterior.theta_covariance @ other.T
+    return covariance
+
+
+def batch_factor(covariance_db2: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lower Cholesky factor L of S, ``(h, h)``; L_ii^2 is the variance after q_1 .. q_{i-1}.
+
+    Raises
+    ------
+    InputError
+        S is singular: without multipath a place that is measured twice tells nothing new.
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(covariance_db2), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "without multipath a path that comes twice to a place has no finite information",
+            key="path_m",
+            remedy="give multipath a deviation above 0, or leave repeated places out",
+        ) from None

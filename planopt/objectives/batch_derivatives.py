@@ -1,0 +1,151 @@
+"""S and B of theory 4.0 with first and second derivatives by the path, from a local channel.
+
+Row and column i of S, and row i of B, depend on q_i. So the derivative of S by coordinate a of q_i
+is ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are kept. Coordinates are numbered
+x_1, y_1, x_2, y_2, ... throughout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.objectives.local_channel import LocalChannel
+from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance
+
+
+@dataclass(frozen=True, eq=False)
+class PathDerivatives:
+    """An objective of a path of h places with derivatives by its 2 h coordinates.
+
+    Attributes
+    ----------
+    value
+        The objective.
+    gradient
+        ``(2 h,)`` by x_1, y_1, x_2, ...
+    hessian
+        ``(2 h, 2 h)`` symmetric.
+    """
+
+    value: float
+    gradient: NDArray[np.float64]
+    hessian: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """r numbers for each place that depend on that place alone, such as the rows of B.
+
+    Attributes
+    ----------
+    value
+        ``(h, r)``.
+    first
+        ``(2 h, r)`` by the place's own coordinates.
+    second
+        ``(h, 3, r)`` xx, xy, yy.
+    """
+
+    value: NDArray[np.float64]
+    first: NDArray[np.float64]
+    second: NDArray[np.float64]
+
+    def times(self, matrix: NDArray[np.float64]) -> Rows:
+        """Each row times `matrix` (r, s)."""
+        return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)
+
+
+@dataclass(frozen=True, eq=False)
+class BatchDerivatives:
+    """S of a batch with derivatives, and its B.
+
+    Attributes
+    ----------
+    covariance
+        ``(h, h)`` S.
+    first
+        ``(2 h, h)`` D[2 i + a, k]: of S_ik by coordinate a of q_i; half of it where k = i.
+    mixed
+        ``(2 h, 2 h)`` of S_ij by coordinates of q_i and of q_j; half of that part where j = i.
+    second
+        ``(h, 3, h)`` of S_ik by two coordinates of q_i, k held; half of that part where k = i.
+    trend
+        B.
+    phi
+        ``(h, 6, m)`` covariance with the measurements: value, x, y, xx, xy, yy.
+    """
+
+    covariance: NDArray[np.float64]
+    first: NDArray[np.float64]
+    mixed: NDArray[np.float64]
+    second: NDArray[np.float64]
+    trend: Rows
+    phi: NDArray[np.float64]
+
+
+def batch_derivatives(
+    channel: LocalChannel, path_m: NDArray[np.float64], universal: bool
+) -> BatchDerivatives:
+    """S, or S + B M B' where `universal`, and B, at `path_m` (h, 2)."""
+    parameters, steps = channel.parameters, len(path_m)
+    kernel = rounded_kernel(path_m[:, None] - channel.positions_m, parameters, channel.blur_m2)
+    phi = np.empty((steps, 6, len(channel.positions_m)))
+    phi[:, 0] = kernel.value
+    phi[:, 1:3] = kernel.gradient.transpose(0, 2, 1)
+    phi[:, 3:] = kernel.hessian.transpose(0, 2, 1)
+    solved = phi[:, :3].reshape(3 * steps, -1) @ channel.precision
+    explained = (phi.reshape(6 * steps, -1) @ solved.T).reshape(steps, 6, steps, 3)
+
+    own = np.arange(steps)
+    between = rounded_kernel(path_m[:, None] - path_m, parameters)
+    between.value[own, own] = parameters.shadow_std_db**2 + parameters.multipath_std_db**2
+    between.hessian[own, own] = 0.0
+    trend = _trend(channel, path_m, phi)
+    covariance = between.value - explained[:, 0, :, 0]
+    first = between.gradient.transpose(0, 2, 1) - explained[:, 1:3, :, 0]
+    mixed = -between.hessian[:, :, [[0, 1], [1, 2]]].transpose(0, 2, 1, 3)
+    mixed = mixed - explained[:, 1:3, :, 1:]
+    second = between.hessian.transpose(0, 2, 1) - explained[:, 3:, :, 0]
+    first, mixed = first.reshape(2 * steps, steps), mixed.reshape(2 * steps, 2 * steps)
+    if universal:
+        pulled = channel.theta_covariance @ trend.value.T
+        covariance = covariance + trend.value @ pulled
+        first = first + trend.first @ pulled
+        mixed = mixed + trend.first @ channel.theta_covariance @ trend.first.T
+        second = second + trend.second @ pulled
+    return BatchDerivatives(
+        0.5 * (covariance + covariance.T), first, 0.5 * (mixed + mixed.T), second, trend, phi
+    )
+
+
+def curvature_of(
+    batch: BatchDerivatives, gradient_by_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """sum_ij G_ij d^2 S_ij for symmetric G = `gradient_by_s` (h, h); ``(2 h, 2 h)``."""
+    found = 2.0 * np.repeat(np.repeat(gradient_by_s, 2, axis=0), 2, axis=1) * batch.mixed
+    own = (batch.second @ gradient_by_s[:, :, None])[:, :, 0]
+    add_own_blocks(found, 2.0 * own)
+    return found
+
+
+def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> None:
+    """Add `own` (h, 3), xx, xy, yy of each place, to the diagonal blocks of `hessian`."""
+    even = np.arange(0, len(hessian), 2)
+    hessian[even, even] += own[:, 0]
+    hessian[even, even + 1] += own[:, 1]
+    hessian[even + 1, even] += own[:, 1]
+    hessian[even + 1, even + 1] += own[:, 2]
+
+
+def _trend(channel: LocalChannel, path_m: NDArray[np.float64], phi: NDArray[np.float64]) -> Rows:
+    """B = Gamma_h - Phi' A."""
+    rows = -phi @ channel.trend
+    loss = rounded_log_distance(path_m, channel.parameters.station)
+    rows[:, 0, 0] += 1.0
+    rows[:, 0, 1] += loss.value
+    rows[:, 1:3, 1] += loss.gradient
+    rows[:, 3:, 1] += loss.hessian
+    return Rows(rows[:, 0], rows[:, 1:3].reshape(-1, 2), rows[:, 3:])

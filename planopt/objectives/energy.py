@@ -1,0 +1,132 @@
+"""Energy to move and to transmit: costs, in joules (theory 3.2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.places import leg_lengths_m, require_places
+from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import InputError
+
+WATT_PER_MILLIWATT = 1e-3
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Power P = k_1 v + k_2 while the robot is on its way (Mei et al. 2006).
+
+    Attributes
+    ----------
+    per_metre_j_m
+        k_1.
+    standing_w
+        k_2, also drawn while it stands.
+    step_s
+        Duration of a step.
+    start_m
+        Where the robot stands.
+    """
+
+    per_metre_j_m: float
+    standing_w: float
+    step_s: float
+    start_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Radio:
+    """An M-ary QAM link that always sends just strongly enough.
+
+    Attributes
+    ----------
+    bits_per_symbol
+        R, spectral efficiency in bit/s/Hz.
+    bit_error_rate
+        BER that is to be kept, below 0.2.
+    noise_dbm
+        Receiver noise.
+    reference_transmit_dbm
+        The transmit power that the channel's K_PL is for.
+    send_s
+        How long it sends at each place.
+
+    Raises
+    ------
+    InputError
+        A rate is out of its range.
+    """
+
+    bits_per_symbol: float
+    bit_error_rate: float
+    noise_dbm: float
+    reference_transmit_dbm: float
+    send_s: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.bit_error_rate < 0.2:
+            raise InputError(
+                f"{self.bit_error_rate!r} is out of range", key="bit_error_rate", remedy="0 to 0.2"
+            )
+        if not self.bits_per_symbol > 0.0:
+            raise InputError(f"{self.bits_per_symbol!r} is not positive", key="bits_per_symbol")
+
+    @property
+    def k_b(self) -> float:
+        """K_b = -1.5 / ln(5 BER)."""
+        return -1.5 / math.log(5.0 * self.bit_error_rate)
+
+
+def energy_rate_j_m(motion: Motion, speed_m_s: float) -> float:
+    """Energy of a metre at constant speed, k_1 + k_2 / v."""
+    return motion.per_metre_j_m + motion.standing_w / speed_m_s
+
+
+def motion_energy_j(path_m: NDArray[np.float64], settings: Motion) -> float:
+    """k_1 times length plus k_2 times duration of `path_m` (h, 2), from the start on."""
+    places = require_places(path_m)
+    whole = np.vstack([np.asarray(settings.start_m, dtype=np.float64), places])
+    length = float(leg_lengths_m(whole).sum())
+    return settings.per_metre_j_m * length + settings.standing_w * settings.step_s * len(places)
+
+
+def expected_transmit_power_w(
+    mean_db: NDArray[np.float64], deviation_db: NDArray[np.float64], radio: Radio
+) -> NDArray[np.float64]:
+    """E[P_T] = (2^R - 1) / K_b E[1 / CNR], the power that keeps the bit error rate; as `mean_db`.
+
+    CNR is the ratio of channel to noise for one milliwatt sent. Power in dB is Gaussian, so
+    E[1 / CNR] = exp((ln 10 / 10)^2 sigma^2 / 2) / CNR(mean). There is no greatest transmit power
+    here: deep fades are paid in full.
+
+    Parameters
+    ----------
+    mean_db, deviation_db
+        Predicted received power, dBm, and its deviation.
+    radio
+        The link.
+    """
+    cnr_db = mean_db - radio.reference_transmit_dbm - radio.noise_dbm
+    nepers = math.log(10.0) / 10.0
+    inverse = np.exp(0.5 * (nepers * deviation_db) ** 2 - nepers * cnr_db)
+    return WATT_PER_MILLIWATT * (2.0**radio.bits_per_symbol - 1.0) / radio.k_b * inverse
+
+
+def transmission_stage_costs_j(
+    posterior: ChannelPosterior, positions_m: NDArray[np.float64], settings: Radio
+) -> NDArray[np.float64]:
+    """Energy that sending from each of `positions_m` (n, 2) is expected to take; ``(n,)``."""
+    prediction = posterior.predict(require_places(positions_m))
+    return settings.send_s * expected_transmit_power_w(
+        prediction.mean_db, prediction.deviation_db, settings
+    )
+
+
+def transmission_energy_j(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Radio
+) -> float:
+    """Energy that sending at each place of `path_m` (h, 2) is expected to take."""
+    return float(transmission_stage_costs_j(posterior, path_m, settings).sum())

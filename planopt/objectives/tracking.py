@@ -1,0 +1,149 @@
+"""Tracking: information that reaches the station, as the seed's (4) and its additive sum.
+
+A packet counts with the probability that it arrives. Summed over steps and robots that needs no
+joint law, so that a dynamic programme can plan with it; :mod:`planopt.objectives.tracking_filter`
+has the forms that follow the filter itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.places import require_finite, require_places
+from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import InputError
+from planopt.objectives.weights import require_weights
+from planopt.targets.sensor import Sensor, sensing_information
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """A target to be tracked over the next h steps.
+
+    Attributes
+    ----------
+    threshold_dbm
+        Upsilon_TH: packets below this power are dropped.
+    sensor
+        How well it is sensed.
+    target_m
+        ``(h, 2)`` p_hat_{t+k|t}, k = 1 .. h.
+    weight
+        ``(h,)`` w_k >= 0 of the steps. Not given: all one.
+
+    Raises
+    ------
+    InputError
+        The target is nowhere, or weights do not fit the steps.
+    """
+
+    threshold_dbm: float
+    sensor: Sensor
+    target_m: NDArray[np.float64]
+    weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        require_finite(self.threshold_dbm, "threshold_dbm")
+        count = len(require_places(self.target_m))
+        if self.weight.shape == (0,):
+            object.__setattr__(self, "weight", np.ones(count))
+        require_weights(self.weight, count)
+
+
+def tracking_reward(
+    connectivity: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    stage: int,
+    settings: Tracking,
+) -> NDArray[np.float64]:
+    """w_k P(connected) tr Phi^-1(q, p_hat_{t+k|t}) per m^2 (seed, equation (4)); ``(n,)``.
+
+    Parameters
+    ----------
+    connectivity
+        ``(n,)`` P(power >= threshold) at each place.
+    positions_m
+        ``(n, 2)``.
+    stage
+        k - 1: the first step is stage 0.
+    settings
+        The target.
+    """
+    sensing = sensing_information(settings.sensor, positions_m, settings.target_m[stage])
+    return settings.weight[stage] * connectivity * sensing
+
+
+def tracking_stage_rewards(
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    stage: int,
+    settings: Tracking,
+) -> NDArray[np.float64]:
+    """:func:`tracking_reward` with the connectivity of `posterior`, today's deviation in it."""
+    connectivity = posterior.connectivity(positions_m, settings.threshold_dbm)
+    return tracking_reward(connectivity, positions_m, stage, settings)
+
+
+def tracking_value(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Tracking
+) -> float:
+    """sum_k w_k P(connected at q_k) tr Phi^-1(q_k, p_hat_{t+k|t}); equation (4) for h = 1.
+
+    Raises
+    ------
+    InputError
+        `path_m` is no path with a place for each of the target's.
+    """
+    arrival, sensing = delivery([posterior], [path_m], settings)
+    return float(settings.weight @ (arrival * sensing)[:, 0])
+
+
+def team_tracking_value(
+    posteriors: Sequence[ChannelPosterior],
+    paths_m: Sequence[NDArray[np.float64]],
+    settings: Tracking,
+) -> float:
+    """:func:`tracking_value` summed over robots, each with its own knowledge of the channel."""
+    arrival, sensing = delivery(posteriors, paths_m, settings)
+    return float(settings.weight @ (arrival * sensing).sum(axis=1))
+
+
+def delivery(
+    posteriors: Sequence[ChannelPosterior],
+    paths_m: Sequence[NDArray[np.float64]],
+    settings: Tracking,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """P(packet arrives) and tr Phi^-1 of every step and robot; both ``(h, N)``.
+
+    Parameters
+    ----------
+    posteriors
+        What each of the N robots knows of the channel; the same one where they share.
+    paths_m
+        ``(h, 2)`` of each robot.
+    settings
+        The target.
+
+    Raises
+    ------
+    InputError
+        There are not as many paths as posteriors, or not as many places as the target has.
+    """
+    steps = len(settings.target_m)
+    if len(paths_m) != len(posteriors) or not posteriors:
+        raise InputError(f"{len(posteriors)} robots and {len(paths_m)} paths", key="paths_m")
+    arrival, sensing = np.empty((2, steps, len(posteriors)))
+    for robot, (posterior, path) in enumerate(zip(posteriors, paths_m, strict=True)):
+        places = require_places(path)
+        if len(places) != steps:
+            raise InputError(
+                f"a path of {len(places)} places and a target predicted for {steps} steps",
+                key="paths_m",
+            )
+        arrival[:, robot] = posterior.connectivity(places, settings.threshold_dbm)
+        sensing[:, robot] = sensing_information(settings.sensor, places, settings.target_m)
+    return arrival, sensing

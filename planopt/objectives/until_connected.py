@@ -1,0 +1,93 @@
+"""How far a robot drives along a path until it is connected (theory 4.3): a cost, in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.first_passage import first_passage
+from planopt.channel.places import leg_lengths_m, require_places
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.near_posterior import factored_near
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search for connection.
+
+    Attributes
+    ----------
+    start_m
+        Where the robot stands.
+    threshold_dbm
+        Power from which on a place is connected.
+    disconnected_now
+        Given that it is not connected at the start. False where that is among the measurements.
+    """
+
+    start_m: tuple[float, float]
+    threshold_dbm: float
+    disconnected_now: bool = True
+
+
+def expected_distance_m(
+    posterior: ChannelPosterior,
+    path_m: NDArray[np.float64],
+    settings: Search,
+    generator: np.random.Generator,
+) -> float:
+    """E[D] = sum_k leg_{k+1} P(not connected at q_1 .. q_k), from the joint law of the places.
+
+    :func:`planopt.channel.first_passage.first_passage` has the distribution and the errors.
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    path_m
+        ``(h, 2)`` q_1 .. q_h. A robot that is never connected drives to the end.
+    settings
+        Start and threshold.
+    generator
+        Source of randomness of the integration.
+
+    Raises
+    ------
+    InputError
+        `path_m` is no path, or the start is certain to be connected.
+    """
+    whole = _whole(path_m, settings)
+    return first_passage(
+        factored_near(posterior, whole),
+        whole,
+        settings.threshold_dbm,
+        generator,
+        disconnected_now=settings.disconnected_now,
+    ).expected_distance_m
+
+
+def independent_expected_distance_m(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Search
+) -> float:
+    """sum_k leg_{k+1} prod (1 - p) over the distinct places visited: as if independent.
+
+    Cheap and without randomness, for searching. Too small where power is positively correlated.
+    A place that repeats counts once, and not at all where it is the start and given not to be
+    connected. Arguments as :func:`expected_distance_m`.
+    """
+    whole = _whole(path_m, settings)
+    failing = 1.0 - posterior.connectivity(whole, settings.threshold_dbm)
+    # The start itself is no trial; coming back to it is, unless it is given not to be connected.
+    trials = whole if settings.disconnected_now else whole[1:]
+    counts = np.zeros(len(whole), dtype=np.bool_)
+    counts[len(whole) - len(trials) + np.unique(trials, axis=0, return_index=True)[1]] = True
+    counts[0] = False
+    survival = np.cumprod(np.where(counts, failing, 1.0))
+    return float(leg_lengths_m(whole) @ survival[:-1])
+
+
+def _whole(path_m: NDArray[np.float64], settings: Search) -> NDArray[np.float64]:
+    """The path with its start in front; ``(h + 1, 2)``."""
+    return np.vstack([np.asarray(settings.start_m, dtype=np.float64), require_places(path_m)])

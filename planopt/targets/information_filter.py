@@ -1,0 +1,170 @@
+"""The station's filter: what it knows of the target from the packets that arrive.
+
+In information form a packet that is lost is a term that is missing, and knowing nothing is a zero
+matrix. The prediction inverts neither J (it may be singular) nor B Theta B' (it always is).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.targets.target_model import TargetModel, require_covariance, require_state
+
+
+@dataclass(frozen=True, eq=False)
+class InformationState:
+    """An estimate in information form (seed, section III-B).
+
+    Attributes
+    ----------
+    vector
+        ``(4,)`` chi = J x_hat.
+    matrix
+        ``(4, 4)`` J = P^-1; zero where nothing is known.
+    """
+
+    vector: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """``(4,)`` x_hat; an InputError while J has no inverse."""
+        return self.covariance @ self.vector
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """``(4, 4)`` P; an InputError while J has no inverse."""
+        return covariance_of(self.matrix)
+
+
+def information_state(
+    mean: NDArray[np.float64], covariance: NDArray[np.float64]
+) -> InformationState:
+    """The estimate of mean ``(4,)`` and covariance ``(4, 4)``, which must have an inverse.
+
+    Raises
+    ------
+    InputError
+        They are no estimate, or the covariance is singular.
+    """
+    state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
+    matrix = covariance_of(spread)
+    return InformationState(matrix @ state, matrix)
+
+
+def predict(model: TargetModel, state: InformationState) -> InformationState:
+    """One step without measurements: chi_{t+1|t} and J_{t+1|t}.
+
+    chi- = J- A J^-1 chi = (I - K B') A^-T chi, with K of :func:`predicted_information`.
+    """
+    moved = _moved(model, state.matrix)
+    gain, _ = _gain(model, moved)
+    vector = np.linalg.solve(model.transition.T, state.vector)
+    return InformationState(
+        vector - gain @ (model.noise_gain.T @ vector),
+        predicted_information(model, state.matrix),
+    )
+
+
+def predicted_information(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """J_{t+1|t} = (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``, J singular or not.
+
+    With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T it is
+    (I - K B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma, in Joseph's form): a sum
+    of positive semidefinite terms, so that nothing cancels.
+    """
+    moved = _moved(model, matrix)
+    gain, inner = _gain(model, moved)
+    rest = np.eye(4) - gain @ model.noise_gain.T
+    pushed = moved @ model.noise_gain @ np.swapaxes(inner, -1, -2)
+    found = rest @ moved @ np.swapaxes(rest, -1, -2)
+    found += pushed @ model.acceleration_covariance_m2_s4 @ np.swapaxes(pushed, -1, -2)
+    return 0.5 * (found + np.swapaxes(found, -1, -2))
+
+
+def update(
+    state: InformationState,
+    measured_m: NDArray[np.float64],
+    noise_covariance_m2: NDArray[np.float64],
+    delivered: NDArray[np.bool_],
+) -> InformationState:
+    """Count the packets that arrived: chi += H' Lambda^-1 z, J += H' Lambda^-1 H for each.
+
+    Parameters
+    ----------
+    state
+        The prediction.
+    measured_m
+        ``(n, 2)`` z_i of the n robots; a row that was not delivered is not read.
+    noise_covariance_m2
+        ``(n, 2, 2)`` Lambda_i.
+    delivered
+        ``(n,)`` lambda_i.
+
+    Raises
+    ------
+    InputError
+        Shapes do not agree, or a delivered measurement is not finite.
+    """
+    count = len(delivered)
+    if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
+        raise InputError(
+            f"packets of shapes {measured_m.shape}, {noise_covariance_m2.shape} and "
+            f"{delivered.shape} do not belong together",
+            remedy="give (n, 2), (n, 2, 2) and (n,)",
+        )
+    arrived = np.asarray(delivered, dtype=np.bool_)
+    values = measured_m[arrived]
+    if not np.isfinite(values).all():
+        raise InputError("a delivered measurement is not finite", key="measured_m")
+    each = np.asarray(np.linalg.inv(noise_covariance_m2[arrived]), dtype=np.float64)
+    vector, matrix = state.vector.copy(), state.matrix.copy()
+    vector[:2] += np.einsum("nij,nj->i", each, values)
+    matrix[:2, :2] += each.sum(axis=0)
+    return InformationState(vector, matrix)
+
+
+def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse of information matrices ``(..., 4, 4)``, or an InputError where there is none."""
+    smallest = np.linalg.eigvalsh(matrix)[..., 0]
+    largest = np.abs(matrix).max(axis=(-1, -2))
+    # Below this share digits alone decide the inverse.
+    if not (smallest > 1e-15 * largest).all():
+        raise InputError(
+            "nothing is known yet in some direction: the information matrix has no inverse",
+            remedy="give a prior, or wait for packets from two steps",
+        )
+    found = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    return 0.5 * (found + np.swapaxes(found, -1, -2))
+
+
+def position_variance_m2(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Trace of P's position block for information matrices ``(..., 4, 4)``; ``(...)``."""
+    covariance = covariance_of(matrix)
+    return covariance[..., 0, 0] + covariance[..., 1, 1]
+
+
+def time_averaged_variance_m2(matrices: NDArray[np.float64]) -> float:
+    """Mean over time of :func:`position_variance_m2`, J_{t|t} being ``(steps, 4, 4)``."""
+    return float(position_variance_m2(matrices).mean())
+
+
+def _moved(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """M = A^-T J A^-1: what was known, after a step without acceleration."""
+    back = model.transition.copy()
+    back[:2, 2:] *= -1.0
+    return back.T @ matrix @ back
+
+
+def _gain(
+    model: TargetModel, moved: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """K = M B Theta T and T = (I + B' M B Theta)^-1."""
+    noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
+    seen = noise_gain.T @ moved @ noise_gain
+    inner = np.asarray(np.linalg.inv(np.eye(2) + seen @ theta), dtype=np.float64)
+    return moved @ noise_gain @ theta @ inner, inner

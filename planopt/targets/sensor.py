@@ -1,0 +1,125 @@
+"""How well a robot senses the target from where it stands: best at a certain distance from it.
+
+The seed gives ``tr Phi^-1 = 1 / g(r)`` and not Phi itself. Here Phi = 2 g I_2, which has that
+trace: noise alike in every direction, g half the variance of a coordinate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.targets.rounding import Derivatives, rounded_length
+
+CUSP_SHARE = 0.1
+"""The derivatives round the cusp at the target within this share of the sweet spot's radius."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """``g(r) = varpi (r - r_s)^2 + nu`` (seed, section III-B).
+
+    Attributes
+    ----------
+    growth
+        varpi > 0: how fast noise grows away from the sweet spot, m^2 per m^2.
+    least_noise_m2
+        nu > 0: g at the sweet spot.
+    sweet_spot_m
+        r_s >= 0: the distance to the target that is best.
+
+    Raises
+    ------
+    InputError
+        A number is out of its range.
+    """
+
+    growth: float
+    least_noise_m2: float
+    sweet_spot_m: float
+
+    def __post_init__(self) -> None:
+        for key in ("growth", "least_noise_m2", "sweet_spot_m"):
+            value = getattr(self, key)
+            if not (np.isfinite(value) and (value > 0.0 or (value, key) == (0.0, "sweet_spot_m"))):
+                raise InputError(f"{value!r} is out of range", key=key, remedy="give more than 0")
+
+
+def sensing_information(
+    sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What one packet tells of the target, tr Phi^-1(q, p) = 1 / g(|q - p|), per m^2.
+
+    Parameters
+    ----------
+    sensor
+        Its model.
+    positions_m
+        ``(..., 2)`` q.
+    target_m
+        ``(..., 2)`` p, for all positions or each of them.
+    """
+    offset = positions_m - target_m
+    from_sweet_spot = np.hypot(offset[..., 0], offset[..., 1]) - sensor.sweet_spot_m
+    return 1.0 / (sensor.growth * from_sweet_spot**2 + sensor.least_noise_m2)
+
+
+def noise_covariance_m2(
+    sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Lambda = Phi(q, p) = 2 g I_2; ``(..., 2, 2)``. Arguments as :func:`sensing_information`."""
+    information = sensing_information(sensor, positions_m, target_m)
+    return (2.0 / information)[..., None, None] * np.eye(2)
+
+
+def sense(
+    sensor: Sensor,
+    positions_m: NDArray[np.float64],
+    target_m: NDArray[np.float64],
+    generator: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Measured positions z = p + noise of covariance Phi(q, p), one for each of `positions_m`.
+
+    Parameters
+    ----------
+    sensor
+        Its model.
+    positions_m
+        ``(n, 2)`` where the robots are.
+    target_m
+        ``(2,)`` where the target is.
+    generator
+        Source of the noise.
+    """
+    deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
+    return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
+
+
+def sensing_derivatives(
+    sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
+) -> Derivatives:
+    """1 / g with gradient and Hessian by q.
+
+    Exact from `CUSP_SHARE` r_s of the target on. Closer than that the distance is rounded
+    (:mod:`planopt.targets.rounding`) in the value too, so that it belongs to its derivatives; g is
+    then smaller than the exact one by at most 3/4 `CUSP_SHARE` varpi r_s^2.
+    """
+    offset = positions_m - target_m
+    sweet = sensor.sweet_spot_m
+    # Without a sweet spot g has no cusp, and the length's factor below is zero.
+    length = rounded_length(offset, CUSP_SHARE * sweet if sweet > 0.0 else 1.0)
+    square = (offset**2).sum(axis=-1)
+    loss = sensor.growth * (square - 2.0 * sweet * length.value + sweet**2) + sensor.least_noise_m2
+    first = 2.0 * sensor.growth * (offset - sweet * length.gradient)
+    unit = np.array([1.0, 0.0, 1.0])
+    second = 2.0 * sensor.growth * (unit - sweet * length.hessian)
+    information = 1.0 / loss
+    products = first[..., [0, 0, 1]] * first[..., [0, 1, 1]]
+    return Derivatives(
+        information,
+        -first * information[..., None] ** 2,
+        2.0 * products * information[..., None] ** 3 - second * information[..., None] ** 2,
+    )

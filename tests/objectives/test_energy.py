@@ -1,0 +1,76 @@
+"""Energy: closed forms, the expectation by simulation, scaling."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from path_scene import CHANNEL, PATH, START, drawn
+
+from planopt.channel.joint import sample_power
+from planopt.channel.posterior import condition
+from planopt.errors import InputError
+from planopt.objectives.energy import (
+    Motion,
+    Radio,
+    energy_rate_j_m,
+    expected_transmit_power_w,
+    motion_energy_j,
+    transmission_energy_j,
+    transmission_stage_costs_j,
+)
+
+POSTERIOR = condition(CHANNEL, drawn(15))
+MOTION = Motion(3.5, 0.3, 2.0, START)
+RADIO = Radio(2.0, 1e-6, -100.0, 20.0, 0.5)
+
+
+def test_motion_by_hand():
+    """3 m in two steps of 2 s: 3.5 * 3 + 0.3 * 4 J; standing still costs k_2 alone."""
+    path = np.array([[11.0, 12.0], [11.0, 14.0]])
+    assert motion_energy_j(path, MOTION) == pytest.approx(3.5 * 3.0 + 0.3 * 4.0)
+    assert motion_energy_j(np.tile(START, (3, 1)), MOTION) == pytest.approx(0.3 * 6.0)
+
+
+def test_motion_at_constant_speed_costs_the_rate():
+    """Length times k_1 + k_2 / v."""
+    path = np.array(START) + np.arange(1, 9)[:, None] * np.array([0.9, 1.2])
+    assert motion_energy_j(path, MOTION) == pytest.approx(12.0 * energy_rate_j_m(MOTION, 0.75))
+    assert energy_rate_j_m(MOTION, 1.0) == pytest.approx(3.8)
+
+
+def test_power_for_a_known_channel_keeps_the_bit_error_rate():
+    """BER = 1/5 exp(-1.5 snr / (2^R - 1)) is the one asked for at the power returned."""
+    mean = np.array([-80.0, -60.0])
+    watts = expected_transmit_power_w(mean, np.zeros(2), RADIO)
+    received_dbm = mean - 20.0 + 10.0 * np.log10(watts / 1e-3)
+    snr = 10.0 ** ((received_dbm - -100.0) / 10.0)
+    np.testing.assert_allclose(0.2 * np.exp(-1.5 * snr / 3.0), 1e-6, rtol=1e-9)
+
+
+def test_expectation_by_simulation():
+    """Mean of the power over 100,000 draws of every place, within 5 standard errors."""
+    sampled = sample_power(POSTERIOR, PATH, 100_000, np.random.default_rng(0))
+    each = 0.5 * expected_transmit_power_w(sampled, np.zeros_like(sampled), RADIO).sum(axis=1)
+    found = transmission_energy_j(POSTERIOR, PATH, RADIO)
+    assert abs(each.mean() - found) < 5.0 * each.std() / np.sqrt(100_000)
+
+
+def test_stages_add_up_and_scale():
+    """Sum over places; 10 dB more noise or less reference power cost ten times as much."""
+    stages = transmission_stage_costs_j(POSTERIOR, PATH, RADIO)
+    assert stages.shape == (5,) and (stages > 0.0).all()
+    total = transmission_energy_j(POSTERIOR, PATH, RADIO)
+    assert total == pytest.approx(stages.sum())
+    noisy = dataclasses.replace(RADIO, noise_dbm=-90.0)
+    assert transmission_energy_j(POSTERIOR, PATH, noisy) == pytest.approx(10.0 * total)
+    strong = dataclasses.replace(RADIO, reference_transmit_dbm=30.0)
+    assert transmission_energy_j(POSTERIOR, PATH, strong) == pytest.approx(10.0 * total)
+    fast = dataclasses.replace(RADIO, bits_per_symbol=4.0)
+    assert transmission_energy_j(POSTERIOR, PATH, fast) == pytest.approx(5.0 * total)
+
+
+@pytest.mark.parametrize("rates", [(0.0, 1e-6), (2.0, 0.2), (2.0, 0.0), (2.0, np.nan)])
+def test_rates_out_of_range(rates):
+    """Each is refused."""
+    with pytest.raises(InputError):
+        Radio(rates[0], rates[1], -100.0, 20.0, 0.5)

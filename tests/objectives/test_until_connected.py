@@ -1,0 +1,86 @@
+"""Expected distance until connected: simulation, independence, repeated places."""
+
+import numpy as np
+import pytest
+from path_scene import CHANNEL, NOTHING, PATH, START, drawn
+
+from planopt.channel.connectivity import connection_probability
+from planopt.channel.joint import sample_power
+from planopt.channel.kriging import predict
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import condition
+from planopt.errors import InputError
+from planopt.objectives.until_connected import (
+    Search,
+    expected_distance_m,
+    independent_expected_distance_m,
+)
+
+POSTERIOR = condition(CHANNEL, drawn(15))
+THRESHOLD = float(np.median(predict(POSTERIOR, PATH).mean_db)) + 2.0
+WHOLE = np.vstack([START, PATH])
+LEGS = np.linalg.norm(np.diff(WHOLE, axis=0), axis=1)
+
+
+@pytest.mark.parametrize("now", [True, False])
+def test_by_driving_through_sampled_channels(now):
+    """Mean distance of 40,000 drives within 5 standard errors."""
+    search = Search(START, THRESHOLD, disconnected_now=now)
+    found = expected_distance_m(POSTERIOR, PATH, search, np.random.default_rng(0))
+    up = sample_power(POSTERIOR, WHOLE, 40_000, np.random.default_rng(1)) >= THRESHOLD
+    if now:
+        up = up[~up[:, 0]]
+    searching = np.cumprod(~up[:, 1:-1], axis=1)
+    driven = LEGS[0] + searching @ LEGS[1:]
+    assert abs(driven.mean() - found) < 5.0 * driven.std() / np.sqrt(len(driven))
+
+
+def test_independent_places_agree():
+    """With a decorrelation distance far below the legs both are the same product."""
+    white = ChannelParameters(-35.0, 2.8, 5.0, 1e-3, 2.0, Station((3.0, -4.0), 6.0))
+    posterior = condition(white, NOTHING, theta="known")
+    power = predict(posterior, PATH)
+    threshold = float(power.mean_db.mean())
+    failing = 1.0 - connection_probability(power.mean_db, power.deviation_db, threshold)
+    expected = LEGS @ np.concatenate([[1.0], np.cumprod(failing[:-1])])
+    search = Search(START, threshold)
+    found = expected_distance_m(posterior, PATH, search, np.random.default_rng(0))
+    assert found == pytest.approx(expected, rel=1e-3)
+    assert independent_expected_distance_m(posterior, PATH, search) == pytest.approx(expected)
+
+
+def test_independence_promises_too_much():
+    """Positively correlated places fail together."""
+    search = Search(START, THRESHOLD, disconnected_now=False)
+    joint = expected_distance_m(POSTERIOR, PATH, search, np.random.default_rng(0))
+    assert independent_expected_distance_m(POSTERIOR, PATH, search) < joint
+
+
+@pytest.mark.parametrize("now", [True, False])
+def test_a_place_that_repeats_counts_once(now):
+    """Going to and fro: the second visit is no new trial; the start is one only if unknown."""
+    to_and_fro = np.array([PATH[0], START, PATH[0], PATH[1]])
+    search = Search(START, THRESHOLD, disconnected_now=now)
+    q = 1.0 - POSTERIOR.connectivity(np.vstack([START, PATH[0]]), THRESHOLD)
+    back = 1.0 if now else q[0]
+    legs = np.array([LEGS[0], LEGS[0], LEGS[0], LEGS[1]])
+    expected = legs @ [1.0, q[1], q[1] * back, q[1] * back]
+    found = independent_expected_distance_m(POSTERIOR, to_and_fro, search)
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("threshold, expected", [(-500.0, LEGS[0]), (500.0, LEGS.sum())])
+def test_extremes(threshold, expected):
+    """Connected everywhere: the first leg; nowhere: the whole path."""
+    search = Search(START, threshold, disconnected_now=False)
+    joint = expected_distance_m(POSTERIOR, PATH, search, np.random.default_rng(0))
+    assert joint == pytest.approx(expected)
+    assert independent_expected_distance_m(POSTERIOR, PATH, search) == pytest.approx(expected)
+
+
+def test_impossible_condition_and_bad_paths():
+    """Certain to be connected at the start; no path."""
+    with pytest.raises(InputError, match="certain"):
+        expected_distance_m(POSTERIOR, PATH, Search(START, -500.0), np.random.default_rng(0))
+    with pytest.raises(InputError):
+        independent_expected_distance_m(POSTERIOR, PATH[:0], Search(START, THRESHOLD))

@@ -1,0 +1,191 @@
+"""The station's filter against FilterPy, dense formulas, least squares, and long silences."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from planopt.errors import InputError
+from planopt.targets.information_filter import (
+    InformationState,
+    covariance_of,
+    information_state,
+    position_variance_m2,
+    predict,
+    predicted_information,
+    time_averaged_variance_m2,
+    update,
+)
+from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
+from planopt.targets.target_model import TargetModel, simulate_target
+
+MODEL = TargetModel(0.5, np.array([[0.02, 0.005], [0.005, 0.01]]))
+SENSOR = Sensor(0.008, 0.08, 1.0)
+MEAN, COVARIANCE = np.array([1.0, 2.0, 0.4, -0.3]), np.diag([1.0, 1.0, 0.1, 0.1])
+ROBOTS = np.array([[0.0, 0.0], [4.0, 5.0], [9.0, -3.0]])
+
+
+def packets(steps, share, seed=0):
+    """What three standing robots measure of one target, and which packets arrive."""
+    generator = np.random.default_rng(seed)
+    states = simulate_target(MODEL, MEAN, steps, generator)[1:]
+    measured = np.array([sense(SENSOR, ROBOTS, state[:2], generator) for state in states])
+    noise = np.array([noise_covariance_m2(SENSOR, ROBOTS, state[:2]) for state in states])
+    return measured, noise, generator.random((steps, 3)) < share
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_equals_filterpy_with_missing_measurements(share):
+    """Mean and covariance to 1e-10 over 40 steps; robots one after the other there."""
+    reference = KalmanFilter(dim_x=4, dim_z=2)
+    reference.x, reference.P = MEAN[:, None].copy(), COVARIANCE.copy()
+    reference.F, reference.Q = MODEL.transition, MODEL.process_covariance
+    reference.H = np.eye(2, 4)
+    state = information_state(MEAN, COVARIANCE)
+    for measured, noise, arrived in zip(*packets(40, share), strict=True):
+        reference.predict()
+        for robot in range(3):
+            reference.update(measured[robot] if arrived[robot] else None, R=noise[robot])
+        state = update(predict(MODEL, state), measured, noise, arrived)
+        np.testing.assert_allclose(state.mean, reference.x[:, 0], rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(state.covariance, reference.P, rtol=1e-10, atol=1e-10)
+
+
+def test_prediction_is_the_seeds():
+    """J- = (A J^-1 A' + B Theta B')^-1 and chi- = J- A J^-1 chi, written out."""
+    state = information_state(MEAN, COVARIANCE + 0.05)
+    spread = np.linalg.inv(state.matrix)
+    expected = np.linalg.inv(
+        MODEL.transition @ spread @ MODEL.transition.T + MODEL.process_covariance
+    )
+    found = predict(MODEL, state)
+    np.testing.assert_allclose(found.matrix, expected, rtol=1e-11)
+    np.testing.assert_allclose(
+        found.vector, expected @ MODEL.transition @ spread @ state.vector, rtol=1e-11
+    )
+    batch = predicted_information(MODEL, np.stack([state.matrix, 2.0 * state.matrix]))
+    np.testing.assert_allclose(batch[0], expected, rtol=1e-11)
+
+
+def test_a_lost_packet_is_not_read():
+    """NaN where nothing arrived changes nothing; a delivered one is refused."""
+    measured, noise, _ = packets(1, 1.0)
+    state = predict(MODEL, information_state(MEAN, COVARIANCE))
+    arrived = np.array([True, False, True])
+    torn = measured[0].copy()
+    torn[1] = np.nan
+    np.testing.assert_array_equal(
+        update(state, torn, noise[0], arrived).vector,
+        update(state, measured[0], noise[0], arrived).vector,
+    )
+    with pytest.raises(InputError, match="finite"):
+        update(state, torn, noise[0], np.ones(3, dtype=bool))
+
+
+def test_the_order_of_robots_does_not_matter():
+    """Packets are added: any order, or one after the other."""
+    measured, noise, _ = packets(1, 1.0)
+    state = predict(MODEL, information_state(MEAN, COVARIANCE))
+    arrived = np.array([True, True, False])
+    together = update(state, measured[0], noise[0], arrived)
+    shuffled = [2, 0, 1]
+    other = update(state, measured[0][shuffled], noise[0][shuffled], arrived[shuffled])
+    each = state
+    for robot in range(3):
+        part = slice(robot, robot + 1)
+        each = update(each, measured[0][part], noise[0][part], arrived[part])
+    for found in (other, each):
+        np.testing.assert_allclose(found.vector, together.vector, rtol=1e-14)
+        np.testing.assert_allclose(found.matrix, together.matrix, rtol=1e-14)
+
+
+def test_from_nothing_it_is_least_squares():
+    """A zero information matrix is a start; after packets it equals weighted least squares."""
+    still = TargetModel(0.5, np.zeros((2, 2)))
+    measured, noise, _ = packets(4, 1.0)
+    arrived = np.array([[1, 0, 0], [0, 0, 0], [0, 1, 1], [1, 0, 0]], dtype=bool)
+    state = InformationState(np.zeros(4), np.zeros((4, 4)))
+    with pytest.raises(InputError, match="nothing is known"):
+        _ = state.mean
+    rows, values, weights = [], [], []
+    for k in range(4):
+        state = update(predict(still, state), measured[k], noise[k], arrived[k])
+        # The state at the last step, k = 3, seen from step k.
+        back = np.hstack([np.eye(2), (k - 3) * 0.5 * np.eye(2)])
+        for robot in np.flatnonzero(arrived[k]):
+            rows.append(back)
+            values.append(measured[k, robot])
+            weights.append(np.linalg.inv(noise[k, robot]))
+    information = sum(row.T @ w @ row for row, w in zip(rows, weights, strict=True))
+    vector = sum(r.T @ w @ z for r, w, z in zip(rows, weights, values, strict=True))
+    np.testing.assert_allclose(state.matrix, information, rtol=1e-11)
+    np.testing.assert_allclose(state.mean, np.linalg.solve(information, vector), rtol=1e-10)
+
+
+def test_after_one_packet_the_velocity_is_unknown():
+    """Still no inverse, and the error says why."""
+    measured, noise, _ = packets(1, 1.0)
+    state = InformationState(np.zeros(4), np.zeros((4, 4)))
+    state = update(predict(MODEL, state), measured[0], noise[0], np.ones(3, dtype=bool))
+    with pytest.raises(InputError, match="nothing is known"):
+        position_variance_m2(state.matrix)
+
+
+def test_drops_for_ever():
+    """500 steps of silence: the information stays one, and is the covariance recursion's."""
+    matrix, spread = np.linalg.inv(COVARIANCE), COVARIANCE
+    for _ in range(500):
+        matrix = predicted_information(MODEL, matrix)
+        spread = MODEL.transition @ spread @ MODEL.transition.T + MODEL.process_covariance
+    assert np.linalg.eigvalsh(matrix)[0] > 0.0
+    np.testing.assert_allclose(covariance_of(matrix), spread, rtol=1e-6)
+
+
+def test_enormous_accelerations_cancel_nothing():
+    """Joseph's form: with Theta a billion times too large J- stays positive semidefinite."""
+    wild = TargetModel(1.0, 1e9 * np.eye(2))
+    matrix = predicted_information(wild, np.linalg.inv(COVARIANCE))
+    assert np.linalg.eigvalsh(matrix)[0] >= -1e-15
+
+
+def test_time_average():
+    """The mean of the position's variance over a run."""
+    matrices = np.stack([np.linalg.inv(s * COVARIANCE) for s in (1.0, 2.0, 6.0)])
+    np.testing.assert_allclose(position_variance_m2(matrices), [2.0, 4.0, 12.0])
+    assert time_averaged_variance_m2(matrices) == pytest.approx(6.0)
+
+
+def test_consistency_of_errors():
+    """Normalised estimation error squared over 400 runs is 4 within 5 standard errors."""
+    squares = []
+    for seed in range(400):
+        generator = np.random.default_rng(seed)
+        start = MEAN + np.sqrt(np.diag(COVARIANCE)) * generator.standard_normal(4)
+        truth = simulate_target(MODEL, start, 6, generator)[1:]
+        state = information_state(MEAN, COVARIANCE)
+        for now in truth:
+            noise = noise_covariance_m2(SENSOR, ROBOTS, now[:2])
+            seen = sense(SENSOR, ROBOTS, now[:2], generator)
+            state = update(predict(MODEL, state), seen, noise, generator.random(3) < 0.5)
+        error = state.mean - truth[-1]
+        squares.append(error @ state.matrix @ error)
+    assert abs(np.mean(squares) - 4.0) < 5.0 * np.sqrt(8.0 / 400)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: information_state(MEAN[:2], COVARIANCE),
+        lambda: information_state(MEAN, np.eye(3)),
+        lambda: information_state(MEAN, np.diag([1.0, 1.0, 1.0, 0.0])),
+        lambda: update(
+            information_state(MEAN, COVARIANCE),
+            np.zeros((2, 2)),
+            np.zeros((3, 2, 2)),
+            np.ones(2, bool),
+        ),
+    ],
+)
+def test_bad_input_is_ours(make):
+    """Every check raises InputError."""
+    with pytest.raises(InputError):
+        make()

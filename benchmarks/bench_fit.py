@@ -1,4 +1,4 @@
-"""Restricted maximum likelihood against the number of measurements."""
+"""Restricted maximum likelihood against the number of measurements, and its profiles."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from scenes import munich, sampled
 
 from planopt.channel.fit import ChannelFit, fit_channel
+from planopt.channel.profile_likelihood import MAX_MEASUREMENTS, profiles_around
 
 ROUNDS = 5
 
@@ -30,3 +31,19 @@ def test_reml(benchmark: BenchmarkFixture, table: Table, count: int) -> None:
     found = benchmark.pedantic(fit, rounds=ROUNDS, warmup_rounds=1)
     table.add("fit, reml", count, fit_s[-ROUNDS:])
     assert found.measurements == count
+
+
+def test_profiles(benchmark: BenchmarkFixture, table: Table) -> None:
+    """Profiles of xi, beta and omega for the fit's figure, at the most measurements they use."""
+    station = munich()[0].stations[0].site
+    measurements = sampled(MAX_MEASUREMENTS)
+    profile_s: list[float] = []
+
+    def profiles() -> int:
+        begun = perf_counter()
+        found = profiles_around(measurements, station)
+        profile_s.append(perf_counter() - begun)
+        return len(found)
+
+    assert benchmark.pedantic(profiles, rounds=ROUNDS, warmup_rounds=1) == 3
+    table.add("profiles of three parameters", MAX_MEASUREMENTS, profile_s[-ROUNDS:])

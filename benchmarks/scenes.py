@@ -15,8 +15,9 @@ from planopt.channel.belief import Belief, update
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.channel.truth import Truth, measure
+from planopt.planning.given import free_places
 from planopt.planning.plan import Plan
-from planopt.planning.prepare import Prepared, free_places, prepare
+from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
 from planopt.problems.load import load

@@ -55,6 +55,18 @@ def test_fit_prints_the_keys_of_the_contract(log: Path, capsys) -> None:
     assert set(data["standard_errors"]) < CONTRACT
 
 
+def test_robust_losses(log: Path, capsys) -> None:
+    """--loss changes what convex makes of the scatter, and nothing of the path loss."""
+    arguments = ["fit", str(log), "--station", "0,0,0.5", *COLUMNS, "--method", "convex", "--json"]
+    found = []
+    for option in ([], ["--loss", "squares"], ["--loss", "huber"], ["--loss", "absolute"]):
+        assert main([*arguments, *option]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0] == found[1]
+    assert len({fit["n_pl"] for fit in found}) == 1
+    assert len({(fit["shadow_std_db"], fit["decorrelation_m"]) for fit in found}) == 3
+
+
 def test_floor_marks_the_same_rows(log: Path, capsys) -> None:
     """--floor at the floor censors what the column marks."""
     for option in (["--censored", "low"], ["--floor", "-95"]):
@@ -119,6 +131,8 @@ def test_repeated_places_are_data(tmp_path: Path, capsys) -> None:
         ["--station", "0"],
         ["--station", "0,a"],
         ["--station", "0,0", "--method", "magic"],
+        ["--station", "0,0", "--method", "convex", "--loss", "cauchy"],
+        ["--station", "0,0", "--loss", "huber"],
         ["--station", "0,0", "--columns", "x=east,z=north"],
         ["--station", "0,0", "--columns", "x=est"],
         ["--station", "0,0", "--floor", "low"],
@@ -131,3 +145,63 @@ def test_a_bad_option_is_one_line(log: Path, arguments: list[str], capsys) -> No
     assert main(["fit", str(log), *arguments]) == 2
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1
+
+
+@pytest.fixture
+def shared_log(tmp_path: Path) -> Path:
+    """Two robots, of which the second reads 6 dB more; rounded, dated, with errors of position."""
+    generator = np.random.default_rng(9)
+    places = generator.uniform(10.0, 200.0, (120, 2))
+    power = -30.0 - 30.0 * np.log10(np.hypot(*places.T)) + generator.normal(0.0, 1.0, 120)
+    rows = [
+        f"{x:.3f},{y:.3f},{round(p + 6.0 * (i % 2))},{10 * i},{'ann' if i % 2 == 0 else 'bob'}"
+        for i, ((x, y), p) in enumerate(zip(places, power, strict=True))
+    ]
+    path = tmp_path / "shared.csv"
+    path.write_text("\n".join(["x_m,y_m,power_dbm,t,robot", *rows]))
+    return path
+
+
+EVERYTHING = ["--receiver", "robot", "--time", "t", "--forgetting", "600"]
+EVERYTHING += ["--resolution", "1", "--position-error", "2.5"]
+
+
+@pytest.mark.parametrize("station", ["0,0", "unknown"])
+def test_receivers_ages_and_errors(shared_log: Path, station: str, capsys) -> None:
+    """The second robot's offset is found, named by its label, and told in words."""
+    arguments = ["fit", str(shared_log), "--station", station, *EVERYTHING]
+    assert main([*arguments, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert set(data) >= CONTRACT and data["forgetting_s"] == 600.0
+    assert data["reference_receiver"] == "ann"
+    (offset,) = data["receiver_offsets"]
+    assert offset["receiver"] == "bob"
+    assert abs(offset["offset_db"] - 6.0) < 3.0 * offset["standard_error"] < 3.0
+    assert main(arguments) == 0
+    assert "receiver bob reads +" in capsys.readouterr().out
+
+
+def test_without_them_nothing_is_told(shared_log: Path, capsys) -> None:
+    """No receivers, no forgetting."""
+    assert main(["fit", str(shared_log), "--station", "0,0", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["forgetting_s"] is None and data["reference_receiver"] is None
+    assert data["receiver_offsets"] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--forgetting", "60"], "--time COLUMN"),
+        (["--forgetting", "0", "--time", "t"], "key --forgetting"),
+        (["--forgetting", "nan", "--time", "t"], "key --forgetting"),
+        (["--resolution=-1"], "key --resolution"),
+        (["--position-error", "inf"], "key --position-error"),
+        (["--time", "robot"], "'ann' is not a number"),
+        (["--receiver", "name"], "column 'name' is missing"),
+    ],
+)
+def test_options_that_cannot_be_used(shared_log: Path, options, words, capsys) -> None:
+    """One error that names the option, or the log's line and column; exit code 2."""
+    assert main(["fit", str(shared_log), "--station", "0,0", *options]) == 2
+    assert words in capsys.readouterr().err

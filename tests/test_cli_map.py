@@ -115,3 +115,22 @@ def test_a_bad_row_is_named(log: Path, capsys) -> None:
     assert main(["map", str(log), "--station", "0,0", "--out", str(out)]) == 2
     assert "log.csv, line 52" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_map_of_the_reference_receiver(log: Path, capsys) -> None:
+    """What a second receiver adds to its powers is not in the map."""
+    rows = log.read_text().splitlines()
+    labelled = [f"{rows[0]},who"] + [
+        f"{row[: row.rindex(',')]},{float(row.split(',')[2]) + 9.0 * (i % 2)},{'ab'[i % 2]}"
+        for i, row in enumerate(rows[1:])
+    ]
+    log.write_text("\n".join(labelled))
+    out = log.parent / "map.npz"
+    means = []
+    for options in (["--receiver", "who"], []):
+        arguments = ["map", str(log), "--station", "0,0", "--out", str(out), "--cell", "20"]
+        assert main([*arguments, "--json", *options]) == 0
+        means.append(read_raster(out, "mean_db").values.mean())
+    fits = [json.loads(line)["fit"] for line in capsys.readouterr().out.splitlines()]
+    assert fits[0]["receiver_offsets"][0]["offset_db"] == pytest.approx(9.0, abs=2.0)
+    assert means[1] - means[0] == pytest.approx(4.5, abs=1.0)

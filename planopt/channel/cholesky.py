@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from scipy.linalg import get_blas_funcs, get_lapack_funcs, solve_triangular
 
 # By name: they exist in the compiled module alone, where a type checker cannot see them.
-FACTOR, INVERT = get_lapack_funcs(("potrf", "potri"), dtype=np.float64)
-(SOLVE,) = get_blas_funcs(("trsm",), dtype=np.float64)
+FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
+    ("potrf", "potri", "trtri", "trtrs"), dtype=np.float64
+)
+SOLVE, MULTIPLY = get_blas_funcs(("trsm", "trmm"), dtype=np.float64)
 
 
 def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -22,7 +24,13 @@ def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """L^-1 `right`, for `right` (n,) or (n, m)."""
-    return solve_triangular(lower, right, lower=True, check_finite=False)
+    # SciPy's wrapper costs more than the solution of a small system. A factor in C's order is
+    # passed as its transpose, as there, since it would be copied otherwise.
+    if not right.size:
+        return np.zeros_like(right)
+    if lower.flags.f_contiguous:
+        return SOLVE_LOWER(lower, right, lower=1)[0]
+    return SOLVE_LOWER(lower.T, right, lower=0, trans=1)[0]
 
 
 def solve_rows(lower: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
@@ -38,6 +46,21 @@ def solve_rows(lower: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
     solved = SOLVE(1.0, lower, rows.T, lower=1, overwrite_b=1)
     if not np.shares_memory(solved, rows):
         raise AssertionError("rows in C's order are solved in place")
+
+
+def multiply_rows(lower: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
+    """Replace each of `rows` (m, n) by L times it; `lower` and `rows` as in :func:`solve_rows`."""
+    product = MULTIPLY(1.0, lower, rows.T, lower=1, overwrite_b=1)
+    if not np.shares_memory(product, rows):
+        raise AssertionError("rows in C's order are multiplied in place")
+
+
+def lower_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L^-1, lower triangular, in Fortran's order; (n, n)."""
+    inverted, info = INVERT_LOWER(lower, lower=1)
+    if info != 0:
+        raise AssertionError("a Cholesky factor has no zero on its diagonal")
+    return inverted
 
 
 def solve_lower_single(

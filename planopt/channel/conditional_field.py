@@ -3,7 +3,8 @@
 An unconditional field is drawn at the places and at the measurements alike; what it misses of the
 measured values is kriged and added. Mean and covariance of the result are those of the posterior
 (conditioning by kriging), at the cost of one kriging for each draw and no covariance between
-places.
+places. Drawn fields are of one time and at known places, so that measurements of a channel that
+forgets, or with errors of position, cannot be had here.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ from planopt.channel.cholesky import solve_upper
 from planopt.channel.factor import whiten
 from planopt.channel.field import shadow_field_db
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.kriging import PREDICTION_ELEMENTS
+from planopt.channel.measurement_covariance import RECEIVER_OFFSET_STD_DB
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.path_loss import regressors
-from planopt.channel.posterior import PREDICTION_ELEMENTS, ChannelPosterior
+from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.scattered_field import added_to_lattice_db, scattered_field_db
+from planopt.errors import InputError
 from planopt.world.raster import Raster, cell_centres_m
 
 
@@ -45,8 +49,10 @@ def conditional_field(
     Raises
     ------
     InputError
-        The lattice is too large for its decorrelation distance.
+        The lattice is too large for its decorrelation distance, or the channel forgets, or the
+        measurements have errors of position.
     """
+    _require_one_time_and_known_places(posterior)
     parameters = posterior.parameters
     x_min, y_min, x_max, y_max = bounds_m
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
@@ -82,8 +88,10 @@ def conditional_values_db(
     Raises
     ------
     InputError
-        Places and measurements together are too many for an exact field.
+        Places and measurements together are too many for an exact field, or the channel forgets, or
+        the measurements have errors of position.
     """
+    _require_one_time_and_known_places(posterior)
     together = np.concatenate([positions_m, posterior.measurements.positions_m])
     parameters = posterior.parameters
     drawn = scattered_field_db(
@@ -107,6 +115,11 @@ def _conditioned(
     )
     noise = np.sqrt(posterior.noise_variance_db2) * generator.standard_normal(len(measured))
     missed = posterior.values_db - regressors(measured, station) @ theta - at_measured_db - noise
+    received = posterior.measurements.receiver
+    if received.any():
+        numbers, which = np.unique(received, return_inverse=True)
+        offsets = RECEIVER_OFFSET_STD_DB * generator.standard_normal(len(numbers))
+        missed -= np.where(received == 0, 0.0, offsets[which])
     weights = solve_upper(posterior.factor, whiten(posterior.factor, missed[:, None])[:, 0])
     values = at_places_db + regressors(places_m, station) @ theta
     block = max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
@@ -116,3 +129,15 @@ def _conditioned(
             shadow_covariance_db2(places_m[part], measured, posterior.parameters) @ weights
         )
     return values
+
+
+def _require_one_time_and_known_places(posterior: ChannelPosterior) -> None:
+    """Refuse what a field drawn in the plane cannot be conditioned on."""
+    origins = posterior.origins
+    for part, what in ((origins.time_s, "that age"), (origins.blur_m2, "at uncertain places")):
+        if part is not None:
+            raise InputError(
+                f"fields are not drawn given measurements {what}",
+                key="posterior",
+                remedy="use sample_power, for as many places as memory allows",
+            )

@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.cholesky import solve_lower
+from planopt.channel.measurement_covariance import Origins, covariance_db2, own_covariance_db2
+from planopt.channel.parameters import ChannelParameters
 
 SOLVE_BLOCK = 128
+FACTOR_BLOCK = 512
 
 
 class FactorBuffer:
@@ -21,6 +24,57 @@ class FactorBuffer:
 def spacious(count: int) -> int:
     """Capacity for `count` rows and more to come; zeroed pages cost nothing until written."""
     return count + count // 2 + 64
+
+
+def with_room(buffer: FactorBuffer | None, used: int, count: int) -> FactorBuffer:
+    """A buffer for `count` rows whose first `used` ones are those of `buffer`.
+
+    That itself where it has room and its free rows are not taken by another posterior.
+    """
+    if buffer is not None and buffer.used == used and len(buffer.lower) >= count:
+        return buffer
+    grown = FactorBuffer(spacious(count))
+    if buffer is not None:
+        grown.lower[:used, :used] = buffer.lower[:used, :used]
+    grown.used = used
+    return grown
+
+
+def append_rows(
+    buffer: FactorBuffer,
+    parameters: ChannelParameters,
+    origins: Origins,
+    noise_variance_db2: NDArray[np.float64],
+    columns: NDArray[np.float64],
+) -> None:
+    """Add the rows from `buffer.used` on to the factor, and whiten those of `columns` in place.
+
+    Parameters
+    ----------
+    buffer
+        With room for n rows.
+    parameters
+        The channel's parameters.
+    origins
+        Of all n measurements.
+    noise_variance_db2
+        ``(n,)`` variance of the noise of each.
+    columns
+        ``(n, c)``, whitened as far as the factor goes.
+    """
+    lower, count = buffer.lower, len(columns)
+    for start in range(buffer.used, count, FACTOR_BLOCK):
+        rows = slice(start, min(start + FACTOR_BLOCK, count))
+        across = whiten(
+            lower[:start, :start],
+            covariance_db2(origins.at(slice(start)), origins.at(rows), parameters),
+        )
+        within = own_covariance_db2(origins.at(rows), parameters)
+        within[np.diag_indices_from(within)] += noise_variance_db2[rows]
+        lower[rows, :start] = across.T
+        lower[rows, rows] = np.linalg.cholesky(within - across.T @ across)
+        columns[rows] = whiten(lower[rows, rows], columns[rows] - across.T @ columns[:start])
+    buffer.used = count
 
 
 def whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.convex_fit import convex_fit
+from planopt.channel.convex_fit import Loss, convex_fit
 from planopt.channel.covariance_fit import (
     FALLBACK_TOTAL_VARIANCE_DB2,
     CovarianceBounds,
@@ -31,12 +31,18 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.nls_fit import nls_fit
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import condition
+from planopt.channel.receiver_offsets import ReceiverOffset, receiver_offsets
 from planopt.channel.reml import MAX_MEASUREMENTS, reml_fit, thinned
+from planopt.errors import InputError
 
 FitMethod = Literal["seed", "capped", "convex", "nls", "reml"]
 
 PRIOR_K_PL_STD_DB = 20.0
 """Deviation of K_PL where every measurement is censored."""
+
+OFFSET_MEASUREMENTS = 50
+"""Of each receiver at least so many, where there are, serve to estimate its offset."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,11 @@ class ChannelFit:
         What the user should know.
     log_likelihood
         Restricted log likelihood, for ``reml`` only.
+    receiver_offsets
+        How much more each receiver but number 0 reads; empty where all measurements are by that.
+    station_covariance_m2
+        ``(2, 2)`` covariance of the station's x and y where its position is estimated, ``inf`` on
+        the diagonal where it is not determined; None where it was given.
     """
 
     method: FitMethod
@@ -74,6 +85,8 @@ class ChannelFit:
     censored: int
     warnings: tuple[str, ...]
     log_likelihood: float | None
+    receiver_offsets: tuple[ReceiverOffset, ...] = ()
+    station_covariance_m2: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -89,9 +102,17 @@ class _Estimate:
 
 @one_blas_thread()
 def fit_channel(
-    measurements: Measurements, station: Station, method: FitMethod = "reml"
+    measurements: Measurements,
+    station: Station,
+    method: FitMethod = "reml",
+    forgetting_s: float = math.inf,
+    *,
+    loss: Loss = "squares",
 ) -> ChannelFit:
     """Estimate path loss, shadowing and multipath.
+
+    Errors of position and the age of measurements are terms of the likelihood of ``reml``; the
+    other methods leave them out, and say so. Offsets of receivers are estimated with any method.
 
     Parameters
     ----------
@@ -106,40 +127,92 @@ def fit_channel(
         (default), on a fixed random draw of `MAX_MEASUREMENTS` where there are more. The first
         four complete censored powers by their expected values and ignore what that hides of the
         correlation; only ``reml`` has them as a term of the likelihood.
+    forgetting_s
+        T: shadowing at two times has correlation ``exp(-|t - t'| / T)``. Given, not estimated;
+        ``math.inf`` for a channel that does not drift.
+    loss
+        What ``convex`` makes of the scatter about its line
+        (:func:`planopt.channel.convex_fit.convex_fit`); others have squares.
 
     Raises
     ------
     InputError
-        See :func:`planopt.channel.identifiability.examine`.
+        See :func:`planopt.channel.identifiability.examine`; or `forgetting_s` is not positive; or
+        there is no such loss, or the method has none to choose.
     """
+    require_loss(loss, method, "loss")
+    if not forgetting_s > 0.0:
+        raise InputError(
+            f"{forgetting_s!r} s is no forgetting time",
+            key="forgetting_s",
+            remedy="give more than 0, or inf for a channel that does not drift",
+        )
     allows = examine(measurements, station)
     exact = ~measurements.censored
     model = mean_model(measurements.positions_m, exact, station, allows.n_pl_reason is None)
+    given = _Given(model, measurements, station, allows, forgetting_s)
     if not exact.any():
-        estimate = _all_censored(model, measurements, allows)
+        estimate = _all_censored(given)
     elif allows.covariance_reason is not None:
-        estimate = _assumed_covariance(model, measurements, allows, allows.covariance_reason)
+        estimate = _assumed_covariance(given, allows.covariance_reason)
     elif method == "reml":
-        estimate = _by_likelihood(model, measurements, allows)
+        estimate = _by_likelihood(given)
     else:
-        estimate = _by_correlation(model, measurements, allows, method)
-    return _dressed(estimate, model, measurements, station, allows, method)
+        estimate = _by_correlation(given, method, loss)
+    return _dressed(estimate, given, method)
 
 
-def _by_likelihood(
-    model: MeanModel, measurements: Measurements, allows: Identifiability
-) -> _Estimate:
+def require_loss(loss: str, method: FitMethod, key: str) -> None:
+    """Refuse a loss that does not exist, or is not the method's; `key` is what it was given by."""
+    if loss not in get_args(Loss):
+        raise InputError(f"{loss!r} is no loss", key=key, remedy=f"use {', '.join(get_args(Loss))}")
+    if loss != "squares" and method != "convex":
+        raise InputError(
+            f"{method} has no choice of loss", key=key, remedy="use it with method convex"
+        )
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What a fit starts from."""
+
+    model: MeanModel
+    measurements: Measurements
+    station: Station
+    allows: Identifiability
+    forgetting_s: float
+
+    def parameters(
+        self, coefficients: NDArray[np.float64], covariance: CovarianceFit
+    ) -> ChannelParameters:
+        """An estimate as parameters."""
+        k_pl, n_pl = self.model.theta(coefficients)
+        return ChannelParameters(
+            k_pl_db=k_pl,
+            n_pl=n_pl,
+            shadow_std_db=math.sqrt(covariance.shadow_variance_db2),
+            decorrelation_m=covariance.decorrelation_m,
+            multipath_std_db=math.sqrt(covariance.multipath_variance_db2),
+            station=self.station,
+            forgetting_s=self.forgetting_s,
+        )
+
+
+def _by_likelihood(given: _Given) -> _Estimate:
     """Restricted maximum likelihood, on a thinned set where there are many."""
-    bounds = covariance_bounds(
-        least_squares(model, measurements).variance_db2, allows.decorrelation_bounds_m
-    )
+    model, measurements, allows = given.model, given.measurements, given.allows
+    line = least_squares(model, measurements)
+    bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
+    # Errors of path loss need n_PL before it is known: that of the least-squares line.
+    rough = fallback_fit(line.variance_db2, allows.decorrelation_bounds_m, "a first guess")
+    known = given.parameters(line.coefficients, rough)
     rows = thinned(len(measurements), MAX_MEASUREMENTS)
     notes: tuple[str, ...] = ()
     if len(rows) < len(measurements):
         notes = (f"fitted on {MAX_MEASUREMENTS} of {len(measurements)} measurements",)
         model = MeanModel(model.columns[rows], model.offset_db[rows], model.regressor_mean)
         measurements = measurements.take(rows)
-    found = reml_fit(model, measurements, bounds)
+    found = reml_fit(model, measurements, bounds, known)
     return _Estimate(
         found.covariance,
         found.coefficients,
@@ -149,18 +222,25 @@ def _by_likelihood(
     )
 
 
-def _by_correlation(
-    model: MeanModel, measurements: Measurements, allows: Identifiability, method: FitMethod
-) -> _Estimate:
+def _by_correlation(given: _Given, method: FitMethod, loss: Loss) -> _Estimate:
     """Least-squares line, then xi and beta from the empirical correlation of what it leaves."""
-    line = least_squares(model, measurements)
+    measurements, allows = given.measurements, given.allows
+    line = least_squares(given.model, measurements)
     bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
     correlation = empirical_correlation(measurements.positions_m, line.residual_db, allows.extent_m)
-    covariance = _from_bins(correlation, line, allows, bounds, method)
-    notes: tuple[str, ...] = ()
+    covariance = _from_bins(correlation, line, allows, bounds, method, loss)
+    notes: list[str] = []
     if measurements.censored.any():
-        notes = ("censored powers were replaced by their expected values; reml treats them better",)
-    return _with_line(line, model, measurements, covariance, notes)
+        notes.append(
+            "censored powers were replaced by their expected values; reml treats them better"
+        )
+    if math.isfinite(given.forgetting_s) and np.ptp(measurements.time_s) > 0.0:
+        notes.append("xi, beta and omega were fitted without regard to age; reml regards it")
+    if measurements.position_std_m.any():
+        notes.append(
+            "xi, beta and omega were fitted without regard to errors of position; reml regards them"
+        )
+    return _with_line(line, given, covariance, tuple(notes))
 
 
 def _from_bins(
@@ -169,6 +249,7 @@ def _from_bins(
     allows: Identifiability,
     bounds: CovarianceBounds,
     method: FitMethod,
+    loss: Loss,
 ) -> CovarianceFit:
     """xi, beta and omega by one of the methods on binned correlations."""
     alpha, count = line.variance_db2, len(line.residual_db)
@@ -187,45 +268,36 @@ def _from_bins(
             allows.decorrelation_bounds_m,
             "fewer than two lags have a correlation between 0 and alpha",
         )
-    fit = convex_fit if method == "convex" else lemma1_fit
-    return fit(bins, alpha, count, bounds)
+    if method == "convex":
+        return convex_fit(bins, alpha, count, bounds, loss)
+    return lemma1_fit(bins, alpha, count, bounds)
 
 
-def _assumed_covariance(
-    model: MeanModel, measurements: Measurements, allows: Identifiability, reason: str
-) -> _Estimate:
+def _assumed_covariance(given: _Given, reason: str) -> _Estimate:
     """A line through few measurements, with a covariance that is assumed."""
-    covariance = fallback_fit(FALLBACK_TOTAL_VARIANCE_DB2, allows.decorrelation_bounds_m, reason)
-    return _with_line(least_squares(model, measurements), model, measurements, covariance, ())
+    covariance = fallback_fit(
+        FALLBACK_TOTAL_VARIANCE_DB2, given.allows.decorrelation_bounds_m, reason
+    )
+    return _with_line(least_squares(given.model, given.measurements), given, covariance, ())
 
 
 def _with_line(
-    line: LeastSquares,
-    model: MeanModel,
-    measurements: Measurements,
-    covariance: CovarianceFit,
-    notes: tuple[str, ...],
+    line: LeastSquares, given: _Given, covariance: CovarianceFit, notes: tuple[str, ...]
 ) -> _Estimate:
     """A least-squares line, with its covariance under `covariance`."""
     spread = coefficient_covariance(
-        model,
-        measurements.positions_m,
-        covariance.shadow_variance_db2,
-        covariance.decorrelation_m,
-        covariance.multipath_variance_db2,
+        given.model, given.measurements, given.parameters(line.coefficients, covariance)
     )
     return _Estimate(covariance, line.coefficients, spread, notes)
 
 
-def _all_censored(
-    model: MeanModel, measurements: Measurements, allows: Identifiability
-) -> _Estimate:
+def _all_censored(given: _Given) -> _Estimate:
     """The highest path loss line of slope `PRIOR_N_PL` that no limit contradicts."""
-    highest = float((measurements.power_dbm - model.offset_db).min())
+    highest = float((given.measurements.power_dbm - given.model.offset_db).min())
     return _Estimate(
         fallback_fit(
             FALLBACK_TOTAL_VARIANCE_DB2,
-            allows.decorrelation_bounds_m,
+            given.allows.decorrelation_bounds_m,
             "every measurement is censored",
         ),
         np.array([highest]),
@@ -233,37 +305,42 @@ def _all_censored(
     )
 
 
-def _dressed(
-    estimate: _Estimate,
-    model: MeanModel,
-    measurements: Measurements,
-    station: Station,
-    allows: Identifiability,
-    method: FitMethod,
-) -> ChannelFit:
+def _offsets(
+    measurements: Measurements, parameters: ChannelParameters
+) -> tuple[ReceiverOffset, ...]:
+    """Offsets of receivers under fitted parameters, from `MAX_MEASUREMENTS` or few more."""
+    if not measurements.receiver.any():
+        return ()
+    rows = [thinned(len(measurements), MAX_MEASUREMENTS)]
+    for receiver in np.unique(measurements.receiver):
+        own = np.flatnonzero(measurements.receiver == receiver)
+        rows.append(own[thinned(len(own), OFFSET_MEASUREMENTS)])
+    some = measurements.take(np.unique(np.concatenate(rows)))
+    return receiver_offsets(condition(parameters, some))
+
+
+def _dressed(estimate: _Estimate, given: _Given, method: FitMethod) -> ChannelFit:
     """Everything as the user gets it."""
-    covariance = estimate.covariance
-    k_pl, n_pl = model.theta(estimate.coefficients)
-    theta_covariance = model.theta_covariance(estimate.coefficient_covariance)
+    covariance, allows, measurements = estimate.covariance, given.allows, given.measurements
+    parameters = given.parameters(estimate.coefficients, covariance)
+    theta_covariance = given.model.theta_covariance(estimate.coefficient_covariance)
     doubts = list(covariance.warnings)
     if allows.n_pl_reason is not None:
         doubts.insert(0, f"n_PL is assumed {PRIOR_N_PL:g}, not estimated: {allows.n_pl_reason}")
     notes = list(estimate.notes)
-    if n_pl < 0.0:
+    if parameters.n_pl < 0.0:
         notes.append("n_PL is negative: power grows with the distance to the station")
+    if (measurements.receiver != 0).all():
+        notes.append(
+            "receiver 0, for which powers are predicted, measured nothing: K_PL is known no better "
+            "than the offsets"
+        )
     k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0))
     shadow_error, multipath_error, beta_error = covariance.standard_errors
     return ChannelFit(
         method=method,
         status="degenerate" if doubts else "ok",
-        parameters=ChannelParameters(
-            k_pl_db=k_pl,
-            n_pl=n_pl,
-            shadow_std_db=math.sqrt(covariance.shadow_variance_db2),
-            decorrelation_m=covariance.decorrelation_m,
-            multipath_std_db=math.sqrt(covariance.multipath_variance_db2),
-            station=station,
-        ),
+        parameters=parameters,
         standard_errors={
             "k_pl_db": float(k_error),
             "n_pl": float(n_error),
@@ -276,4 +353,5 @@ def _dressed(
         censored=int(measurements.censored.sum()),
         warnings=(*doubts, *notes),
         log_likelihood=estimate.log_likelihood,
+        receiver_offsets=_offsets(measurements, parameters),
     )

@@ -6,12 +6,13 @@ held out here are whole groups, if it is to say how the channel is known where n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fit import fit_channel
+from planopt.channel.fit import ChannelFit, fit_channel
 from planopt.channel.identifiability import examine
 from planopt.channel.least_squares import least_squares
 from planopt.channel.mean_model import mean_model
@@ -21,33 +22,57 @@ from planopt.channel.parameters import Station
 from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction
+from planopt.channel.readings import predict_readings
 from planopt.errors import InputError
 
-Predictor = Callable[[NDArray[np.float64]], Prediction]
-"""From positions (n, 2) to the prediction there."""
+Predictor = Callable[[Measurements], Prediction]
+"""From measurements to what they would read; their powers are not looked at."""
+
+MARGINAL_EXACT_LIMIT = 1000
+"""From more measurements the marginalised channel predicts by the nearest. On the campus logs its
+mean is then 0.1 dB rms off, its deviation 0.02 %, and it takes a fifth of the time."""
 
 
 def learn_channel(measurements: Measurements, station: Station) -> Predictor:
     """Path loss, shadowing and multipath by restricted likelihood, then Lemma 2."""
-    return condition(fit_channel(measurements, station).parameters, measurements).predict
+    return channel_predictor(fit_channel(measurements, station), measurements)
 
 
 def learn_marginal(measurements: Measurements, station: Station) -> Predictor:
     """The same with the uncertainty of xi, beta and omega counted."""
-    return marginalise(fit_channel(measurements, station).parameters, measurements).predict
+    return marginal_predictor(fit_channel(measurements, station), measurements)
+
+
+def channel_predictor(fit: ChannelFit, measurements: Measurements) -> Predictor:
+    """Lemma 2 from the measurements that `fit` is of."""
+    return partial(predict_readings, condition(fit.parameters, measurements))
+
+
+def marginal_predictor(fit: ChannelFit, measurements: Measurements) -> Predictor:
+    """The same with the uncertainty of xi, beta and omega counted."""
+    posterior = marginalise(fit.parameters, measurements, MARGINAL_EXACT_LIMIT)
+    return partial(predict_readings, posterior)
 
 
 def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
-    """Path loss alone by least squares, with the deviation it leaves: what to beat."""
+    """Path loss alone by least squares, with the deviation it leaves: what to beat.
+
+    Raises
+    ------
+    InputError
+        Every measurement is censored.
+    """
+    if measurements.censored.all():
+        raise InputError("there is no line through upper limits alone")
     identifiable = examine(measurements, station).n_pl_reason is None
     model = mean_model(measurements.positions_m, ~measurements.censored, station, identifiable)
     line = least_squares(model, measurements)
     theta = np.array(model.theta(line.coefficients))
     deviation_db = float(np.sqrt(line.variance_db2))
 
-    def predict(positions_m: NDArray[np.float64]) -> Prediction:
+    def predict(readings: Measurements) -> Prediction:
         return Prediction(
-            regressors(positions_m, station) @ theta, np.full(len(positions_m), deviation_db)
+            regressors(readings.positions_m, station) @ theta, np.full(len(readings), deviation_db)
         )
 
     return predict
@@ -55,68 +80,72 @@ def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
 
 def held_out_predictions(
     measurements: Measurements,
-    groups: NDArray[np.intp],
-    learn: Callable[[Measurements], Predictor],
-    folds: int,
-    generator: np.random.Generator,
-) -> Prediction:
-    """Predict every measurement from a model learnt without its group.
+    fold_of: NDArray[np.intp],
+    learn: Callable[[Measurements], Mapping[str, Predictor]],
+) -> dict[str, Prediction]:
+    """Predict every measurement from models learnt without its fold.
 
     Parameters
     ----------
     measurements
         All of them.
+    fold_of
+        ``(n,)`` fold of each one, as :func:`deal` gives it: two different ones at least.
+    learn
+        Takes measurements and returns what predicts, by name; always the same names.
+
+    Returns
+    -------
+    dict
+        For each name the predictions, in the order of `measurements`.
+
+    Raises
+    ------
+    InputError
+        There is one fold only, or not one a measurement.
+    """
+    folds = np.unique(fold_of)
+    if fold_of.shape != (len(measurements),) or len(folds) < 2:
+        raise InputError(
+            f"{len(measurements)} measurements are not held out in {len(folds)} folds",
+            key="folds",
+            remedy="give each measurement a fold, of two or more",
+        )
+    found: dict[str, Prediction] = {}
+    for fold in folds:
+        out = fold_of == fold
+        held_out = measurements.take(out)
+        for name, predict in learn(measurements.take(~out)).items():
+            if name not in found:
+                found[name] = Prediction(*np.empty((2, len(measurements))))
+            part = predict(held_out)
+            found[name].mean_db[out] = part.mean_db
+            found[name].deviation_db[out] = part.deviation_db
+    return found
+
+
+def deal(groups: NDArray[np.intp], folds: int, generator: np.random.Generator) -> NDArray[np.intp]:
+    """Deal whole groups into folds at random; ``(n,)`` fold of each measurement.
+
+    Parameters
+    ----------
     groups
         ``(n,)`` label of each one's group.
-    learn
-        Takes measurements and returns what predicts at positions.
     folds
-        Groups are dealt into as many parts at random; a model is learnt without each.
+        At least 2, at most as many as there are groups.
     generator
         Source of randomness.
 
     Raises
     ------
     InputError
-        There are fewer groups than folds, or fewer than two folds, or not a label a measurement.
+        There are fewer groups than folds, or fewer than two folds.
     """
     labels, group_of = np.unique(groups, return_inverse=True)
-    if groups.shape != (len(measurements),):
-        raise InputError("there is not one group label a measurement", key="groups")
     if not 2 <= folds <= len(labels):
         raise InputError(
             f"{len(labels)} groups cannot be dealt into {folds} folds",
             key="folds",
             remedy="use at least 2 folds and no more than there are groups",
         )
-    fold_of = (generator.permutation(len(labels)) % folds)[group_of]
-    mean, deviation = np.empty(len(measurements)), np.empty(len(measurements))
-    for fold in range(folds):
-        out = fold_of == fold
-        predict = learn(measurements.take(~out))
-        prediction = predict(measurements.positions_m[out])
-        mean[out], deviation[out] = prediction.mean_db, prediction.deviation_db
-    return Prediction(mean, deviation)
-
-
-def walk_groups(
-    day: NDArray[np.float64], t_s: NDArray[np.float64], block_s: float
-) -> NDArray[np.intp]:
-    """Label walks: measurements of one day within one block of `block_s` seconds.
-
-    Parameters
-    ----------
-    day, t_s
-        ``(n,)`` day, and time in seconds within it.
-    block_s
-        Length of a block; ``inf`` for whole days.
-
-    Raises
-    ------
-    InputError
-        The block is not positive.
-    """
-    if not block_s > 0.0:
-        raise InputError(f"{block_s!r} s is not a block", key="block_s", remedy="use more than 0")
-    block = np.floor(t_s / block_s)
-    return np.unique(np.stack([day, block], axis=1), axis=0, return_inverse=True)[1]
+    return (generator.permutation(len(labels)) % folds)[group_of]

@@ -12,7 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.factor import whiten
-from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.measurement_covariance import (
+    covariance_db2,
+    own_covariance_db2,
+    place_origins,
+)
 from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
@@ -67,7 +71,7 @@ def joint_prediction(
 
     mu, and S + B M B' with S = K + omega^2 I - Phi' U^-1 Phi and B = Gamma_h - Phi' U^-1 Gamma
     (theory 4.0 and 4.1; M is zero where theta is known). The diagonal is what
-    :func:`planopt.channel.posterior.predict` gives. Memory grows with h (kappa + h).
+    :func:`planopt.channel.kriging.predict` gives. Memory grows with h (kappa + h).
 
     Parameters
     ----------
@@ -85,12 +89,10 @@ def joint_prediction(
     """
     places = require_places(positions_m)
     parameters = posterior.parameters
-    across = whiten(
-        posterior.factor,
-        shadow_covariance_db2(posterior.measurements.positions_m, places, parameters),
-    )
+    origins = place_origins(places, posterior.now_s, parameters)
+    across = whiten(posterior.factor, covariance_db2(posterior.origins, origins, parameters))
     trend = regressors(places, parameters.station) - across.T @ posterior.whitened_regressors
-    covariance = shadow_covariance_db2(places, places, parameters) - across.T @ across
+    covariance = own_covariance_db2(origins, parameters) - across.T @ across
     own = np.diag_indices_from(covariance)
     # Rounding alone can make the latent variance negative, at a place that is known exactly.
     covariance[own] = np.maximum(covariance[own], 0.0)

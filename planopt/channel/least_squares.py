@@ -4,6 +4,8 @@ With no censored measurement this is Lemma 1's theta-hat and alpha-hat. Censored
 replaced by their expected values given that they are at most the floor, under the line and
 independent normal deviations of variance alpha, and the line is refitted until neither moves: the
 EM algorithm of Tobit regression. It ignores that shadowing is correlated.
+
+Receivers other than number 0 have a column each, so that residuals are free of their offsets.
 """
 
 from __future__ import annotations
@@ -14,11 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.kernel import pairwise_distance_m
 from planopt.channel.mean_model import MeanModel
+from planopt.channel.measurement_covariance import (
+    covariance_db2,
+    measured_origins,
+    measured_path_loss_variance_db2,
+    own_variance_db2,
+)
 from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.sites import rounded_variance_db2
 
 MAX_SWEEPS = 500
+OFFSET_RIDGE = 1e-6
+"""Weight of one further measurement of each offset, of zero: it decides only what nothing else
+does, such as the common part of all offsets where receiver 0 measured nothing."""
+
 TOLERANCE_DB = 1e-6
 """The line has converged when no fitted value moves by more."""
 
@@ -37,7 +50,8 @@ class LeastSquares:
     residual_db
         ``(n,)`` completed power minus the line (the seed's Y_c).
     variance_db2
-        alpha-hat: mean square of the residual, plus what censoring hides; divided by n as printed.
+        alpha-hat: mean square of the residual, plus what censoring hides, less what rounding adds
+        (Sheppard's correction); divided by n as printed.
     """
 
     coefficients: NDArray[np.float64]
@@ -48,48 +62,79 @@ class LeastSquares:
 def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
     """Fit the line. At least one measurement must be uncensored."""
     power = measurements.power_dbm - model.offset_db
-    inverse = np.linalg.pinv(model.columns)
+    columns = np.column_stack([model.columns, receiver_columns(measurements)])
+    inverse = _ridged_inverse(columns, model.columns.shape[1])
     censored = measurements.censored
     exact = ~censored
     limit = power[censored]
     # Start from the uncensored line, so that floors do not flatten the slope.
-    coefficients = np.linalg.pinv(model.columns[exact]) @ power[exact]
-    variance = float(np.mean((power[exact] - model.columns[exact] @ coefficients) ** 2))
+    coefficients = _ridged_inverse(columns[exact], model.columns.shape[1]) @ power[exact]
+    variance = float(np.mean((power[exact] - columns[exact] @ coefficients) ** 2))
     completed = power.copy()
     hidden = 0.0
     for _ in range(MAX_SWEEPS):
-        before = model.columns @ coefficients
+        before = columns @ coefficients
         completed[censored], variances = _expected_below(limit, before[censored], variance)
         hidden = float(variances.sum())
         coefficients = inverse @ completed
-        fitted = model.columns @ coefficients
+        fitted = columns @ coefficients
         variance = float((((completed - fitted) ** 2).sum() + hidden) / len(power))
         if np.abs(fitted - before).max() < TOLERANCE_DB:
             break
-    return LeastSquares(coefficients, completed - model.columns @ coefficients, variance)
+    rounding = float(rounded_variance_db2(measurements.resolution_db[exact]).sum()) / len(power)
+    return LeastSquares(
+        coefficients[: model.columns.shape[1]],
+        completed - columns @ coefficients,
+        max(variance - rounding, 0.0),
+    )
 
 
 def coefficient_covariance(
-    model: MeanModel,
-    positions_m: NDArray[np.float64],
-    shadow_variance_db2: float,
-    decorrelation_m: float,
-    multipath_variance_db2: float,
+    model: MeanModel, measurements: Measurements, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """Covariance of the least-squares coefficients under correlated shadowing; (p, p).
+    """Covariance of the model's least-squares coefficients under correlated shadowing; (p, p).
 
-    (G'G)^-1 G' U G (G'G)^-1 with U = xi^2 exp(-d / beta) + omega^2 I; the usual
+    (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance, xi^2 exp(-d / beta) + omega^2 I
+    and what age, position errors, receivers' offsets and rounding do to it; the usual
     alpha (G'G)^-1 is several times too small where beta spans many measurements.
     """
-    columns = model.columns
-    middle = multipath_variance_db2 * columns.T @ columns
+    columns = np.column_stack([model.columns, receiver_columns(measurements)])
+    count = model.columns.shape[1]
+    origins = measured_origins(measurements, parameters)
+    noise = parameters.multipath_std_db**2 + rounded_variance_db2(measurements.resolution_db)
+    noise += measured_path_loss_variance_db2(measurements, parameters)
+    middle = columns.T @ (noise[:, None] * columns)
     for first in range(0, len(columns), ROWS):
         rows = slice(first, first + ROWS)
-        distance = pairwise_distance_m(positions_m[rows], positions_m)
-        block = shadow_variance_db2 * np.exp(-distance / decorrelation_m)
+        some = origins.at(rows)
+        block = covariance_db2(some, origins, parameters)
+        own = np.arange(len(block))
+        block[own, first + own] = own_variance_db2(some, parameters)
         middle += columns[rows].T @ block @ columns
-    outer = np.linalg.pinv(columns.T @ columns)
-    return outer @ middle @ outer
+    outer = _normal_inverse(columns, count)
+    return (outer @ middle @ outer)[:count, :count]
+
+
+def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
+    """Indicators of all receivers but number 0; ``(n, R)``."""
+    numbers = np.unique(measurements.receiver)
+    return (measurements.receiver[:, None] == numbers[numbers != 0]).astype(np.float64)
+
+
+def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
+    """What takes values (n,) to coefficients (q,), all but the first `free` of them ridged."""
+    if columns.shape[1] == free:
+        return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
+    ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]
+    whole = np.asarray(np.linalg.pinv(np.vstack([columns, ridge])), dtype=np.float64)
+    return whole[:, : len(columns)]
+
+
+def _normal_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
+    """(G'G)^-1 with the same ridge; (q, q)."""
+    ridge = np.full(columns.shape[1], OFFSET_RIDGE)
+    ridge[:free] = 0.0
+    return np.asarray(np.linalg.pinv(columns.T @ columns + np.diag(ridge)), dtype=np.float64)
 
 
 def _expected_below(

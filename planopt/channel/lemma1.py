@@ -66,21 +66,30 @@ def log_line(bins: LogBins) -> LogLine:
     mean = weight @ bins.log_covariance
     slope = float((weight * lag) @ bins.log_covariance / spread)
     intercept = float(mean - slope * (weight @ bins.lag_m))
-    return LogLine(intercept, -slope, line_errors(bins, intercept, -slope))
+    scatter = standardised_scatter(bins, intercept, -slope)
+    return LogLine(intercept, -slope, line_errors(bins, intercept, float(scatter @ scatter)))
 
 
-def line_errors(bins: LogBins, intercept: float, rate_per_m: float) -> tuple[float, float]:
-    """Standard errors of xi^2 = exp(intercept) and of the rate, from the scatter of the bins."""
+def standardised_scatter(bins: LogBins, intercept: float, rate_per_m: float) -> NDArray[np.float64]:
+    """``(b,)`` sqrt(tau) (log r - intercept + rate d), tau of sum 1: of one variance each."""
+    scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
+    return np.sqrt(bins.weight / bins.weight.sum()) * scatter
+
+
+def line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float, float]:
+    """Standard errors of xi^2 = exp(intercept) and of the rate.
+
+    `squares` is the sum of squares of the standardised scatter.
+    """
     count = len(bins.lag_m)
     if count < 3:
         return math.inf, math.inf
     weight = bins.weight / bins.weight.sum()
-    scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
     centre = float(weight @ bins.lag_m)
     spread = float(weight @ (bins.lag_m - centre) ** 2)
     # Bins of weight near 0 do not count as observations: Kish's effective number.
     effective = max(1.0 / float(weight @ weight), 1.0)
-    variance = float(weight @ scatter**2) * count / (count - 2) / effective
+    variance = squares * count / (count - 2) / effective
     return (
         math.exp(min(intercept, 50.0)) * math.sqrt(variance * (1.0 + centre**2 / spread)),
         math.sqrt(variance / spread),

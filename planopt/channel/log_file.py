@@ -9,40 +9,51 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from planopt.channel.log_cells import read_flag, read_label, read_number
+from planopt.channel.log_format import LogFormat
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
 
-DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
-"""Names of the columns for x, y and power."""
-
-FLAGS = {"1": True, "true": True, "0": False, "false": False}
-"""What a column of flags may contain, in any case."""
+DEFAULT_FORMAT = LogFormat()
 
 
-def read_log(
-    path: Path | str,
-    columns: tuple[str, str, str] = DEFAULT_COLUMNS,
-    censored_column: str | None = None,
-    floor_dbm: float | None = None,
-) -> Measurements:
+@dataclass(frozen=True)
+class PowerLog:
+    """What a log says.
+
+    Attributes
+    ----------
+    measurements
+        In the order of its rows.
+    receivers
+        Label of each receiver number, the reference first; empty where no column has labels.
+    """
+
+    measurements: Measurements
+    receivers: tuple[str, ...]
+
+
+def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
+    """The measurements of :func:`read_power_log`."""
+    return read_power_log(path, log_format).measurements
+
+
+def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
     """Read a power log.
 
     Parameters
     ----------
     path
         The CSV file.
-    columns
-        Names of the columns for x (m), y (m) and power (dBm).
-    censored_column
-        Column of flags, 1 or true where the power is only known to be at most the given one.
-    floor_dbm
-        The receiver's floor: powers at or below it are censored, and count as at most the floor.
+    log_format
+        Its columns, and what holds for all rows.
 
     Raises
     ------
@@ -53,36 +64,80 @@ def read_log(
     """
     file = Path(path)
     rows = _rows(file)
-    first = next(rows, None)
-    if first is None:
-        raise InputError("the file is empty", file=file, remedy="a header and rows are needed")
-    header_line, header = first
-    names = [name.strip() for name in header]
-    where = [_column(names, name, file, header_line) for name in columns]
-    flag_at = (
-        None if censored_column is None else _column(names, censored_column, file, header_line)
-    )
-    numbers: list[list[float]] = []
-    flags: list[bool] = []
-    for line, cells in rows:
-        if len(cells) != len(names):
-            raise InputError(
-                f"{len(cells)} cells where the header has {len(names)}", file=file, row=line
-            )
-        numbers.append(
-            [_number(cells[at], file, line, name) for at, name in zip(where, columns, strict=True)]
+    header_line, names = _header(rows, file)
+    numbered = [*log_format.columns]
+    if log_format.time_column is not None:
+        numbered.append(log_format.time_column)
+    wanted = [*numbered, log_format.censored_column, log_format.receiver_column]
+    where = {name: _column(names, name, file, header_line) for name in wanted if name is not None}
+    table = _Table([], [], [])
+    for line, cells in _full(rows, names, file):
+        table.numbers.append(
+            [read_number(cells[where[name]], file, line, name) for name in numbered]
         )
-        if flag_at is not None and censored_column is not None:
-            flags.append(_flag(cells[flag_at], file, line, censored_column))
-    if not numbers:
+        if (flag := log_format.censored_column) is not None:
+            table.flags.append(read_flag(cells[where[flag]], file, line, flag))
+        if (label := log_format.receiver_column) is not None:
+            table.labels.append(read_label(cells[where[label]], file, line, label))
+    if not table.numbers:
         raise InputError("the file has a header but no rows", file=file)
-    table = np.array(numbers)
-    power = table[:, 2].copy()
-    censored = np.array(flags) if flags else np.zeros(len(power), dtype=np.bool_)
-    if floor_dbm is not None:
-        censored |= power <= floor_dbm
-        power = np.maximum(power, floor_dbm)
-    return Measurements(table[:, :2].copy(), power, censored)
+    return _power_log(table, log_format)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Cells that were read, row by row; no flags and no labels where no column has them."""
+
+    numbers: list[list[float]]
+    flags: list[bool]
+    labels: list[str]
+
+
+def _power_log(table: _Table, log_format: LogFormat) -> PowerLog:
+    """A table as measurements."""
+    numbers = np.array(table.numbers)
+    count = len(numbers)
+    power = numbers[:, 2].copy()
+    censored = np.array(table.flags) if table.flags else np.zeros(count, dtype=np.bool_)
+    if log_format.floor_dbm is not None:
+        censored |= power <= log_format.floor_dbm
+        power = np.maximum(power, log_format.floor_dbm)
+    # In the order of first appearance.
+    receivers = tuple(dict.fromkeys(table.labels))
+    number = {label: index for index, label in enumerate(receivers)}
+    measurements = Measurements(
+        numbers[:, :2].copy(),
+        power,
+        censored,
+        resolution_db=np.full(count, log_format.resolution_db),
+        position_std_m=np.full(count, log_format.position_std_m),
+        time_s=numbers[:, 3].copy() if numbers.shape[1] > 3 else np.zeros(count),
+        receiver=np.array([number[label] for label in table.labels], dtype=np.intp),
+    )
+    return PowerLog(measurements, receivers)
+
+
+def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
+    """Cells of any columns of a log, row by row, each with its line.
+
+    Parameters
+    ----------
+    path
+        The CSV file.
+    columns
+        Names of the columns.
+
+    Raises
+    ------
+    InputError
+        The file is missing, not text or empty; a column is missing; a row has too few or too many
+        cells.
+    """
+    file = Path(path)
+    rows = _rows(file)
+    header_line, names = _header(rows, file)
+    where = [_column(names, name, file, header_line) for name in columns]
+    return [(line, [cells[at] for at in where]) for line, cells in _full(rows, names, file)]
 
 
 def at_file_line(error: InputError, path: Path | str) -> InputError:
@@ -101,24 +156,6 @@ def at_file_line(error: InputError, path: Path | str) -> InputError:
         # The first row is the header, so index 0 is the second one.
         line = [number for number, _ in _rows(Path(path))][line + 1]
     return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
-
-
-def parse_columns(text: str) -> tuple[str, str, str]:
-    """Read ``x=east,y=north,power=rssi``; what is not named keeps its default.
-
-    Raises
-    ------
-    InputError
-        Not of that form, or something other than x, y and power is named.
-    """
-    remedy = "write x=NAME,y=NAME,power=NAME"
-    names: dict[str, str] = dict(zip(("x", "y", "power"), DEFAULT_COLUMNS, strict=True))
-    for part in text.split(","):
-        what, equals, name = (piece.strip() for piece in part.partition("="))
-        if what not in names or not equals or not name:
-            raise InputError(f"cannot read {part!r}", key="columns", remedy=remedy)
-        names[what] = name
-    return names["x"], names["y"], names["power"]
 
 
 def parse_station(text: str) -> Station | None:
@@ -140,6 +177,27 @@ def parse_station(text: str) -> Station | None:
     if len(numbers) not in (2, 3) or not all(math.isfinite(number) for number in numbers):
         raise InputError(f"cannot read {text!r}", key="station", remedy=remedy)
     return Station((numbers[0], numbers[1]), numbers[2] if len(numbers) == 3 else 0.0)
+
+
+def _header(rows: Iterator[tuple[int, list[str]]], file: Path) -> tuple[int, list[str]]:
+    """Line of the header, and the columns' names."""
+    first = next(rows, None)
+    if first is None:
+        raise InputError("the file is empty", file=file, remedy="a header and rows are needed")
+    line, header = first
+    return line, [name.strip() for name in header]
+
+
+def _full(
+    rows: Iterator[tuple[int, list[str]]], names: list[str], file: Path
+) -> Iterator[tuple[int, list[str]]]:
+    """The rows, each of which must have a cell for every column."""
+    for line, cells in rows:
+        if len(cells) != len(names):
+            raise InputError(
+                f"{len(cells)} cells where the header has {len(names)}", file=file, row=line
+            )
+        yield line, cells
 
 
 def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
@@ -177,36 +235,5 @@ def _column(names: list[str], name: str, file: Path, line: int) -> int:
         file=file,
         key=name,
         row=line,
-        remedy="name the columns with x=NAME,y=NAME,power=NAME",
+        remedy="name columns as the header does; x=NAME,y=NAME,power=NAME for the first three",
     )
-
-
-def _number(text: str, file: Path, line: int, name: str) -> float:
-    """A finite number."""
-    cell = text.strip()
-    if not cell:
-        raise InputError("the cell is empty", file=file, key=name, row=line)
-    try:
-        # Python would read 1_0 as 10.
-        number = math.nan if "_" in cell else float(cell)
-    except ValueError:
-        raise InputError(f"{cell!r} is not a number", file=file, key=name, row=line) from None
-    if not math.isfinite(number):
-        raise InputError(
-            f"{cell!r} is not a finite number",
-            file=file,
-            key=name,
-            row=line,
-            remedy="remove the row, or mark it censored at the receiver's floor",
-        )
-    return number
-
-
-def _flag(text: str, file: Path, line: int, name: str) -> bool:
-    """A flag."""
-    flag = FLAGS.get(text.strip().lower())
-    if flag is None:
-        raise InputError(
-            f"{text.strip()!r} is not a flag", file=file, key=name, row=line, remedy="use 0 or 1"
-        )
-    return flag

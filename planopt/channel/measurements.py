@@ -84,9 +84,9 @@ class Measurements:
 
 def join(first: Measurements, second: Measurements) -> Measurements:
     """Both sets, `first` before `second`."""
-    return Measurements(
-        *(
-            np.concatenate([getattr(first, part.name), getattr(second, part.name)])
-            for part in fields(Measurements)
-        )
-    )
+    # Both have been checked. To check 50,000 again takes longer than a planner's map.
+    joined = object.__new__(Measurements)
+    for part in fields(Measurements):
+        both = (getattr(first, part.name), getattr(second, part.name))
+        object.__setattr__(joined, part.name, np.concatenate(both))
+    return joined

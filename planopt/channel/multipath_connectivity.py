@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
+from planopt.channel.kriging import predict
 from planopt.channel.multipath_models import Lognormal, Multipath, multipath_survival
 from planopt.channel.places import require_finite, require_places
-from planopt.channel.posterior import ChannelPosterior, predict
+from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 
 REACH = 8.5

@@ -3,6 +3,7 @@
 A solver evaluates the channel near a few places again and again: each stage of a plan gets the
 `count` measurements nearest to its warm start, their precision matrix and weights as numbers.
 Kriging from fewer measurements is a true posterior of less data: its variance is never smaller.
+Theta and the receivers' offsets are those of all measurements, with their uncertainty.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.measurement_covariance import ageing, own_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import KrigingTerms, Prediction, combine
+from planopt.channel.prediction import KrigingTerms
+from planopt.channel.receiver_offsets import OffsetsGivenTheta, offsets_given_theta
 
 PADDING_DISTANCE_M = 1e7
 """Where there are fewer measurements than asked for, the rest stands this far from the centre."""
@@ -26,14 +28,17 @@ PADDING_DISTANCE_M = 1e7
 class NeighbourModel:
     """Local kriging about k centres from m measurements each, as arrays of fixed shape.
 
-    With phi_i(q) = xi^2 exp(-|q - position_i| / beta) the prediction at q is
+    With phi_i(q) = xi^2 exp(-sqrt(|q - position_i|^2 + blur_i) / beta) the prediction at q is
     ``gamma theta + phi' (weights - trend theta)`` and
-    ``xi^2 + omega^2 - phi' precision phi + b' M b`` with ``b = gamma - trend' phi``.
+    ``xi^2 + omega^2 - phi' precision phi + b' M b`` with ``b = gamma - trend' phi``. The age of
+    measurements is in the numbers: with a_i its factor they are a_i P_ij a_j and a_i w_i.
 
     Attributes
     ----------
     positions_m
         ``(k, m, 2)`` the measurements' positions.
+    blur_m2
+        ``(k, m)`` of errors of these positions.
     precision
         ``(k, m, m)`` U_mm^-1.
     weights
@@ -47,6 +52,7 @@ class NeighbourModel:
     """
 
     positions_m: NDArray[np.float64]
+    blur_m2: NDArray[np.float64]
     precision: NDArray[np.float64]
     weights: NDArray[np.float64]
     trend: NDArray[np.float64]
@@ -65,10 +71,18 @@ def neighbour_model(
     """
     there = min(count, len(posterior.measurements))
     centres = np.asarray(centres_m, dtype=np.float64)
-    indices, _ = nearest(posterior.measurements.positions_m, centres, there)
-    precision, weighted = local_precision(posterior, indices)
+    indices, _ = posterior.index.nearest(centres, there)
+    precision, weighted = local_precision(posterior, offsets_given_theta(posterior), indices)
     missing = count - there
-    positions = posterior.measurements.positions_m[indices]
+    origins = posterior.origins
+    positions = origins.positions_m[indices]
+    blur = np.zeros((len(centres), count))
+    if origins.blur_m2 is not None:
+        blur[:, :there] = origins.blur_m2[indices]
+    if origins.time_s is not None:
+        aged = ageing(origins.time_s[indices], posterior.now_s, posterior.parameters)
+        precision *= aged[:, :, None] * aged[:, None, :]
+        weighted *= aged[:, :, None]
     if missing:
         padding = np.repeat((centres + PADDING_DISTANCE_M)[:, None], missing, axis=1)
         positions = np.concatenate([positions, padding], axis=1)
@@ -79,6 +93,7 @@ def neighbour_model(
         weighted = np.pad(weighted, ((0, 0), (0, missing), (0, 0)))
     return NeighbourModel(
         positions,
+        blur,
         precision,
         np.ascontiguousarray(weighted[:, :, 0]),
         np.ascontiguousarray(weighted[:, :, 1:]),
@@ -88,56 +103,29 @@ def neighbour_model(
     )
 
 
-def predict_locally(model: NeighbourModel, positions_m: NDArray[np.float64]) -> Prediction:
-    """Predict power at one place for each centre, ``positions_m`` (k, 2)."""
-    places = positions_m[:, None, :]
-    terms = local_terms(
-        model.parameters,
-        places,
-        shadow_covariance_db2(places, model.positions_m, model.parameters),
-        model.precision,
-        np.concatenate([model.weights[:, :, None], model.trend], axis=2),
-    )
-    prediction = combine(terms, model.theta, model.theta_covariance)
-    return Prediction(prediction.mean_db[:, 0], prediction.deviation_db[:, 0])
-
-
-def nearest(
-    positions_m: NDArray[np.float64], centres_m: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """The `count` positions nearest to each centre, in no order, and how far the farthest is.
-
-    Returns
-    -------
-    tuple
-        Indices ``(k, count)`` and squared distances ``(k,)`` in m^2; infinite where all
-        positions were taken, because the next one will be taken too.
-    """
-    total = len(positions_m)
-    if count >= total:
-        everyone = np.broadcast_to(np.arange(total), (len(centres_m), total))
-        return everyone, np.full(len(centres_m), np.inf)
-    dx = centres_m[:, None, 0] - positions_m[None, :, 0]
-    dy = centres_m[:, None, 1] - positions_m[None, :, 1]
-    squared = dx * dx + dy * dy
-    indices = np.argpartition(squared, count - 1, axis=1)[:, :count]
-    # Partitioning leaves the farthest of the chosen in the last column.
-    farthest = np.take_along_axis(squared, indices[:, -1:], axis=1)[:, 0]
-    return indices, farthest
-
-
 def local_precision(
-    posterior: ChannelPosterior, indices: NDArray[np.intp]
+    posterior: ChannelPosterior, offsets: OffsetsGivenTheta, indices: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """U_mm^-1 (k, m, m) and U_mm^-1 [y, Gamma_m] (k, m, 3) of the measurements `indices` (k, m)."""
-    positions = posterior.measurements.positions_m[indices]
-    covariance = shadow_covariance_db2(positions, positions, posterior.parameters)
+    """U_mm^-1 (k, m, m) and U_mm^-1 [y, Gamma_m] (k, m, 3) of the measurements `indices` (k, m).
+
+    With P the inverse for known offsets, o their means and V their covariance given theta, the
+    columns are those of P ([y, Gamma] - Z o), and the precision is P - P Z V Z' P: what theta's
+    estimate and M are to the mean, o and V are to the readings of receivers.
+    """
+    origins = posterior.origins.at(indices).without_offsets()
+    covariance = own_covariance_db2(origins, posterior.parameters)
     np.einsum("kii->ki", covariance)[...] += posterior.noise_variance_db2[indices]
     precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     columns = np.empty((*indices.shape, 3))
     columns[:, :, 0] = posterior.values_db[indices]
-    columns[:, :, 1:] = regressors(positions, posterior.parameters.station)
-    return precision, precision @ columns
+    columns[:, :, 1:] = regressors(origins.positions_m, posterior.parameters.station)
+    if not len(offsets.receivers):
+        return precision, precision @ columns
+    received = offsets.indicators(posterior.measurements.receiver[indices])
+    weighted = precision @ (columns - received @ offsets.means_db)
+    projected = precision @ received
+    precision -= projected @ offsets.covariance_db2 @ projected.swapaxes(1, 2)
+    return precision, weighted
 
 
 def local_terms(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
-from planopt.channel.posterior import ChannelPosterior, condition
+from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
 from planopt.channel.prediction import Prediction
 from planopt.channel.reml import MAX_MEASUREMENTS, thinned
 from planopt.channel.restricted_likelihood import (
@@ -35,6 +36,7 @@ from planopt.channel.restricted_likelihood import (
     likelihood_data,
     profiled_log_likelihood,
 )
+from planopt.channel.sites import rounded_variance_db2
 
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Design points along each principal axis of the likelihood, in its deviations."""
@@ -66,18 +68,9 @@ class MarginalPosterior:
     weights: NDArray[np.float64]
 
     def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
-        """Mean and deviation of the mixture at `positions_m` (n, 2).
-
-        The variance is the mean of the components' variances plus the variance of their means.
-        """
+        """Mean and deviation of the mixture at `positions_m` (n, 2)."""
         places = require_places(positions_m)
-        parts = [component.predict(places) for component in self.components]
-        means = np.stack([part.mean_db for part in parts])
-        mean = self.weights @ means
-        variance = self.weights @ (
-            np.stack([part.deviation_db for part in parts]) ** 2 + (means - mean) ** 2
-        )
-        return Prediction(mean, np.sqrt(variance))
+        return mixture(self.weights, [component.predict(places) for component in self.components])
 
     def connectivity(
         self, positions_m: NDArray[np.float64], threshold_dbm: float
@@ -93,8 +86,21 @@ class MarginalPosterior:
         return chances
 
 
+def mixture(weights: NDArray[np.float64], parts: Sequence[Prediction]) -> Prediction:
+    """Mean and deviation of a mixture of predictions with `weights` (k,).
+
+    The variance is the mean of the parts' variances plus the variance of their means.
+    """
+    means = np.stack([part.mean_db for part in parts])
+    mean = weights @ means
+    variances = np.stack([part.deviation_db for part in parts]) ** 2 + (means - mean) ** 2
+    return Prediction(mean, np.sqrt(weights @ variances))
+
+
 @one_blas_thread()
-def marginalise(parameters: ChannelParameters, measurements: Measurements) -> MarginalPosterior:
+def marginalise(
+    parameters: ChannelParameters, measurements: Measurements, exact_limit: int = EXACT_LIMIT
+) -> MarginalPosterior:
     """Condition on measurements with xi, beta and omega uncertain.
 
     The prior is flat in log alpha, log beta and logit(xi^2 / alpha), within the bounds of the fit
@@ -107,7 +113,11 @@ def marginalise(parameters: ChannelParameters, measurements: Measurements) -> Ma
         theta serves as in :func:`planopt.channel.posterior.condition`.
     measurements
         What it was estimated from. Censored ones count in every component's prediction but not in
-        the weights. Of more than `MAX_MEASUREMENTS` a fixed draw gives the weights.
+        the weights; where there are some, alpha is taken in proportion to the estimate's. Of more
+        than `MAX_MEASUREMENTS` a fixed draw gives the weights.
+    exact_limit
+        Beyond so many measurements every component predicts from the nearest, as in
+        :func:`planopt.channel.posterior.condition`: there are some 20, and each costs a factor.
 
     Returns
     -------
@@ -122,31 +132,42 @@ def marginalise(parameters: ChannelParameters, measurements: Measurements) -> Ma
     """
     allows = examine(measurements, parameters.station)
     if allows.covariance_reason is not None:
-        return MarginalPosterior((condition(parameters, measurements),), np.ones(1))
+        return MarginalPosterior(
+            (condition(parameters, measurements, exact_limit=exact_limit),), np.ones(1)
+        )
     data = _exact_data(measurements, parameters, allows.n_pl_reason is None)
     low, high = allows.decorrelation_bounds_m
     top = math.log((1.0 - MIN_NUGGET_SHARE) / MIN_NUGGET_SHARE)
     box = np.array([[-top, top], [math.log(low), math.log(high)]])
-    centre = np.clip(_coordinates(parameters), box[:, 0], box[:, 1])
-    freedom = data.exact - data.columns.shape[1]
+    # The likelihood's alpha has what rounding adds in it, which `condition` adds again.
+    rounding = float(rounded_variance_db2(data.width_db).mean())
+    centre = np.clip(_coordinates(parameters, rounding), box[:, 0], box[:, 1])
+    freedom = data.exact - data.flat_columns().shape[1]
     points = _design(data, centre, box)
     found = [_likelihood(data, point) for point in points]
     logs = np.array([log for log, _ in found])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     kept = np.flatnonzero(weights >= MIN_WEIGHT)
+    # What is not censored varies less than the whole; the estimate has seen both. It is first.
+    unseen = 1.0
+    if measurements.censored.any():
+        estimate = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 + rounding
+        unseen = estimate / found[0][1]
     components: list[ChannelPosterior] = []
     for index in kept:
         share, beta = _values(points[index])
         # The variance of Student's t is that of the normal at this alpha.
-        alpha = found[index][1] * freedom / (freedom - 2.0)
+        alpha = unseen * found[index][1] * freedom / (freedom - 2.0)
+        nugget = (1.0 - share) * alpha
+        nugget = max(nugget - rounding, MIN_NUGGET_SHARE * nugget)
         component = replace(
             parameters,
             shadow_std_db=math.sqrt(share * alpha),
-            multipath_std_db=math.sqrt((1.0 - share) * alpha),
+            multipath_std_db=math.sqrt(nugget),
             decorrelation_m=beta,
         )
-        components.append(condition(component, measurements))
+        components.append(condition(component, measurements, exact_limit=exact_limit))
     return MarginalPosterior(tuple(components), weights[kept] / weights[kept].sum())
 
 
@@ -158,7 +179,7 @@ def _exact_data(
     rows = rows[thinned(len(rows), MAX_MEASUREMENTS)]
     exact = measurements.take(rows)
     model = mean_model(exact.positions_m, ~exact.censored, parameters.station, n_pl_identifiable)
-    return likelihood_data(model, exact)
+    return likelihood_data(model, exact, parameters)
 
 
 def _design(
@@ -196,11 +217,12 @@ def _likelihood(data: LikelihoodData, point: NDArray[np.float64]) -> tuple[float
     return profiled_log_likelihood(data, *_values(point))
 
 
-def _coordinates(parameters: ChannelParameters) -> NDArray[np.float64]:
-    """(logit(xi^2 / alpha), log beta) of parameters; finite where xi or omega is zero."""
+def _coordinates(parameters: ChannelParameters, rounding_db2: float) -> NDArray[np.float64]:
+    """(logit(xi^2 / alpha), log beta) of parameters and rounding; finite where xi or omega is 0."""
+    multipath_std_db = math.hypot(parameters.multipath_std_db, math.sqrt(rounding_db2))
     shadow, multipath = (
         math.log(max(deviation, sys.float_info.min))
-        for deviation in (parameters.shadow_std_db, parameters.multipath_std_db)
+        for deviation in (parameters.shadow_std_db, multipath_std_db)
     )
     return np.array([2.0 * (shadow - multipath), math.log(parameters.decorrelation_m)])
 

@@ -1,12 +1,14 @@
 """Lemma 2: the received power anywhere, given measurements, with path loss estimated on the way.
 
 The factor of the measurements' covariance is what costs. It is kept, shared between successive
-posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies nothing.
+posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies nothing. Beyond
+`EXACT_LIMIT` there is none: theta comes from Vecchia's approximation and a prediction from the
+measurements near it, so that one more measurement costs the same whatever there are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -14,35 +16,35 @@ from numpy.typing import NDArray
 
 from planopt.channel.censoring import (
     MIN_NOISE_VARIANCE_DB2,
-    Sites,
-    censored_sites,
     gaussian_sites,
+    intervals,
+    needs_site,
 )
-from planopt.channel.cholesky import solve_rows
+from planopt.channel.conditioning import with_rows, without_factor
 from planopt.channel.connectivity import connection_probability
-from planopt.channel.factor import FactorBuffer, spacious, whiten
-from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.expectation_propagation import interval_sites
+from planopt.channel.factor import FactorBuffer, spacious
+from planopt.channel.kriging import predict, predict_noiseless
+from planopt.channel.measurement_covariance import (
+    Origins,
+    measured_origins,
+    measured_path_loss_variance_db2,
+)
 from planopt.channel.measurements import Measurements, join
+from planopt.channel.neighbour_information import NeighbourInformation
+from planopt.channel.neighbour_sites import neighbour_sites
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.path_loss import regressors
-from planopt.channel.prediction import KrigingTerms, Prediction, combine
+from planopt.channel.place_index import PlaceIndex
+from planopt.channel.places import require_finite
+from planopt.channel.prediction import Prediction
+from planopt.channel.sites import LatentPrior, Sites
+from planopt.errors import InputError
 
-WEAK_THETA_DEVIATION = (20.0, 1.0)
-"""Prior deviation of K_PL (dB) and n_PL, used only where the measurements do not identify theta."""
+ThetaRule = Literal["estimated", "known", "least_squares"]
 
-MAX_INFORMATION_CONDITION = 1e10
-"""Theta counts as identified while the condition number of its information, in units of
-`WEAK_THETA_DEVIATION`, is below this."""
-
-FACTOR_BLOCK = 512
-PREDICTION_ELEMENTS = 2**21
-
-MANY_PLACES = 1024
-"""From so many places on a copy of the factor is worth its time, and they are solved for in place:
-a map takes half as long."""
-
-PLACES_AT_ONCE = 512
-"""Of many places: their covariances then stay in the processor's cache."""
+EXACT_LIMIT = 5_000
+"""Up to so many measurements all of them count; their factor takes 200 MB, and 450 MB with room to
+grow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +60,10 @@ class ChannelPosterior:
         What was measured, kappa of them.
     values_db
         ``(kappa,)`` what the posterior is conditioned on: the measured power, and the site's
-        value where it is censored.
+        value where it is censored or coarsely rounded.
     noise_variance_db2
-        ``(kappa,)`` omega^2, and the site's variance where censored.
+        ``(kappa,)`` omega^2, with r^2 / 12 or the site's variance where rounded or censored, and
+        with the variance that a position error gives path loss.
     whitened_values
         ``(kappa,)`` z_y = L^-1 y with U = R + diag(noise) = L L'.
     whitened_regressors
@@ -69,10 +72,20 @@ class ChannelPosterior:
         ``(2,)`` (K_PL, n_PL) in use.
     theta_covariance
         ``(2, 2)`` M, its covariance; zero where theta is known.
-    theta_known
-        Whether theta was given rather than estimated.
+    theta_rule
+        Where theta comes from, as :func:`condition` was told.
+    now_s
+        The time that is predicted for, where the channel forgets: that of the latest measurement,
+        unless :func:`at_time` says otherwise.
+    index
+        Of the measured places.
+    exact_limit
+        Up to so many measurements there is a factor.
     buffer
-        Where the factor is stored, shared with the posteriors that extend this one.
+        Where the factor is stored, shared with the posteriors that extend this one; None where
+        there is none, and then whitened columns are empty.
+    information
+        What stands for the factor where there is none.
     """
 
     parameters: ChannelParameters
@@ -83,17 +96,66 @@ class ChannelPosterior:
     whitened_regressors: NDArray[np.float64]
     theta: NDArray[np.float64]
     theta_covariance: NDArray[np.float64]
-    theta_known: bool
-    buffer: FactorBuffer = field(repr=False)
+    theta_rule: ThetaRule
+    now_s: float
+    index: PlaceIndex = field(repr=False)
+    exact_limit: int = EXACT_LIMIT
+    buffer: FactorBuffer | None = field(default=None, repr=False)
+    information: NeighbourInformation | None = field(default=None, repr=False)
+
+    @property
+    def has_factor(self) -> bool:
+        """Whether predictions are from all measurements, not from the nearest."""
+        return self.buffer is not None
+
+    @property
+    def theta_known(self) -> bool:
+        """Whether theta was given rather than estimated."""
+        return self.theta_rule == "known"
 
     @property
     def factor(self) -> NDArray[np.float64]:
-        """Lower Cholesky factor L of U, ``(kappa, kappa)``; a view, not to be written to."""
+        """Lower Cholesky factor L of U, ``(kappa, kappa)``; a view, not to be written to.
+
+        Raises
+        ------
+        InputError
+            There are more than `exact_limit` measurements.
+        """
         count = len(self.measurements)
+        if self.buffer is None:
+            raise InputError(
+                f"this needs the factor of all measurements, and {count:,} are more than the "
+                f"{self.exact_limit:,} that are factorised",
+                key="measurements",
+                remedy="condition on those near the places in question",
+            )
         return self.buffer.lower[:count, :count]
 
+    @property
+    def origins(self) -> Origins:
+        """Where, when and by whom the measurements were taken."""
+        return measured_origins(self.measurements, self.parameters)
+
+    def continues(self, earlier: ChannelPosterior) -> bool:
+        """Whether this is `earlier` and, it may be, later measurements; at any time."""
+        if self is earlier:
+            return True
+        count = len(earlier.measurements)
+        if self.parameters != earlier.parameters or count > len(self.measurements):
+            return False
+        one, other = self.measurements, earlier.measurements
+        return (
+            np.array_equal(self.values_db[:count], earlier.values_db)
+            and np.array_equal(self.noise_variance_db2[:count], earlier.noise_variance_db2)
+            and np.array_equal(one.positions_m[:count], other.positions_m)
+            and np.array_equal(one.position_std_m[:count], other.position_std_m)
+            and np.array_equal(one.time_s[:count], other.time_s)
+            and np.array_equal(one.receiver[:count], other.receiver)
+        )
+
     def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
-        """See :func:`predict`."""
+        """See :func:`planopt.channel.kriging.predict`."""
         return predict(self, positions_m)
 
     def extend(self, more: Measurements) -> ChannelPosterior:
@@ -112,7 +174,8 @@ def condition(
     parameters: ChannelParameters,
     measurements: Measurements,
     *,
-    theta: Literal["estimated", "known"] = "estimated",
+    theta: ThetaRule = "estimated",
+    exact_limit: int = EXACT_LIMIT,
 ) -> ChannelPosterior:
     """Condition the channel model on measurements (seed, Lemma 2).
 
@@ -121,41 +184,65 @@ def condition(
     parameters
         The channel's parameters.
     measurements
-        Any number, none included. Censored ones enter as Gaussian sites.
+        Any number, none included. Censored and rounded ones enter as Gaussian sites.
     theta
         ``estimated``: path loss by generalised least squares, its uncertainty counted (theory
-        4.1); ``known``: `parameters` has it exactly.
+        4.1); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary least squares
+        where that identifies it, its uncertainty counted too. What kriging leaves of the power at
+        a place is uncorrelated with all measurements, and so with any theta that is linear in
+        them: the variance is s + varphi' M varphi with that theta's error covariance M.
+    exact_limit
+        Beyond so many measurements predictions are from the nearest
+        (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
+        (:data:`planopt.channel.vecchia.EARLIER_NEIGHBOURS` has the accuracies), and so are sites.
+
+    Raises
+    ------
+    InputError
+        Theta by least squares, from more than `exact_limit` measurements.
     """
-    sites = gaussian_sites(parameters, measurements)
+    exact = len(measurements) <= exact_limit
+    sites = (gaussian_sites if exact else neighbour_sites)(parameters, measurements)
     nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
-    empty = _assemble(
+    empty = ChannelPosterior(
         parameters,
         nothing,
         np.zeros(0),
         np.zeros(0),
-        np.zeros((0, 3)),
-        theta == "known",
-        FactorBuffer(spacious(len(measurements))),
+        np.zeros(0),
+        np.zeros((0, 2)),
+        np.array([parameters.k_pl_db, parameters.n_pl]),
+        np.zeros((2, 2)),
+        theta,
+        0.0,
+        PlaceIndex.of(nothing.positions_m),
+        exact_limit,
+        FactorBuffer(spacious(len(measurements) if exact else 0)),
     )
     return _append(empty, measurements, sites)
 
 
 def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
-    """Condition on more measurements without refitting, O(kappa^2) for each.
+    """Condition on more measurements without refitting, O(kappa^2) for each with a factor.
 
-    A censored one becomes a Gaussian site by matching the first two moments of its own prediction
-    truncated from above, and stays that site. `posterior` remains valid.
+    Without one the cost of each does not depend on how many there are. The first one beyond
+    `exact_limit` drops the factor, and all are counted anew.
+
+    A censored or coarsely rounded one becomes a Gaussian site by matching the first two moments of
+    its own prediction, truncated to where it is known to lie, and stays that site. `posterior`
+    remains valid.
     """
+    alone = needs_site(more, posterior.parameters.multipath_std_db**2)
     start = 0
     while start < len(more):
         stop = start + 1
-        if not more.censored[start]:
-            while stop < len(more) and not more.censored[stop]:
+        if not alone[start]:
+            while stop < len(more) and not alone[stop]:
                 stop += 1
         part = more.take(slice(start, stop))
         sites = (
-            _censored_site(posterior, part)
-            if part.censored[0]
+            _one_site(posterior, part)
+            if alone[start]
             else gaussian_sites(posterior.parameters, part)
         )
         posterior = _append(posterior, part, sites)
@@ -163,145 +250,41 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
     return posterior
 
 
-def predict(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
-    """Mean and deviation of the power that would be measured (theory 4.1), from all measurements.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    positions_m
-        ``(n, 2)``; memory stays bounded whatever n.
-    """
-    return combine(
-        kriging_terms(posterior, positions_m), posterior.theta, posterior.theta_covariance
-    )
+def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:
+    """The same knowledge, predicting for the time `now_s`; shares the factor, costs nothing."""
+    return replace(posterior, now_s=require_finite(now_s, "now_s"))
 
 
-def kriging_terms(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> KrigingTerms:
-    """The parts of a prediction at `positions_m` (n, 2) that do not depend on theta."""
-    count = len(positions_m)
-    data = np.zeros(count)
-    trend = regressors(positions_m, posterior.parameters.station)
-    variance = np.empty(count)
-    prior = posterior.parameters.shadow_std_db**2
-    measured = posterior.measurements.positions_m
-    many = count >= MANY_PLACES and len(measured) > 0
-    lower = np.asfortranarray(posterior.factor) if many else posterior.factor
-    block = PLACES_AT_ONCE if many else max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
-    for start in range(0, count, block):
-        part = slice(start, start + block)
-        if many:
-            rows = shadow_covariance_db2(positions_m[part], measured, posterior.parameters)
-            solve_rows(lower, rows)
-            whitened = rows.T
-        else:
-            whitened = whiten(
-                lower, shadow_covariance_db2(measured, positions_m[part], posterior.parameters)
-            )
-        data[part] = posterior.whitened_values @ whitened
-        trend[part] -= whitened.T @ posterior.whitened_regressors
-        variance[part] = prior - np.einsum("ij,ij->j", whitened, whitened)
-    # Rounding alone can make the latent variance negative, at a place that is known exactly.
-    variance = np.maximum(variance, 0.0) + posterior.parameters.multipath_std_db**2
-    return KrigingTerms(data, trend, variance)
-
-
-def _append(
-    posterior: ChannelPosterior,
-    more: Measurements,
-    sites: Sites,
-) -> ChannelPosterior:
-    """Add rows to the factor and to the whitened columns."""
-    parameters = posterior.parameters
+def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> ChannelPosterior:
+    """Add measurements, to the factor while there is one."""
     noise = np.maximum(sites.noise_variance_db2, MIN_NOISE_VARIANCE_DB2)
-    old = len(posterior.measurements)
-    count = old + len(more)
-    buffer = posterior.buffer
-    if buffer.used != old or len(buffer.lower) < count:
-        grown = FactorBuffer(spacious(count))
-        grown.lower[:old, :old] = posterior.factor
-        grown.used = old
-        buffer = grown
+    noise += measured_path_loss_variance_db2(more, posterior.parameters)
     joined = join(posterior.measurements, more)
-    positions = joined.positions_m
-    whitened = np.empty((count, 3))
-    whitened[:old, 0] = posterior.whitened_values
-    whitened[:old, 1:] = posterior.whitened_regressors
-    whitened[old:, 0] = sites.values_db
-    whitened[old:, 1:] = regressors(more.positions_m, parameters.station)
-    lower = buffer.lower
-    for start in range(old, count, FACTOR_BLOCK):
-        stop = min(start + FACTOR_BLOCK, count)
-        across = whiten(
-            lower[:start, :start],
-            shadow_covariance_db2(positions[:start], positions[start:stop], parameters),
-        )
-        within = shadow_covariance_db2(positions[start:stop], positions[start:stop], parameters)
-        within[np.diag_indices_from(within)] += noise[start - old : stop - old]
-        lower[start:stop, :start] = across.T
-        lower[start:stop, start:stop] = np.linalg.cholesky(within - across.T @ across)
-        whitened[start:stop] = whiten(
-            lower[start:stop, start:stop],
-            whitened[start:stop] - across.T @ whitened[:start],
-        )
-    buffer.used = count
-    return _assemble(
-        parameters,
-        joined,
-        np.concatenate([posterior.values_db, sites.values_db]),
-        np.concatenate([posterior.noise_variance_db2, noise]),
-        whitened,
-        posterior.theta_known,
-        buffer,
+    grown = replace(
+        posterior,
+        measurements=joined,
+        values_db=np.concatenate([posterior.values_db, sites.values_db]),
+        noise_variance_db2=np.concatenate([posterior.noise_variance_db2, noise]),
+        now_s=_latest_s(posterior, more),
+        index=posterior.index.grown(joined.positions_m),
     )
+    if len(joined) <= posterior.exact_limit:
+        return with_rows(grown, posterior)
+    return without_factor(grown, posterior)
 
 
-def _assemble(
-    parameters: ChannelParameters,
-    measurements: Measurements,
-    values_db: NDArray[np.float64],
-    noise_variance_db2: NDArray[np.float64],
-    whitened: NDArray[np.float64],
-    theta_known: bool,
-    buffer: FactorBuffer,
-) -> ChannelPosterior:
-    """Estimate theta from the whitened columns (seed, section III) and freeze everything."""
-    theta = np.array([parameters.k_pl_db, parameters.n_pl])
-    covariance = np.zeros((2, 2))
-    if not theta_known:
-        # In units of the weak prior, and about its centre, where the digits are.
-        unit = np.array(WEAK_THETA_DEVIATION)
-        scaled = whitened[:, 1:] * unit
-        information: NDArray[np.float64] = scaled.T @ scaled
-        spread = np.linalg.eigvalsh(information)
-        if spread[0] * MAX_INFORMATION_CONDITION <= spread[1]:
-            information += np.eye(2)
-        scaled_covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        residual = whitened[:, 0] - whitened[:, 1:] @ theta
-        theta = theta + unit * (scaled_covariance @ (scaled.T @ residual))
-        covariance = unit[:, None] * scaled_covariance * unit
-    return ChannelPosterior(
-        parameters,
-        measurements,
-        values_db,
-        noise_variance_db2,
-        np.ascontiguousarray(whitened[:, 0]),
-        np.ascontiguousarray(whitened[:, 1:]),
-        theta,
-        covariance,
-        theta_known,
-        buffer,
-    )
+def _latest_s(posterior: ChannelPosterior, more: Measurements) -> float:
+    """The time to predict for once `more` is known."""
+    times = more.time_s if not len(posterior.measurements) else [posterior.now_s, *more.time_s]
+    return float(max(times, default=posterior.now_s))
 
 
-def _censored_site(posterior: ChannelPosterior, limit: Measurements) -> Sites:
-    """One new measurement known to be at most its value, as a Gaussian one.
+def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
+    """One new measurement known to be in an interval, as a Gaussian one.
 
     Moment matching against its own prediction: the one-site case of expectation propagation.
     """
     noise = max(posterior.parameters.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
-    prediction = predict(posterior, limit.positions_m)
-    latent = prediction.deviation_db**2 - posterior.parameters.multipath_std_db**2
-    sites = censored_sites(prediction.mean_db, np.diag(latent), limit.power_dbm, noise)
-    return sites.as_measurements(prediction.mean_db)
+    prediction = predict_noiseless(posterior, one)
+    prior = LatentPrior.known_mean(prediction.mean_db, np.diag(prediction.deviation_db**2))
+    return interval_sites(prior, intervals(one), noise).as_measurements()

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import solve_upper
 from planopt.channel.factor import whiten
+from planopt.channel.kriging import kriging_terms
+from planopt.channel.measurement_covariance import ageing
 from planopt.channel.parameters import Station
 from planopt.channel.path_loss import MIN_DISTANCE_M
 from planopt.channel.places import require_places
-from planopt.channel.posterior import ChannelPosterior, kriging_terms
+from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 
 ELEMENTS = 2**17
@@ -32,7 +34,7 @@ class PosteriorDerivatives:
     Attributes
     ----------
     mean_db, deviation_db
-        ``(n,)`` as :func:`planopt.channel.posterior.predict` has them.
+        ``(n,)`` as :func:`planopt.channel.kriging.predict` has them.
     mean_gradient, deviation_gradient
         ``(n, 2)`` dB/m.
     mean_hessian, deviation_hessian
@@ -132,10 +134,15 @@ def _kernel_derivatives(
 
     By the unit vector u from the measurement: -phi u / beta, and
     phi (u u' / beta^2 - (I - u u') / (beta r)). `first_index` is the number of the first place.
+    Where the measurement's position has an error r is the distance that it is counted with, and u
+    the offset by r; the error rounds the cusp.
     """
     beta = posterior.parameters.decorrelation_m
-    offset = places_m[None] - posterior.measurements.positions_m[:, None]
+    origins = posterior.origins
+    offset = places_m[None] - origins.positions_m[:, None]
     distance = np.hypot(offset[..., 0], offset[..., 1])
+    if origins.blur_m2 is not None:
+        distance = np.sqrt(distance**2 + origins.blur_m2[:, None])
     if (distance == 0.0).any():
         measurement, place = (int(index) for index in np.argwhere(distance == 0.0)[0])
         raise InputError(
@@ -145,6 +152,8 @@ def _kernel_derivatives(
             remedy="move it by any distance, or differentiate the rounded kernel",
         )
     phi = posterior.parameters.shadow_std_db**2 * np.exp(-distance / beta)
+    if origins.time_s is not None:
+        phi *= ageing(origins.time_s[:, None], posterior.now_s, posterior.parameters)
     unit = offset / distance[..., None]
     along = unit[..., :, None] * unit[..., None, :]
     first = (-phi / beta)[..., None] * unit

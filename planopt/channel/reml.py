@@ -13,20 +13,20 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.censoring import CensoredSites
+from planopt.channel.censoring import needs_site
 from planopt.channel.covariance_fit import (
     BOUND_TOLERANCE,
     CovarianceBounds,
     CovarianceFit,
     at_bound,
 )
+from planopt.channel.likelihood_climb import FINE, ROUGH, LikelihoodClimb, variances
 from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurements import Measurements
-from planopt.channel.minimise import minimise_in_box
+from planopt.channel.parameters import ChannelParameters
 from planopt.channel.restricted_likelihood import (
     Evaluation,
     LikelihoodData,
-    evaluate,
     expected_information,
     likelihood_data,
     profiled_log_likelihood,
@@ -47,8 +47,7 @@ MAX_MEASUREMENTS = 800
 THINNING_SEED = 20_000
 
 START_MEASUREMENTS = 250
-"""Starts are ranked on at most this many exact measurements; sets larger than that are climbed from
-the optimum of this sample."""
+"""Starts are ranked, and followed first, on at most this many exact measurements."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,12 @@ def thinned(count: int, limit: int) -> NDArray[np.intp]:
     return np.sort(np.random.default_rng(THINNING_SEED).permutation(count)[:limit])
 
 
-def reml_fit(model: MeanModel, measurements: Measurements, bounds: CovarianceBounds) -> RemlFit:
+def reml_fit(
+    model: MeanModel,
+    measurements: Measurements,
+    bounds: CovarianceBounds,
+    known: ChannelParameters,
+) -> RemlFit:
     """Maximise the restricted likelihood within `bounds` (theory 4.7).
 
     Parameters
@@ -92,50 +96,29 @@ def reml_fit(model: MeanModel, measurements: Measurements, bounds: CovarianceBou
         At least three more uncensored ones than the mean has coefficients.
     bounds
         Of xi^2, omega^2 and beta.
+    known
+        What is not estimated here, as in :func:`likelihood_data`.
     """
-    data = likelihood_data(model, measurements)
+    data = likelihood_data(model, measurements, known)
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
     sample = _exact_sample(data)
-    starts = _starts(sample, bounds)
-    if len(data.power_db) > START_MEASUREMENTS:
-        # Basins are told apart on the sample, so that the whole is climbed but once.
-        starts = [_climbed(_Climb(sample), starts, box)]
-    climb = _Climb(data)
-    return _result(data, _climbed(climb, starts, box), box, climb.sites)
-
-
-class _Climb:
-    """The objective in log-parameters; keeps the last sites, so that EP starts warm."""
-
-    def __init__(self, data: LikelihoodData) -> None:
-        self.data = data
-        self.sites: CensoredSites | None = None
-
-    def objective(self, logs: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Minus log L and its gradient by the logarithms."""
-        values = np.exp(logs)
-        at = evaluate(self.data, _covariance(values), self.sites)
-        self.sites = at.sites
-        return -at.log_likelihood, -at.gradient * values
-
-
-def _climbed(
-    climb: _Climb, starts: list[NDArray[np.float64]], box: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The best optimum, in logarithms, reached from `starts`, in logarithms, within `box`."""
-    climbs = [minimise_in_box(climb.objective, start, box[:, 0], box[:, 1]) for start in starts]
-    return min(climbs, key=lambda climbed: climbed[0])[1]
+    # Basins are told apart on the sample where it is smaller: the whole is climbed but once.
+    large = len(data.power_db) > START_MEASUREMENTS
+    rough = LikelihoodClimb(sample if large else data)
+    tops = [rough.to_top(start, box, ROUGH) for start in _starts(sample, bounds)]
+    best, _ = max(tops, key=lambda top: top[1].log_likelihood)
+    logs, at = (LikelihoodClimb(data) if large else rough).to_top(best, box, FINE)
+    as_interval = needs_site(measurements, math.exp(logs[1]))
+    if as_interval.sum() > measurements.censored.sum():
+        # Chosen once, from the fit with Sheppard's correction: the likelihood stays smooth.
+        data = likelihood_data(model, measurements, known, as_interval)
+        logs, at = LikelihoodClimb(data).to_top(logs, box, FINE)
+    return _result(data, logs, at, box)
 
 
 def _exact_sample(data: LikelihoodData) -> LikelihoodData:
     """At most `START_MEASUREMENTS` of the exact measurements."""
-    rows = thinned(data.exact, START_MEASUREMENTS)
-    distance = data.distance_m[np.ix_(rows, rows)]
-    return LikelihoodData(distance, data.columns[rows], data.power_db[rows], len(rows))
-
-
-def _covariance(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
+    return data.gaussian(thinned(data.exact, START_MEASUREMENTS))
 
 
 def _starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[NDArray[np.float64]]:
@@ -152,14 +135,10 @@ def _starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[NDArray[np
 
 
 def _result(
-    data: LikelihoodData,
-    logs: NDArray[np.float64],
-    box: NDArray[np.float64],
-    sites: CensoredSites | None,
+    data: LikelihoodData, logs: NDArray[np.float64], at: Evaluation, box: NDArray[np.float64]
 ) -> RemlFit:
     """Standard errors, warnings and the mean at the optimum."""
-    shadow, nugget, beta = covariance = _covariance(np.exp(logs))
-    at = evaluate(data, covariance, sites)
+    shadow, nugget, beta = covariance = variances(logs)
     bound = (logs - box[:, 0] < BOUND_TOLERANCE) | (box[:, 1] - logs < BOUND_TOLERANCE)
     errors = _standard_errors(data, covariance, at, ~bound)
     roots = math.sqrt(shadow), math.sqrt(nugget)

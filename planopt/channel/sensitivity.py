@@ -21,6 +21,7 @@ from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_finite, require_places
+from planopt.channel.posterior import EXACT_LIMIT
 from planopt.errors import InputError
 
 PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")
@@ -63,11 +64,19 @@ def mean_squared_error_db2(
     Raises
     ------
     InputError
-        A parameter is not finite or out of its range, or positions are not ``(n, 2)`` and finite.
+        A parameter is not finite or out of its range, positions are not ``(n, 2)`` and finite, or
+        there are more than `EXACT_LIMIT` measured ones.
     """
     _require_model(true, "true")
     _require_model(assumed, "assumed")
     measured = require_places(measured_m, at_least=0)
+    if len(measured) > EXACT_LIMIT:
+        raise InputError(
+            f"this needs matrices of all measurements, and {len(measured):,} are more than the "
+            f"{EXACT_LIMIT:,} that planopt factorises",
+            key="measured_m",
+            remedy="give those near the places in question",
+        )
     places = require_places(positions_m)
     count = len(measured)
     total = shadow_covariance_db2(measured, measured, true)

@@ -12,9 +12,10 @@ from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.connectivity import connection_probability
+from planopt.channel.kriging import predict
 from planopt.channel.orthant import prefix_probabilities
 from planopt.channel.places import require_finite, require_places
-from planopt.channel.posterior import ChannelPosterior, predict
+from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 
 REACH = 8.5

@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import solve_lower_single
 from planopt.channel.factor import SOLVE_BLOCK
+from planopt.channel.many_places import PLACES_AT_ONCE
+from planopt.channel.measurement_covariance import ageing
 from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
-from planopt.channel.posterior import PLACES_AT_ONCE, ChannelPosterior
+from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 
 def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
-    """Predict as :func:`planopt.channel.posterior.predict` does, in single precision.
+    """Predict as :func:`planopt.channel.kriging.predict` does, in single precision.
 
     Measured on 50 m by 50 m with xi = 4 dB and beta = 10 m at 1,000 measurements: mean within
     6e-5 dB and deviation within 5e-6 dB at omega = 2 dB, 1e-4 and 3e-5 dB at omega = 0.1 dB. The
@@ -39,7 +41,8 @@ def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]
     """
     places = require_places(positions_m)
     parameters = posterior.parameters
-    measured = posterior.measurements.positions_m
+    origins = posterior.origins
+    measured = origins.positions_m
     # About the middle of the places, where single precision has its digits.
     middle = places.mean(axis=0)
     places_single = (places - middle).astype(np.float32)
@@ -51,7 +54,9 @@ def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]
     projected = np.empty((len(places), 3))
     explained = np.empty(len(places))
     rate = np.float32(-1.0 / parameters.decorrelation_m)
-    scale = np.float32(parameters.shadow_std_db**2)
+    scale = np.full((len(measured), 1), parameters.shadow_std_db**2, dtype=np.float32)
+    if origins.time_s is not None:
+        scale *= ageing(origins.time_s[:, None], posterior.now_s, parameters).astype(np.float32)
     for start in range(0, len(places), PLACES_AT_ONCE):
         part = slice(start, start + PLACES_AT_ONCE)
         solved = measured_single[:, None, 0] - places_single[None, part, 0]
@@ -59,6 +64,8 @@ def predict_single(posterior: ChannelPosterior, positions_m: NDArray[np.float64]
         solved *= solved
         across_y *= across_y
         solved += across_y
+        if origins.blur_m2 is not None:
+            solved += origins.blur_m2[:, None].astype(np.float32)
         np.sqrt(solved, out=solved)
         solved *= rate
         np.exp(solved, out=solved)

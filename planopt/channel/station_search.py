@@ -1,55 +1,45 @@
-"""Fit the channel when the station's position is not known (seed, footnote 2: joint estimation).
+"""Fit the channel when the station's position is not known (seed, footnote 2).
 
-A coarse grid of positions is ranked by the least-squares line; from the best of them the
-likelihood is climbed in turn over the covariance (by REML at that position) and over the position
-(at that covariance, theta profiled out, n_PL held to its prior).
+The position is found by :mod:`planopt.channel.station_position`, the channel is fitted with the
+station there, and the position's uncertainty is carried into theta's.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.convex_fit import Loss
 from planopt.channel.fit import ChannelFit, FitMethod, fit_channel
 from planopt.channel.identifiability import require_usable
-from planopt.channel.mean_model import PRIOR_N_PL, PRIOR_N_PL_STD, mean_model
 from planopt.channel.measurements import Measurements
-from planopt.channel.minimise import minimise_from_simplex
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import Station
-from planopt.channel.path_loss import MIN_DISTANCE_M, regressors
-from planopt.channel.reml import thinned
-from planopt.channel.restricted_likelihood import evaluate, likelihood_data
+from planopt.channel.reml import MAX_MEASUREMENTS, thinned
+from planopt.channel.station_position import StationMethod, locate
+from planopt.channel.station_uncertainty import (
+    joint_covariance_m2,
+    line_covariance_m2,
+    theta_by_position,
+)
 from planopt.errors import InputError
-
-GRID = 41
-"""Positions along each side of the grid."""
-
-MARGIN = 0.5
-"""The grid reaches beyond the measurements by this share of their extent."""
-
-SEARCH_MEASUREMENTS = 300
-"""The search uses at most this many measurements; the final fit uses all."""
-
-ROUNDS = 2
-"""Alternations between covariance and position."""
-
-STARTS = 2
-"""Grid positions that are followed."""
 
 MIN_UNCENSORED = 8
 """Two coordinates and five parameters are wanted."""
 
-Position = tuple[float, float]
-
 
 @one_blas_thread()
 def fit_channel_and_station(
-    measurements: Measurements, method: FitMethod = "reml", height_m: float = 0.0
+    measurements: Measurements,
+    method: FitMethod = "reml",
+    height_m: float = 0.0,
+    forgetting_s: float = math.inf,
+    *,
+    station_method: StationMethod = "joint",
+    loss: Loss = "squares",
 ) -> ChannelFit:
     """Estimate the station's position with the channel.
 
@@ -62,30 +52,84 @@ def fit_channel_and_station(
         Of the final fit, as in :func:`planopt.channel.fit.fit_channel`.
     height_m
         Height of the station's antenna above the robots'; not estimated.
+    forgetting_s
+        As in :func:`planopt.channel.fit.fit_channel`.
+    station_method
+        ``joint``: maximum likelihood over position, theta and covariance. ``line``: the position
+        from which the path loss line fits best. Of more than `MAX_MEASUREMENTS` a fixed draw
+        serves for the position.
+    loss
+        Of the final fit, as in :func:`planopt.channel.fit.fit_channel`.
 
     Returns
     -------
     ChannelFit
-        With the estimated station in its parameters, and a warning that says so. Its standard
-        errors take that position as exact.
+        With the estimated station in its parameters, its covariance in `station_covariance_m2` and
+        a warning that says so. Covariance and standard errors of theta count its uncertainty. Where
+        the measurements do not bound the position, its variances and the standard errors of theta
+        are infinite, the status is ``degenerate``, and the covariance of theta takes the position
+        as exact.
 
     Raises
     ------
     InputError
-        The measurements cannot tell where the station is, or the power grows with the distance
-        from every position tried.
+        The measurements cannot tell where the station is; or the power grows with the distance
+        from every position tried; or there is no such way.
     """
+    if station_method not in get_args(StationMethod):
+        raise InputError(
+            f"{station_method!r} is no way to find the station",
+            key="station_method",
+            remedy=f"use {', '.join(get_args(StationMethod))}",
+        )
     require_usable(measurements, None)
     _require_locating(measurements)
-    rows = thinned(len(measurements), SEARCH_MEASUREMENTS)
-    sample = measurements.take(rows)
-    climbs = [_climb(sample, start, height_m) for start in _grid_starts(sample, height_m)]
-    _, position = min(climbs)
-    station = _clear_of(measurements, Station(position, height_m))
-    found = fit_channel(measurements, station, method)
+    station = locate(measurements, station_method, height_m, forgetting_s)
+    found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
+    sample = measurements.take(thinned(len(measurements), MAX_MEASUREMENTS))
+    doubt = line_covariance_m2 if station_method == "line" else joint_covariance_m2
+    covariance = doubt(sample, found.parameters)
     x, y = station.position_m
-    warning = f"the station's position ({x:.1f}, {y:.1f}) m is estimated, not given"
-    return replace(found, warnings=(warning, *found.warnings))
+    if covariance is None:
+        return _undetermined(
+            found, f"the station's position ({x:.2f}, {y:.2f}) m is not bounded by the measurements"
+        )
+    slope = theta_by_position(sample, found.parameters)
+    return _with_station(
+        found,
+        covariance,
+        found.theta_covariance + slope @ covariance @ slope.T,
+        f"the station's position ({x:.2f}, {y:.2f}) m is estimated, not given",
+    )
+
+
+def _with_station(
+    found: ChannelFit,
+    covariance_m2: NDArray[np.float64],
+    theta_covariance: NDArray[np.float64],
+    warning: str,
+) -> ChannelFit:
+    """The fit with the doubt in its station."""
+    k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0))
+    errors = {**found.standard_errors, "k_pl_db": float(k_error), "n_pl": float(n_error)}
+    return replace(
+        found,
+        theta_covariance=theta_covariance,
+        standard_errors=errors,
+        station_covariance_m2=covariance_m2,
+        warnings=(warning, *found.warnings),
+    )
+
+
+def _undetermined(found: ChannelFit, warning: str) -> ChannelFit:
+    """The fit where the station might be anywhere, as far as the search went."""
+    return replace(
+        found,
+        status="degenerate",
+        standard_errors={**found.standard_errors, "k_pl_db": math.inf, "n_pl": math.inf},
+        station_covariance_m2=np.diag([math.inf, math.inf]),
+        warnings=(warning, *found.warnings),
+    )
 
 
 def _require_locating(measurements: Measurements) -> None:
@@ -101,88 +145,3 @@ def _require_locating(measurements: Measurements) -> None:
         raise InputError(
             "all measurements are on one line: the station may be on either side", remedy=remedy
         )
-
-
-def _grid_starts(measurements: Measurements, height_m: float) -> list[Position]:
-    """The best grid positions by the residual of the least-squares line, far from each other."""
-    low_x, low_y = (float(v) for v in measurements.positions_m.min(axis=0))
-    high_x, high_y = (float(v) for v in measurements.positions_m.max(axis=0))
-    reach = MARGIN * math.hypot(high_x - low_x, high_y - low_y)
-    xs = np.linspace(low_x - reach, high_x + reach, GRID)
-    ys = np.linspace(low_y - reach, high_y + reach, GRID)
-    power = measurements.power_dbm - measurements.power_dbm.mean()
-    losses = np.full((GRID, GRID), np.inf)
-    for iy, y in enumerate(ys):
-        for ix, x in enumerate(xs):
-            station = Station((float(x), float(y)), height_m)
-            gamma = regressors(measurements.positions_m, station)[:, 1]
-            gamma = gamma - gamma.mean()
-            slope = float(gamma @ power) / max(float(gamma @ gamma), 1e-300)
-            if slope > 0.0:
-                losses[iy, ix] = ((power - slope * gamma) ** 2).sum()
-    starts: list[Position] = []
-    while len(starts) < STARTS and np.isfinite(losses).any():
-        iy, ix = (int(i) for i in np.unravel_index(np.argmin(losses), losses.shape))
-        starts.append((float(xs[ix]), float(ys[iy])))
-        # The next start must be another basin, not the neighbouring cell.
-        around = GRID // 8
-        losses[max(iy - around, 0) : iy + around + 1, max(ix - around, 0) : ix + around + 1] = (
-            np.inf
-        )
-    if not starts:
-        raise InputError(
-            "power grows with the distance from every position tried",
-            remedy="give the station's position",
-        )
-    return starts
-
-
-def _climb(measurements: Measurements, start: Position, height_m: float) -> tuple[float, Position]:
-    """Alternate between covariance and position; the loss reached, and where."""
-    position, value = start, np.inf
-    size = float(np.ptp(measurements.positions_m, axis=0).max()) / GRID
-    for _ in range(ROUNDS):
-        station = _clear_of(measurements, Station(position, height_m))
-        loss = _position_loss(measurements, station)
-        simplex = np.asarray(station.position_m) + size * np.array([[0, 0], [1, 0], [0, 1.0]])
-        value, best = minimise_from_simplex(loss, simplex, size / 50.0)
-        position = float(best[0]), float(best[1])
-    return value, position
-
-
-def _position_loss(
-    measurements: Measurements, station: Station
-) -> Callable[[NDArray[np.float64]], float]:
-    """Minus the log-likelihood of a position, at the covariance fitted for `station`.
-
-    With the prior of n_PL, as where n_PL is not identifiable.
-    """
-    parameters = fit_channel(measurements, station).parameters
-    covariance = (
-        parameters.shadow_std_db**2,
-        parameters.multipath_std_db**2,
-        parameters.decorrelation_m,
-    )
-    exact = ~measurements.censored
-
-    def loss(xy: NDArray[np.float64]) -> float:
-        there = Station((float(xy[0]), float(xy[1])), station.height_m)
-        model = mean_model(measurements.positions_m, exact, there, n_pl_identifiable=True)
-        at = evaluate(likelihood_data(model, measurements), covariance)
-        # The restricted likelihood compares covariances under one design. Between designs the
-        # profiled one compares, which lacks the term -log |G' V^-1 G| / 2.
-        profiled = at.log_likelihood - 0.5 * float(np.linalg.slogdet(at.coefficient_covariance)[1])
-        # From outside, a station farther off with a larger exponent looks much the same.
-        surprise = (float(at.coefficients[1]) - PRIOR_N_PL) / PRIOR_N_PL_STD
-        return 0.5 * surprise**2 - profiled
-
-    return loss
-
-
-def _clear_of(measurements: Measurements, station: Station) -> Station:
-    """The station, moved by `MIN_DISTANCE_M` where it would be exactly at a measurement."""
-    offset = measurements.positions_m - np.asarray(station.position_m)
-    if station.height_m == 0.0 and not offset.any(axis=1).all():
-        x, y = station.position_m
-        return replace(station, position_m=(x + MIN_DISTANCE_M, y))
-    return station

@@ -2,7 +2,9 @@
 
 Square tiles of nodes share the measurements nearest to the tile's centre. A new measurement only
 touches the tiles that it is near to, where it replaces the farthest one by two rank-one updates; a
-new theta is recombined everywhere from kept parts.
+new theta is recombined everywhere from kept parts. Where the channel forgets, kept parts fade as
+time passes. Where receivers have offsets, a measurement changes what others say of any place, and
+all tiles are computed from nothing.
 """
 
 from __future__ import annotations
@@ -10,12 +12,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.neighbours import local_precision, local_terms, nearest
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.kriging import kriging_terms
+from planopt.channel.measurement_covariance import (
+    covariance_db2,
+    fading,
+    own_variance_db2,
+    place_origins,
+)
+from planopt.channel.neighbours import local_precision, local_terms
 from planopt.channel.path_loss import regressors
-from planopt.channel.posterior import ChannelPosterior, kriging_terms
+from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, combine
+from planopt.channel.receiver_offsets import OffsetsGivenTheta, offsets_given_theta
 
 TILES_AT_ONCE = 64
 """Tiles solved together: their matrices fit into a processor's cache."""
@@ -43,7 +51,7 @@ class TileMap:
     Attributes
     ----------
     mean_db, deviation_db
-        ``(ny, nx)`` as in :class:`planopt.channel.posterior.Prediction`, NaN where not needed or
+        ``(ny, nx)`` as in :class:`planopt.channel.prediction.Prediction`, NaN where not needed or
         not yet computed. The next :meth:`refresh` writes into the same arrays.
     """
 
@@ -83,9 +91,8 @@ class TileMap:
         self._indices: NDArray[np.intp] = np.zeros((0, 0), dtype=np.intp)
         self._precision: NDArray[np.float64] = np.zeros((0, 0, 0))
         self._across: NDArray[np.float64] = np.zeros((0, 0, 0))
-        self._parameters: ChannelParameters | None = None
-        # Position, value and noise variance of every measurement already looked at.
-        self._seen: NDArray[np.float64] = np.zeros((0, 4))
+        # All its measurements were looked at, and the parts are of its time.
+        self._last: ChannelPosterior | None = None
 
     def refresh(
         self,
@@ -112,29 +119,32 @@ class TileMap:
             x, y = self._centres_m.T
             x_min, y_min, x_max, y_max = window_m
             wanted = (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
+        self._fade(posterior)
         replaceable, newcomers = self._mark(posterior, wanted)
         stale = np.flatnonzero(self._dirty & wanted)
         if self._neighbours >= len(posterior.measurements):
             self._take_everyone(posterior, stale)
-        else:
+        elif len(stale):
+            offsets = offsets_given_theta(posterior)
             for start in range(0, len(stale), TILES_AT_ONCE):
-                self._build(posterior, stale[start : start + TILES_AT_ONCE])
+                self._build(posterior, offsets, stale[start : start + TILES_AT_ONCE])
         self._dirty[stale] = False
-        columns = np.column_stack(
-            [
-                posterior.values_db,
-                regressors(posterior.measurements.positions_m, posterior.parameters.station),
-            ]
-        )
         for start in range(0, len(replaceable), TILES_AT_ONCE):
             part = slice(start, start + TILES_AT_ONCE)
-            self._replace(posterior, columns, replaceable[part], newcomers[part])
+            self._replace(posterior, replaceable[part], newcomers[part])
         prediction = combine(self._terms, posterior.theta, posterior.theta_covariance)
         np.put(self.mean_db, self._lattice_index, prediction.mean_db.take(self._tile_index))
         np.put(
             self.deviation_db, self._lattice_index, prediction.deviation_db.take(self._tile_index)
         )
         return len(stale) + len(replaceable)
+
+    @property
+    def trend(self) -> NDArray[np.float64]:
+        """``(ny, nx, 2)`` varphi at every node: what an error in theta changes there."""
+        trend = np.full((self.mean_db.size, 2), np.nan)
+        trend[self._lattice_index] = self._terms.trend.reshape(-1, 2)[self._tile_index]
+        return trend.reshape(*self.mean_db.shape, 2)
 
     def _mark(
         self, posterior: ChannelPosterior, wanted: NDArray[np.bool_]
@@ -144,23 +154,22 @@ class TileMap:
         Returns the tiles where one of them replaces one neighbour, and which; all others that
         are touched are marked dirty.
         """
-        now = np.column_stack(
-            [posterior.measurements.positions_m, posterior.values_db, posterior.noise_variance_db2]
-        )
-        before = len(self._seen)
+        measured = posterior.measurements
+        before = 0 if self._last is None else len(self._last.measurements)
         hits = np.zeros(len(self._dirty), dtype=np.intp)
         newcomer = np.zeros(len(self._dirty), dtype=np.intp)
-        if posterior.parameters != self._parameters or not np.array_equal(now[:before], self._seen):
+        if self._last is None or not posterior.continues(self._last):
             self._dirty[:] = True
+        elif measured.receiver.any():
+            self._dirty |= len(measured) > before
         else:
-            for index in range(before, len(now)):
-                dx = self._centres_m[:, 0] - now[index, 0]
-                dy = self._centres_m[:, 1] - now[index, 1]
+            for index in range(before, len(measured)):
+                dx = self._centres_m[:, 0] - measured.positions_m[index, 0]
+                dy = self._centres_m[:, 1] - measured.positions_m[index, 1]
                 near = dx * dx + dy * dy < self._reach_m2
                 hits += near
                 newcomer[near] = index
-        self._seen = now
-        self._parameters = posterior.parameters
+        self._last = posterior
         replaceable = (
             (hits == 1)
             & wanted
@@ -172,6 +181,23 @@ class TileMap:
         tiles = np.flatnonzero(replaceable)
         return tiles, newcomer[tiles]
 
+    def _fade(self, posterior: ChannelPosterior) -> None:
+        """Bring kept parts to the time of `posterior`, or mark all tiles where that cannot be."""
+        parameters = posterior.parameters
+        if self._last is None:
+            return
+        before_s = self._last.now_s
+        faded = fading(self._last.measurements.time_s, before_s, posterior.now_s, parameters)
+        if faded is None:
+            self._dirty[:] = True
+        elif faded != 1.0:
+            terms, prior = self._terms, parameters.shadow_std_db**2 + parameters.multipath_std_db**2
+            path_loss = regressors(self._places_m, parameters.station)
+            terms.data_db[...] *= faded
+            terms.trend[...] = path_loss + faded * (terms.trend - path_loss)
+            terms.variance_db2[...] = prior + faded**2 * (terms.variance_db2 - prior)
+            self._across *= faded
+
     def _take_everyone(self, posterior: ChannelPosterior, tiles: NDArray[np.intp]) -> None:
         """Condition `tiles` on all measurements, which they then share."""
         places = self._places_m[tiles]
@@ -181,19 +207,24 @@ class TileMap:
         self._terms.variance_db2[tiles] = terms.variance_db2.reshape(places.shape[:2])
         self._reach_m2[tiles] = np.inf
 
-    def _build(self, posterior: ChannelPosterior, tiles: NDArray[np.intp]) -> None:
+    def _build(
+        self, posterior: ChannelPosterior, offsets: OffsetsGivenTheta, tiles: NDArray[np.intp]
+    ) -> None:
         """Compute `tiles` from nothing."""
         if not len(self._indices):
             count, places, size = *self._places_m.shape[:2], self._neighbours
             self._indices = np.zeros((count, size), dtype=np.intp)
             self._precision = np.zeros((count, size, size))
             self._across = np.zeros((count, places, size))
-        measured = posterior.measurements.positions_m
-        indices, self._reach_m2[tiles] = nearest(measured, self._centres_m[tiles], self._neighbours)
+        origins, parameters = posterior.origins, posterior.parameters
+        indices, self._reach_m2[tiles] = posterior.index.nearest(
+            self._centres_m[tiles], self._neighbours
+        )
         places = self._places_m[tiles]
-        across = shadow_covariance_db2(places, measured[indices], posterior.parameters)
-        precision, weighted = local_precision(posterior, indices)
-        terms = local_terms(posterior.parameters, places, across, precision, weighted)
+        now = place_origins(places, posterior.now_s, parameters)
+        across = covariance_db2(now, origins.at(indices), parameters)
+        precision, weighted = local_precision(posterior, offsets, indices)
+        terms = local_terms(parameters, places, across, precision, weighted)
         self._terms.data_db[tiles] = terms.data_db
         self._terms.trend[tiles] = terms.trend
         self._terms.variance_db2[tiles] = terms.variance_db2
@@ -205,13 +236,10 @@ class TileMap:
     def _replace(
         self,
         posterior: ChannelPosterior,
-        columns: NDArray[np.float64],
         tiles: NDArray[np.intp],
         newcomers: NDArray[np.intp],
     ) -> None:
         """Replace the farthest neighbour of each of `tiles` (k,) by `newcomers` (k,).
-
-        `columns` (n, 3) are y and Gamma of all measurements.
 
         Leaving measurement j out of P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj); taking
         one in whose covariance with the others is c adds v v' with v = [1; -P c] / sqrt(delta),
@@ -219,7 +247,8 @@ class TileMap:
         their terms, and added.
         """
         parameters = posterior.parameters
-        measured = posterior.measurements.positions_m
+        origins = posterior.origins
+        measured = origins.positions_m
         each = np.arange(len(tiles))
         indices, precision = self._indices[tiles], self._precision[tiles]
         across, centres = self._across[tiles], self._centres_m[tiles][:, None]
@@ -227,26 +256,26 @@ class TileMap:
 
         out = precision[each, :, leaving]
         out /= np.sqrt(out[each, leaving])[:, None]
-        self._add_direction(tiles, across, out, columns[indices], -1.0)
+        self._add_direction(tiles, across, out, _columns(posterior, indices), -1.0)
         precision -= out[:, :, None] * out[:, None, :]
         precision[each, :, leaving] = 0.0
         precision[each, leaving, :] = 0.0
 
         indices[each, leaving] = newcomers
         positions = measured[indices]
-        arriving = measured[newcomers][:, None]
-        across[each, :, leaving] = shadow_covariance_db2(
-            self._places_m[tiles], arriving, parameters
-        )[:, :, 0]
-        shared = shadow_covariance_db2(arriving, positions, parameters)[:, 0]
-        own = shared[each, leaving] + posterior.noise_variance_db2[newcomers]
+        arriving = origins.at(newcomers[:, None])
+        places = place_origins(self._places_m[tiles], posterior.now_s, parameters)
+        across[each, :, leaving] = covariance_db2(places, arriving, parameters)[:, :, 0]
+        shared = covariance_db2(arriving, origins.at(indices), parameters)[:, 0]
+        own = own_variance_db2(arriving, parameters)[:, 0]
+        own += posterior.noise_variance_db2[newcomers]
         shared[each, leaving] = 0.0
         into = -(precision @ shared[:, :, None])[:, :, 0]
         delta = own + (shared * into).sum(axis=1)
         into[each, leaving] = 1.0
         into /= np.sqrt(delta)[:, None]
         precision += into[:, :, None] * into[:, None, :]
-        self._add_direction(tiles, across, into, columns[indices], 1.0)
+        self._add_direction(tiles, across, into, _columns(posterior, indices), 1.0)
 
         # As in a fresh build: rounding alone can take the latent variance below zero.
         self._terms.variance_db2[tiles] = np.maximum(
@@ -271,3 +300,12 @@ class TileMap:
         self._terms.data_db[tiles] += seen * projected[:, :, 0]
         self._terms.trend[tiles] -= seen[:, :, None] * projected[:, :, 1:]
         self._terms.variance_db2[tiles] -= sign * seen**2
+
+
+def _columns(posterior: ChannelPosterior, indices: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Values and Gamma of the measurements `indices` (k, m); ``(k, m, 3)``."""
+    columns = np.empty((*indices.shape, 3))
+    columns[..., 0] = posterior.values_db[indices]
+    at = posterior.measurements.positions_m[indices]
+    columns[..., 1:] = regressors(at, posterior.parameters.station)
+    return columns

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
+from planopt.commands.hold_out import (
+    HoldOutOption,
+    held_out,
+    held_out_json,
+    held_out_words,
+)
 from planopt.commands.log_fit import (
     CensoredOption,
     ColumnsOption,
     FloorOption,
+    ForgettingOption,
     LogArgument,
+    LogFit,
+    LogOptions,
+    LossOption,
     MethodOption,
+    PositionErrorOption,
+    ReceiverOption,
+    ResolutionOption,
+    StationMethodOption,
     StationOption,
+    TimeOption,
     read_and_fit,
 )
 from planopt.commands.options import JsonOption, OutOption
@@ -33,32 +49,55 @@ def fit(
     log: LogArgument,
     station: StationOption,
     method: MethodOption = "reml",
+    station_method: StationMethodOption = None,
     columns: ColumnsOption = None,
     censored: CensoredOption = None,
     floor: FloorOption = None,
+    resolution: ResolutionOption = 0.0,
+    position_error: PositionErrorOption = 0.0,
+    time: TimeOption = None,
+    forgetting: ForgettingOption = None,
+    receiver: ReceiverOption = None,
+    loss: LossOption = "squares",
+    hold_out: HoldOutOption = None,
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
     """Fit path loss, shadowing and multipath."""
+    options = LogOptions(
+        columns, censored, floor, resolution, position_error, time, forgetting, receiver
+    )
     with results_folder(out) as folder:
         with progress("fitting"):
-            measurements, found = read_and_fit(log, station, method, columns, censored, floor)
-        data = fit_json(found)
+            fitted = read_and_fit(log, station, method, options, loss, station_method)
+        data = fit_json(fitted)
+        report = None
+        if hold_out is not None:
+            with progress("predicting what is held out"):
+                report = held_out(log, fitted, hold_out)
+            data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
-            from planopt.commands.pictures import picture_fit
+            from planopt.commands.pictures import picture_fit, picture_held_out
             from planopt.files import write_text
             from planopt.planning.solution_json import strict_text
 
-            picture_fit(measurements, found, folder)
+            picture_fit(fitted.measurements, fitted.found, folder)
+            if report is not None:
+                picture_held_out(report, folder)
             write_text(folder / FIT_FILE, strict_text(data))
     show(json, data, _in_words(data))
     return 0
 
 
-def fit_json(found: ChannelFit) -> dict[str, Any]:
-    """The JSON keys of ``fit`` (design, section 3); standard errors that are unknown are null."""
+def fit_json(fitted: LogFit) -> dict[str, Any]:
+    """The JSON keys of ``fit`` (design, section 3); standard errors that are unknown are null.
+
+    So is ``forgetting_s`` where the channel does not drift, and ``reference_receiver`` where the
+    log has no receivers.
+    """
     from planopt.planning.solution_json import finite
 
+    found, receivers = fitted.found, fitted.receivers
     parameters = found.parameters
     return {
         "method": found.method,
@@ -66,12 +105,33 @@ def fit_json(found: ChannelFit) -> dict[str, Any]:
         **{name: finite(getattr(parameters, name)) for name in UNITS},
         "station": list(parameters.station.position_m),
         "station_height_m": parameters.station.height_m,
+        "station_standard_errors_m": _station_errors_m(found),
         "standard_errors": {name: finite(found.standard_errors[name]) for name in UNITS},
         "measurements": found.measurements,
         "censored": found.censored,
         "log_likelihood": finite(found.log_likelihood),
+        "forgetting_s": finite(parameters.forgetting_s),
+        "reference_receiver": receivers[0] if receivers else None,
+        "receiver_offsets": [
+            {
+                "receiver": receivers[offset.receiver],
+                "offset_db": offset.offset_db,
+                "standard_error": offset.standard_error_db,
+            }
+            for offset in found.receiver_offsets
+        ],
         "warnings": list(found.warnings),
     }
+
+
+def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
+    """Of the station's x and y; null where it was given, each null where it is not determined."""
+    from planopt.planning.solution_json import finite
+
+    covariance = found.station_covariance_m2
+    if covariance is None:
+        return None
+    return [finite(math.sqrt(covariance[axis, axis])) for axis in range(2)]
 
 
 def _in_words(data: dict[str, Any]) -> str:
@@ -79,8 +139,26 @@ def _in_words(data: dict[str, Any]) -> str:
     lines = [
         f"{data['method']}: {data['status']}, {data['measurements']} measurements, "
         f"{data['censored']} of them upper limits, station ({x:g}, {y:g})"
+        f"{_errors_in_words(data['station_standard_errors_m'])}"
     ]
     for name, unit in UNITS.items():
         error = shown_number(data["standard_errors"][name], digits=2)
         lines.append(f"  {name:17}{shown_number(data[name]):>9} +- {error} {unit}".rstrip())
-    return "\n".join([*lines, *(f"  {warning}" for warning in data["warnings"])])
+    for offset in data["receiver_offsets"]:
+        error = shown_number(offset["standard_error"], digits=2)
+        lines.append(
+            f"  receiver {offset['receiver']} reads {offset['offset_db']:+.2f} +- {error} dB "
+            f"against {data['reference_receiver']}"
+        )
+    lines += [f"  {warning}" for warning in data["warnings"]]
+    if "held_out" in data:
+        lines += held_out_words(data["held_out"])
+    return "\n".join(lines)
+
+
+def _errors_in_words(errors_m: list[float | None] | None) -> str:
+    """Of an estimated station."""
+    if errors_m is None:
+        return ""
+    x, y = (shown_number(error, digits=2) for error in errors_m)
+    return f" +- ({x}, {y}) m"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast, get_args
 
@@ -10,15 +13,30 @@ import typer
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
+    from planopt.channel.convex_fit import Loss
     from planopt.channel.fit import ChannelFit, FitMethod
+    from planopt.channel.log_format import LogFormat
     from planopt.channel.measurements import Measurements
+    from planopt.channel.station_position import StationMethod
 
 LogArgument = Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
 StationOption = Annotated[
     str, typer.Option("--station", metavar="X,Y[,HEIGHT]|unknown", help="In metres.")
 ]
+StationMethodOption = Annotated[
+    str | None,
+    typer.Option(
+        "--station-method",
+        metavar="NAME",
+        help="How an unknown station is found: joint (likelihood) or line (least squares).",
+    ),
+]
 MethodOption = Annotated[
     str, typer.Option("--method", metavar="NAME", help="seed, capped, convex, nls or reml.")
+]
+LossOption = Annotated[
+    str,
+    typer.Option("--loss", metavar="NAME", help="Of convex: squares, huber or absolute."),
 ]
 ColumnsOption = Annotated[
     str | None,
@@ -32,16 +50,76 @@ FloorOption = Annotated[
     float | None,
     typer.Option("--floor", metavar="DBM", help="Powers at or below are upper limits."),
 ]
+ResolutionOption = Annotated[
+    float, typer.Option("--resolution", metavar="DB", help="Powers are rounded to this step.")
+]
+PositionErrorOption = Annotated[
+    float,
+    typer.Option("--position-error", metavar="M", help="Deviation of either coordinate (GPS)."),
+]
+TimeOption = Annotated[
+    str | None, typer.Option("--time", metavar="COLUMN", help="When, in seconds.")
+]
+ForgettingOption = Annotated[
+    float | None,
+    typer.Option(
+        "--forgetting", metavar="S", help="Shadowing changes over this time; needs --time."
+    ),
+]
+ReceiverOption = Annotated[
+    str | None,
+    typer.Option(
+        "--receiver",
+        metavar="COLUMN",
+        help="Whose receiver: each has an offset to the first in the log.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """The options of a log as they were given; see those."""
+
+    columns: str | None
+    censored: str | None
+    floor: float | None
+    resolution: float
+    position_error: float
+    time: str | None
+    forgetting: float | None
+    receiver: str | None
+
+
+@dataclass(frozen=True)
+class LogFit:
+    """A log and what it tells.
+
+    Attributes
+    ----------
+    measurements
+        All of the log.
+    found
+        Their fit.
+    receivers
+        Labels by the receivers' numbers; empty without ``--receiver``.
+    fit
+        Fits any measurements as these were fitted.
+    """
+
+    measurements: Measurements
+    found: ChannelFit
+    receivers: tuple[str, ...]
+    fit: Callable[[Measurements], ChannelFit]
 
 
 def read_and_fit(
     log: Path,
     station: str,
     method: str,
-    columns: str | None,
-    censored: str | None,
-    floor: float | None,
-) -> tuple[Measurements, ChannelFit]:
+    options: LogOptions,
+    loss: str = "squares",
+    station_method: str | None = None,
+) -> LogFit:
     """Read the log and fit it, everything as it was given on the command line.
 
     Raises
@@ -49,14 +127,8 @@ def read_and_fit(
     InputError
         An option or the log cannot be used; errors about a measurement name its line.
     """
-    from planopt.channel.fit import FitMethod, fit_channel
-    from planopt.channel.log_file import (
-        DEFAULT_COLUMNS,
-        at_file_line,
-        parse_columns,
-        parse_station,
-        read_log,
-    )
+    from planopt.channel.fit import FitMethod, fit_channel, require_loss
+    from planopt.channel.log_file import at_file_line, parse_station, read_power_log
     from planopt.channel.station_search import fit_channel_and_station
 
     if method not in get_args(FitMethod):
@@ -66,12 +138,102 @@ def read_and_fit(
             remedy=f"use {', '.join(get_args(FitMethod))}",
         )
     chosen = cast("FitMethod", method)
+    require_loss(loss, chosen, "--loss")
+    rho = cast("Loss", loss)
     site = parse_station(station)
-    names = DEFAULT_COLUMNS if columns is None else parse_columns(columns)
-    measurements = read_log(log, names, censored, floor)
-    try:
+    way = _station_method(station_method, station_is_given=site is not None)
+    forgetting_s = _forgetting_s(options)
+    read = read_power_log(log, _log_format(options))
+
+    def fit(measurements: Measurements) -> ChannelFit:
         if site is None:
-            return measurements, fit_channel_and_station(measurements, chosen)
-        return measurements, fit_channel(measurements, site, chosen)
+            return fit_channel_and_station(
+                measurements, chosen, forgetting_s=forgetting_s, station_method=way, loss=rho
+            )
+        return fit_channel(measurements, site, chosen, forgetting_s, loss=rho)
+
+    try:
+        found = fit(read.measurements)
     except InputError as error:
         raise at_file_line(error, log) from None
+    return LogFit(read.measurements, found, read.receivers, fit)
+
+
+def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
+    """How the station is found.
+
+    Raises
+    ------
+    InputError
+        There is no such way, or the station is given.
+    """
+    from planopt.channel.station_position import StationMethod
+
+    names = get_args(StationMethod)
+    if name is None:
+        return "joint"
+    if name not in names:
+        raise InputError(
+            f"{name!r} is no way to find a station",
+            key="--station-method",
+            remedy=f"use {', '.join(names)}",
+        )
+    if station_is_given:
+        raise InputError(
+            "the station is given, so there is nothing to find",
+            key="--station-method",
+            remedy="leave it out, or say --station unknown",
+        )
+    return cast("StationMethod", name)
+
+
+def _log_format(options: LogOptions) -> LogFormat:
+    """How the log is to be read.
+
+    Raises
+    ------
+    InputError
+        An option cannot be used.
+    """
+    from planopt.channel.log_format import DEFAULT_COLUMNS, LogFormat, parse_columns
+
+    for value, key in (
+        (options.resolution, "--resolution"),
+        (options.position_error, "--position-error"),
+    ):
+        if not 0.0 <= value < math.inf:
+            raise InputError(f"{value!r} cannot be used", key=key, remedy="give 0 or more")
+    return LogFormat(
+        DEFAULT_COLUMNS if options.columns is None else parse_columns(options.columns),
+        options.censored,
+        options.floor,
+        options.time,
+        options.receiver,
+        options.resolution,
+        options.position_error,
+    )
+
+
+def _forgetting_s(options: LogOptions) -> float:
+    """The forgetting time; infinite where none is given.
+
+    Raises
+    ------
+    InputError
+        It is not positive, or there are no times that it could apply to.
+    """
+    if options.forgetting is None:
+        return math.inf
+    if not options.forgetting > 0.0:
+        raise InputError(
+            f"{options.forgetting!r} cannot be used",
+            key="--forgetting",
+            remedy="give more than 0 seconds",
+        )
+    if options.time is None:
+        raise InputError(
+            "nothing says when the measurements were taken",
+            key="--forgetting",
+            remedy="name the column of times with --time COLUMN",
+        )
+    return options.forgetting

@@ -14,9 +14,15 @@ from planopt.commands.log_fit import (
     CensoredOption,
     ColumnsOption,
     FloorOption,
+    ForgettingOption,
     LogArgument,
+    LogOptions,
     MethodOption,
+    PositionErrorOption,
+    ReceiverOption,
+    ResolutionOption,
     StationOption,
+    TimeOption,
     read_and_fit,
 )
 from planopt.commands.options import JsonOption
@@ -59,23 +65,35 @@ def map_log(
     columns: ColumnsOption = None,
     censored: CensoredOption = None,
     floor: FloorOption = None,
+    resolution: ResolutionOption = 0.0,
+    position_error: PositionErrorOption = 0.0,
+    time: TimeOption = None,
+    forgetting: ForgettingOption = None,
+    receiver: ReceiverOption = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", metavar="FILE", help="Draw it too; .png, .svg or .pdf."),
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Fit a log and write what it tells of every place."""
+    """Fit a log and write what it tells of every place.
+
+    Of the first receiver in the log, and of the time of the latest measurement.
+    """
     from planopt.channel.one_thread import one_blas_thread
     from planopt.channel.posterior import condition
     from planopt.channel.posterior_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.world.raster_files import check_raster_output, write_rasters
 
+    options = LogOptions(
+        columns, censored, floor, resolution, position_error, time, forgetting, receiver
+    )
     check_raster_output(out)
     box = None if bounds is None else parse_bounds(bounds)
     with _writable(out, picture):
         with progress("mapping"), one_blas_thread():
-            measurements, found = read_and_fit(log, station, method, columns, censored, floor)
+            fitted = read_and_fit(log, station, method, options)
+            measurements, found = fitted.measurements, fitted.found
             box = measured_bounds_m(measurements) if box is None else box
             maps = posterior_map(
                 condition(found.parameters, measurements),
@@ -90,7 +108,7 @@ def map_log(
             with progress("drawing"):
                 picture_map(maps, measurements, found, title, picture)
         write_rasters(out, {name: getattr(maps, name) for name in UNITS}, UNITS)
-    data = {**map_json(maps, out, picture), "fit": fit_json(found)}
+    data = {**map_json(maps, out, picture), "fit": fit_json(fitted)}
     show(json, data, _in_words(data))
     return 0
 

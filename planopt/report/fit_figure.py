@@ -1,4 +1,4 @@
-"""A channel fit against its measurements: path loss, and the correlation of what it leaves."""
+"""A channel fit against its measurements: path loss, correlation of the rest, and what is sure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from planopt.channel.fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors, station_distance_m
+from planopt.channel.profile import Profile
+from planopt.channel.profile_likelihood import profiles_around
+from planopt.errors import InputError
 from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.profile_panel import draw_profiles
 from planopt.report.style import (
     BLACK,
     OBSTACLE_EDGE,
@@ -20,6 +24,7 @@ from planopt.report.style import (
     VERMILLION,
     dress,
     head,
+    legend_below,
     legend_inside,
     plain_log_ticks,
 )
@@ -29,7 +34,8 @@ if TYPE_CHECKING:
 
 SHOWN_DECORRELATIONS = 5.0
 SHOWN_EXTENT = 0.25
-"""Correlation is shown up to so many decorrelation distances or this share of the extent."""
+"""Correlation is shown up to so many decorrelation distances or this share of the extent, whichever
+is more, but not beyond the extent, where there are no pairs."""
 
 
 LINE_DEVIATIONS = 2.0
@@ -37,7 +43,10 @@ LINE_POINTS = 200
 
 
 def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> Figure:
-    """Draw power against distance with the fitted line, and the residuals' covariance by lag.
+    """Draw power by distance with the fitted line, the residuals' covariance by lag, and profiles.
+
+    The profiles are those of the restricted likelihood whatever the method; they are left out where
+    the measurements are too few for it.
 
     Parameters
     ----------
@@ -48,20 +57,38 @@ def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> F
     station
         Where distances are measured from.
     """
-    from matplotlib.gridspec import GridSpec
+    from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
 
-    figure = new_figure(13.0, 5.8)
-    cells = GridSpec(2, 2, figure=figure, width_ratios=[1.15, 1.0], height_ratios=[3.0, 1.0])
-    _draw_path_loss(add_panel(figure, cells[:, 0]), measurements, fit.parameters, station)
+    profiles = _profiles(measurements, fit, station)
+    heights = [3.0, 1.0, 2.2] if profiles else [3.0, 1.0]
+    figure = new_figure(13.0, 8.8 if profiles else 5.8)
+    cells = GridSpec(
+        len(heights), 2, figure=figure, width_ratios=[1.15, 1.0], height_ratios=heights
+    )
+    _draw_path_loss(add_panel(figure, cells[:2, 0]), measurements, fit.parameters, station)
     _draw_covariance(
         add_panel(figure, cells[0, 1]), add_panel(figure, cells[1, 1]), measurements, fit, station
     )
-    head(
-        figure,
+    words = (
         f"{fit.method} fit to {len(measurements)} measurements, "
-        f"{int(measurements.censored.sum())} of them censored: {fit.status}",
+        f"{int(measurements.censored.sum())} of them censored: {fit.status}"
     )
+    if profiles:
+        below = GridSpecFromSubplotSpec(1, len(profiles), cells[2, :])
+        panels = [add_panel(figure, below[0, column]) for column in range(len(profiles))]
+        legend_below(figure, draw_profiles(panels, profiles, fit), 4)
+        if profiles[0].measurements < len(measurements):
+            words += f"; profiles from {profiles[0].measurements} of them"
+    head(figure, words)
     return figure
+
+
+def _profiles(measurements: Measurements, fit: ChannelFit, station: Station) -> tuple[Profile, ...]:
+    """Profiles of xi, beta and omega; none where the measurements do not allow them."""
+    try:
+        return profiles_around(measurements, station, fit.parameters.forgetting_s)
+    except InputError:
+        return ()
 
 
 def _draw_path_loss(
@@ -129,6 +156,7 @@ def _draw_covariance(
     extent = float(np.hypot(*np.ptp(positions, axis=0))) if len(positions) else 0.0
     shown = max(SHOWN_DECORRELATIONS * parameters.decorrelation_m, SHOWN_EXTENT * extent)
     if extent > 0.0:
+        shown = min(shown, extent)
         theta = np.array([parameters.k_pl_db, parameters.n_pl])
         residual = measurements.power_dbm[exact] - regressors(positions, station) @ theta
         bins = empirical_correlation(positions, residual, extent)
@@ -166,4 +194,6 @@ def _draw_covariance(
 def _with_error(fit: ChannelFit, name: str) -> str:
     """An estimate with its standard error, where that is known."""
     value, error = getattr(fit.parameters, name), fit.standard_errors.get(name, math.inf)
-    return f"{value:.3g} ± {error:.2g}" if math.isfinite(error) else f"{value:.3g}"
+    if not math.isfinite(error):
+        return f"{value:.3g}"
+    return f"{value:.3g} ± {error:.2g}" if error < 100.0 else f"{value:.3g} ± {error:.0f}"

@@ -7,10 +7,11 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.path_loss import regressors
 
 
-def simulated(channel, seed, count, side_m, censored_share=0.0):
+def simulated(channel, seed, count, side_m, censored_share=0.0, positions=None):
     """Uniform positions on a square, Gaussian powers, the weakest share cut at a floor."""
     rng = np.random.default_rng(seed)
-    positions = rng.uniform(0.0, side_m, (count, 2))
+    if positions is None:
+        positions = rng.uniform(0.0, side_m, (count, 2))
     covariance = shadow_covariance_db2(positions, positions, channel)
     covariance += channel.multipath_std_db**2 * np.eye(count)
     mean = regressors(positions, channel.station) @ [channel.k_pl_db, channel.n_pl]

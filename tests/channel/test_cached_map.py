@@ -47,11 +47,11 @@ def test_only_new_rows_are_computed(monkeypatch):
     from planopt.channel import cached_map
 
     asked = []
-    kernel = cached_map.shadow_covariance_db2
+    kernel = cached_map.covariance_db2
     monkeypatch.setattr(
         cached_map,
-        "shadow_covariance_db2",
-        lambda a, b, parameters: asked.append(len(a)) or kernel(a, b, parameters),
+        "covariance_db2",
+        lambda a, b, parameters: asked.append(len(a.positions_m)) or kernel(a, b, parameters),
     )
     second = extend(first, subset(data, np.arange(30, 40)))
     agree(cached.refresh(second), second)

@@ -1,28 +1,23 @@
-"""Holding out groups: nothing leaks, and the channel beats path loss alone, on real logs too."""
-
-from functools import partial
-from pathlib import Path
+"""Holding out groups: nothing leaks, and the channel beats path loss alone."""
 
 import numpy as np
 import pytest
-from simulated_channel import simulated, subset
+from simulated_channel import simulated
 
 from planopt.channel.calibration import calibrate
 from planopt.channel.held_out import (
+    deal,
     held_out_predictions,
     learn_channel,
     learn_marginal,
     learn_path_loss,
-    walk_groups,
 )
-from planopt.channel.log_file import read_log
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
-CAMPUS = Path(__file__).parents[3] / "shared" / "data" / "campus"
 
 
 def test_nothing_leaks():
@@ -37,16 +32,26 @@ def test_nothing_leaks():
     seen = []
 
     def learn(training):
-        def predict(positions):
-            assert not set(positions[:, 1]) & set(training.positions_m[:, 1])
-            seen.append(len(positions))
-            return Prediction(positions[:, 0], np.ones(len(positions)))
+        def predict(readings):
+            assert not set(readings.positions_m[:, 1]) & set(training.positions_m[:, 1])
+            seen.append(len(readings))
+            return Prediction(readings.positions_m[:, 0], np.ones(len(readings)))
 
-        return predict
+        return {"one": predict}
 
-    found = held_out_predictions(measurements, groups, learn, 3, np.random.default_rng(0))
-    np.testing.assert_array_equal(found.mean_db, np.arange(count))
+    fold_of = deal(groups, 3, np.random.default_rng(0))
+    found = held_out_predictions(measurements, fold_of, learn)
+    np.testing.assert_array_equal(found["one"].mean_db, np.arange(count))
     assert sorted(seen) == [12, 12, 16]
+
+
+def test_groups_stay_together():
+    """Every group is in one fold, and every fold has a group, up to one group a fold."""
+    groups = np.array([4, 4, 7, 7, 7, 1, 2, 2])
+    for folds in (2, 3, 4):
+        fold_of = deal(groups, folds, np.random.default_rng(5))
+        assert set(fold_of) == set(range(folds))
+        assert all(len(set(fold_of[groups == label])) == 1 for label in groups)
 
 
 def test_channel_beats_path_loss():
@@ -54,77 +59,33 @@ def test_channel_beats_path_loss():
     measurements = simulated(CHANNEL, 3, 200, 200.0, 0.1)
     # Squares of 50 m as groups.
     groups = (measurements.positions_m // 50.0 @ [1.0, 10.0]).astype(int)
+    learners = {"line": learn_path_loss, "channel": learn_channel, "marginal": learn_marginal}
     found = {
-        learn.__name__: calibrate(
-            held_out_predictions(
-                measurements,
-                groups,
-                partial(learn, station=CHANNEL.station),
-                4,
-                np.random.default_rng(1),
-            ),
+        name: calibrate(prediction, measurements)
+        for name, prediction in held_out_predictions(
             measurements,
-        )
-        for learn in (learn_path_loss, learn_channel, learn_marginal)
+            deal(groups, 4, np.random.default_rng(1)),
+            lambda training: {
+                name: learn(training, CHANNEL.station) for name, learn in learners.items()
+            },
+        ).items()
     }
-    assert found["learn_channel"].rmse_db < 0.95 * found["learn_path_loss"].rmse_db
-    assert found["learn_marginal"].rmse_db < 0.95 * found["learn_path_loss"].rmse_db
+    assert found["channel"].rmse_db < 0.95 * found["line"].rmse_db
+    assert found["marginal"].rmse_db < 0.95 * found["line"].rmse_db
     for calibration in found.values():
         at_95 = next(one for one in calibration.coverage if one.level == 0.95)
         assert 0.88 < at_95.share <= 1.0
 
 
-def test_walks():
-    """Day and block of time make a group; an endless block is the day."""
-    day = np.array([0.0, 0.0, 0.0, 1.0, 1.0])
-    t_s = np.array([0.0, 599.0, 600.0, 10.0, 1300.0])
-    groups = walk_groups(day, t_s, 600.0)
-    assert groups[0] == groups[1]
-    assert len(set(groups[[0, 2, 3, 4]])) == 4
-    np.testing.assert_array_equal(walk_groups(day, t_s, np.inf), day)
-
-
-@pytest.mark.parametrize("block_s", [0.0, -1.0, float("nan")])
-def test_bad_block(block_s):
-    """A block that is no time."""
+@pytest.mark.parametrize("folds", [1, 4])
+def test_bad_folds(folds):
+    """One fold, or more than groups."""
     with pytest.raises(InputError):
-        walk_groups(np.zeros(2), np.zeros(2), block_s)
+        deal(np.array([0, 1, 2, 2]), folds, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(
-    ("labels", "folds"), [(np.zeros(40, int), 2), (np.arange(40), 1), (np.arange(3), 2)]
-)
-def test_bad_groups(labels, folds):
-    """One group, one fold, labels that do not belong."""
-    measurements = simulated(CHANNEL, 3, 40, 200.0)
+@pytest.mark.parametrize("fold_of", [np.zeros(40, int), np.arange(3)])
+def test_bad_fold_labels(fold_of):
+    """Nothing to learn from, or labels that do not belong."""
     with pytest.raises(InputError):
-        held_out_predictions(
-            measurements,
-            labels,
-            partial(learn_path_loss, station=CHANNEL.station),
-            folds,
-            np.random.default_rng(0),
-        )
-
-
-@pytest.mark.skipif(not CAMPUS.is_dir(), reason="the campus logs are not here")
-def test_campus():
-    """Days held out whole, every tenth measurement of a real log: better than path loss alone."""
-    file = CAMPUS / "honors.csv"
-    table = np.genfromtxt(file, delimiter=",", names=True)
-    rows = np.arange(0, len(table), 10)
-    measurements = subset(read_log(file, censored_column="near_floor"), rows)
-    groups = walk_groups(table["day"][rows], table["t_s"][rows], np.inf)
-    station = Station((507.4, -66.6))
-    error = {}
-    for learn in (learn_path_loss, learn_channel):
-        found = calibrate(
-            held_out_predictions(
-                measurements, groups, partial(learn, station=station), 5, np.random.default_rng(0)
-            ),
-            measurements,
-        )
-        error[learn.__name__] = found.rmse_db
-        at_90 = next(one for one in found.coverage if one.level == 0.9)
-        assert 0.83 < at_90.share < 0.97
-    assert error["learn_channel"] < 0.92 * error["learn_path_loss"]
+        held_out_predictions(simulated(CHANNEL, 3, 40, 200.0), fold_of, lambda _: {})

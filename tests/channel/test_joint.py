@@ -8,10 +8,11 @@ from simulated_channel import simulated
 
 from planopt.channel.joint import JointPrediction, joint_prediction, sample_power
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors
-from planopt.channel.posterior import condition, extend, predict
+from planopt.channel.posterior import condition, extend
 from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))

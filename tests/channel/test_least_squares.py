@@ -1,5 +1,7 @@
 """The least-squares line, with and without censoring."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -46,16 +48,33 @@ def test_is_the_tobit_maximum_likelihood_with_censoring():
     assert found.variance_db2 == pytest.approx(np.exp(2 * best.x[2]), rel=1e-3)
 
 
+def test_rounding_is_taken_out_of_the_variance():
+    """alpha-hat of powers rounded to 6 dB is that of the powers, not r^2 / 12 = 3 dB^2 more."""
+    measurements = simulated(CHANNEL, 3, 1500, 200.0)
+    power = np.round(measurements.power_dbm / 6.0) * 6.0
+    plain = dataclasses.replace(measurements, power_dbm=power)
+    rounded = dataclasses.replace(plain, resolution_db=np.full(1500, 6.0))
+    exact, raw, found = (
+        least_squares(model_of(each), each) for each in (measurements, plain, rounded)
+    )
+    assert raw.variance_db2 - found.variance_db2 == pytest.approx(3.0)
+    assert found.variance_db2 == pytest.approx(exact.variance_db2, abs=0.5)
+    np.testing.assert_array_equal(found.coefficients, raw.coefficients)
+
+
 def test_coefficient_covariance_is_the_sandwich():
     """The blockwise covariance equals the dense formula under correlated shadowing."""
     channel = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0)))
     measurements = simulated(channel, 2, 700, 200.0)
     model = model_of(measurements, channel.station)
     positions = measurements.positions_m
-    dense = shadow_covariance_db2(positions, positions, channel) + 4.0 * np.eye(700)
     outer = np.linalg.pinv(model.columns)
-    np.testing.assert_allclose(
-        coefficient_covariance(model, positions, 36.0, 30.0, 4.0),
-        outer @ dense @ outer.T,
-        rtol=1e-6,
-    )
+    for step in (0.0, 6.0):
+        given = dataclasses.replace(measurements, resolution_db=np.full(700, step))
+        dense = shadow_covariance_db2(positions, positions, channel)
+        dense += (4.0 + step**2 / 12.0) * np.eye(700)
+        np.testing.assert_allclose(
+            coefficient_covariance(model, given, channel),
+            outer @ dense @ outer.T,
+            rtol=1e-6,
+        )

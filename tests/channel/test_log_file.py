@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from planopt.channel.identifiability import examine
-from planopt.channel.log_file import at_file_line, parse_columns, parse_station, read_log
+from planopt.channel.log_file import at_file_line, parse_station, read_log, read_power_log
+from planopt.channel.log_format import LogFormat, parse_columns
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
 
@@ -19,7 +20,7 @@ def written(tmp_path, text, encoding="utf-8"):
 def refused(path, **options):
     """The error that reading gives."""
     with pytest.raises(InputError) as caught:
-        read_log(path, **options)
+        read_log(path, LogFormat(**options))
     assert caught.value.file == str(path)
     return caught.value
 
@@ -41,7 +42,7 @@ def test_reads_what_is_there(tmp_path):
 def test_named_columns_flags_and_floor(tmp_path):
     """Columns by other names; flags and floor both censor, and the floor is the limit."""
     path = written(tmp_path, "e,n,rssi,cut\n0,0,-70,0\n1,0,-80,TRUE\n2,0,-99,false\n3,0,-95,1\n")
-    log = read_log(path, ("e", "n", "rssi"), censored_column="cut", floor_dbm=-95.0)
+    log = read_log(path, LogFormat(("e", "n", "rssi"), censored_column="cut", floor_dbm=-95.0))
     np.testing.assert_array_equal(log.censored, [False, True, True, True])
     np.testing.assert_array_equal(log.power_dbm, [-70, -80, -95, -95])
 
@@ -79,6 +80,48 @@ def test_bad_flags(tmp_path):
     assert "'maybe' is not a flag" in error.message
     assert (error.row, error.key) == (3, "cut")
     assert "is missing" in refused(path, censored_column="floor").message
+
+
+def test_times_receivers_and_what_holds_for_all(tmp_path):
+    """Receivers are numbered as they appear; steps and errors are those of every row."""
+    path = written(
+        tmp_path,
+        "t,who,x_m,y_m,power_dbm\n5,b,0,0,-70\n6, a ,1,0,-71\n7.5,b,2,0,-72\n9,c,3,0,-73\n",
+    )
+    log = read_power_log(
+        path,
+        LogFormat(time_column="t", receiver_column="who", resolution_db=1.0, position_std_m=2.5),
+    )
+    assert log.receivers == ("b", "a", "c")
+    found = log.measurements
+    np.testing.assert_array_equal(found.receiver, [0, 1, 0, 2])
+    np.testing.assert_array_equal(found.time_s, [5.0, 6.0, 7.5, 9.0])
+    np.testing.assert_array_equal(found.resolution_db, 1.0)
+    np.testing.assert_array_equal(found.position_std_m, 2.5)
+    plain = read_power_log(path)
+    assert plain.receivers == ()
+    for name in ("time_s", "receiver", "resolution_db", "position_std_m"):
+        np.testing.assert_array_equal(getattr(plain.measurements, name), np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("cells", "option", "words", "column"),
+    [
+        ("soon,a", {"time_column": "t"}, "'soon' is not a number", "t"),
+        ("inf,a", {"time_column": "t"}, "'inf' is not a finite number", "t"),
+        ("1, ", {"receiver_column": "who"}, "the cell is empty", "who"),
+    ],
+)
+def test_bad_times_and_receivers(tmp_path, cells, option, words, column):
+    """With file, line and column; a column that is missing, too."""
+    path = written(tmp_path, f"x_m,y_m,power_dbm,t,who\n0,0,-70,0,a\n1,0,-70,{cells}\n")
+    error = refused(path, **option)
+    assert words in error.message
+    assert (error.row, error.key) == (3, column)
+    for name in option:
+        missing = refused(path, **{name: "absent"})
+        assert "'absent' is missing" in missing.message
+        assert (missing.row, missing.key) == (1, "absent")
 
 
 def test_files_that_are_no_text(tmp_path):

@@ -11,13 +11,14 @@ from simulated_channel import simulated
 
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.fading import rician_field_db
+from planopt.channel.kriging import predict
 from planopt.channel.multipath_connectivity import (
     multipath_connection_probability,
     multipath_connectivity,
 )
 from planopt.channel.multipath_models import Lognormal, Nakagami, Rician, multipath_survival
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition, predict
+from planopt.channel.posterior import condition
 from planopt.errors import InputError
 
 

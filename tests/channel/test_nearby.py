@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planopt.channel import nearby
+from planopt.channel.cholesky import lower_factor
+from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearby import GROUP, predict_nearby
+from planopt.channel.nearby import GROUP, GROUP_SHARE, predict_nearby
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import ChannelPosterior, condition, predict
+from planopt.channel.posterior import ChannelPosterior, condition
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +54,31 @@ def test_deviation_is_never_below_the_full_one(posterior, places):
     nearby, full = predict_nearby(known, places, 64), predict(known, places)
     assert (nearby.deviation_db >= full.deviation_db - 1e-9).all()
     assert (nearby.deviation_db > full.deviation_db).any()
+
+
+def test_places_far_apart_do_not_share(posterior, monkeypatch):
+    """Factors stay small where places are spread out; each place has its nearest all the same."""
+    sizes = []
+
+    def recorded(covariance):
+        sizes.append(len(covariance))
+        return lower_factor(covariance)
+
+    monkeypatch.setattr(nearby, "lower_factor", recorded)
+    known = condition(posterior.parameters, posterior.measurements, theta="known")
+    axes = np.meshgrid([0.0, 70.0, 130.0, 200.0], [0.0, 100.0, 200.0])
+    spread = np.stack(axes, axis=-1).reshape(-1, 2)
+    together = predict_nearby(known, spread, 20).deviation_db
+    assert 20 <= min(sizes) and max(sizes) <= GROUP_SHARE * 20 and len(sizes) >= 4
+    # What else the group has can only make it surer.
+    alone = [predict_nearby(known, place[None], 20).deviation_db[0] for place in spread]
+    assert (together <= np.array(alone) + 1e-9).all()
+
+
+def test_many_places_in_any_order(posterior):
+    """More places than a group holds, scattered, and none at all: near the full posterior."""
+    many = np.random.default_rng(0).uniform(0.0, 200.0, (5 * GROUP, 2))
+    found, full = predict_nearby(posterior, many, 128), predict(posterior, many)
+    assert np.abs(found.mean_db - full.mean_db).max() < 0.02
+    np.testing.assert_allclose(found.deviation_db, full.deviation_db, rtol=1e-3)
+    assert predict_nearby(posterior, many[:0], 128).mean_db.shape == (0,)

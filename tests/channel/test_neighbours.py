@@ -4,11 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from local_kriging import predict_locally
 
+from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
-from planopt.channel.neighbours import nearest, neighbour_model, predict_locally
+from planopt.channel.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition, predict
+from planopt.channel.posterior import condition
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 4.0, 20.0, 1.13, Station((5.0, -10.0), 12.0))
 
@@ -63,37 +65,3 @@ def test_fewer_measurements_never_lower_the_deviation():
     ]
     for fewer, more in pairwise(deviations):
         assert (fewer >= more - 1e-12).all()
-
-
-def test_the_documented_formula():
-    """Prediction is what the class's docstring says, computed by hand for one centre."""
-    posterior = posterior_of(30)
-    model = neighbour_model(posterior, CENTRES[:1], 40)
-    place = CENTRES[:1] + 3.0
-    distance = np.linalg.norm(model.positions_m[0] - place[0], axis=1)
-    phi = 16.0 * np.exp(-distance / 20.0)
-    station_distance = np.sqrt((place[0, 0] - 5.0) ** 2 + (place[0, 1] + 10.0) ** 2 + 144.0)
-    gamma = np.array([1.0, -10.0 * np.log10(station_distance)])
-    mean = gamma @ model.theta + phi @ (model.weights[0] - model.trend[0] @ model.theta)
-    b = gamma - model.trend[0].T @ phi
-    variance = 16.0 + 1.13**2 - phi @ model.precision[0] @ phi + b @ model.theta_covariance @ b
-    found = predict_locally(model, place)
-    assert found.mean_db[0] == pytest.approx(mean, abs=1e-10)
-    assert found.deviation_db[0] == pytest.approx(np.sqrt(variance), abs=1e-10)
-
-
-def test_nearest_finds_the_nearest():
-    """Against sorting all distances; the farthest used one's distance is reported."""
-    positions = np.random.default_rng(2).uniform(0.0, 1.0, (200, 2))
-    indices, farthest = nearest(positions, CENTRES / 100.0, 7)
-    for centre, chosen, reach in zip(CENTRES / 100.0, indices, farthest, strict=True):
-        distance = np.linalg.norm(positions - centre, axis=1)
-        assert set(chosen) == set(np.argsort(distance)[:7])
-        assert np.sqrt(reach) == pytest.approx(np.sort(distance)[6])
-
-
-def test_taking_everyone_leaves_the_reach_open():
-    """Where all are taken the next measurement will be taken too, however far."""
-    indices, farthest = nearest(np.zeros((3, 2)), CENTRES, 3)
-    assert indices.shape == (25, 3)
-    assert np.isinf(farthest).all()

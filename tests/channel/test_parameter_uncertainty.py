@@ -30,7 +30,7 @@ def test_against_quadrature():
     data = simulated(FIG_3, 3, 16, 50.0)
     exact = ~data.censored
     model = mean_model(data.positions_m, exact, FIG_3.station, True)
-    likelihood = likelihood_data(model, data)
+    likelihood = likelihood_data(model, data, FIG_3)
     low, high = examine(data, FIG_3.station).decorrelation_bounds_m
     logs, means, variances = [], [], []
     for logit in np.linspace(-4.5, 4.5, 10):
@@ -157,6 +157,25 @@ def test_awkward_measurements(seed):
     assert found.weights.sum() == pytest.approx(1.0)
     assert np.isfinite(prediction.mean_db).all()
     assert (prediction.deviation_db > 0.0).all()
+
+
+def test_coverage_where_much_is_censored():
+    """What is censored is missing from the weights, but not from the scale: 95 % are 95 %."""
+    channel = ChannelParameters(-30.0, 3.0, 8.0, 40.0, 3.0, Station((100.0, 100.0), 5.0))
+    inside = []
+    for seed in range(8):
+        drawn = simulated(channel, seed, 260, 300.0)
+        floor = np.quantile(drawn.power_dbm, 0.4)
+        known = drawn.take(slice(60))
+        known = Measurements(
+            known.positions_m, np.maximum(known.power_dbm, floor), known.power_dbm < floor
+        )
+        found = marginalise(fit_channel(known, channel.station).parameters, known)
+        rest = drawn.take(slice(60, None))
+        prediction = found.predict(rest.positions_m)
+        error = np.abs(rest.power_dbm - prediction.mean_db)
+        inside.append(np.mean(error < 1.96 * prediction.deviation_db))
+    assert 0.92 < np.mean(inside) < 0.98
 
 
 def test_estimate_without_multipath():

@@ -40,7 +40,6 @@ def test_nearest_measurements_agree_with_all(monkeypatch: pytest.MonkeyPatch) ->
     bounds = (0.0, 0.0, 100.0, 80.0)
     exact = posterior_map(posterior, bounds, 5.0, -72.0)
     monkeypatch.setattr(module, "EXACT_OPERATIONS", 1e6)
-    monkeypatch.setattr(module, "BLOCK_CELLS", 15)
     near = posterior_map(posterior, bounds, 5.0, -72.0)
     assert (exact.posterior, near.posterior) == ("exact", "neighbours:256")
     assert 0.0 < np.abs(near.mean_db.values - exact.mean_db.values).max() < 0.1

@@ -24,7 +24,7 @@ def fitted(measurements, variance=40.0):
     model = mean_model(measurements.positions_m, exact, CHANNEL.station, True)
     limits = examine(measurements, CHANNEL.station).decorrelation_bounds_m
     bounds = covariance_bounds(variance, limits)
-    return model, bounds, reml_fit(model, measurements, bounds)
+    return model, bounds, reml_fit(model, measurements, bounds, CHANNEL)
 
 
 @pytest.mark.parametrize(("count", "share"), [(60, 0.0), (60, 0.3), (START_MEASUREMENTS + 20, 0.2)])
@@ -32,7 +32,7 @@ def test_nothing_on_a_grid_is_more_likely(count, share):
     """No point of a dense grid within the bounds beats the optimum, sampled start or not."""
     measurements = simulated(CHANNEL, 1, count, 300.0, share)
     model, bounds, found = fitted(measurements)
-    data = likelihood_data(model, measurements)
+    data = likelihood_data(model, measurements, CHANNEL)
     side = 7 if count < 100 else 3
     grids = [
         np.geomspace(*limits, side)

@@ -167,3 +167,9 @@ def test_bad_places():
     """Positions that are not (n, 2)."""
     with pytest.raises(InputError):
         mean_squared_error_db2(TRUE, WRONG, MEASURED, np.zeros(3))
+
+
+def test_too_many_measurements_are_refused():
+    """Before memory is asked for: 60,000 would take 29 GB a matrix."""
+    with pytest.raises(InputError, match="60,000 are more than"):
+        mean_squared_error_db2(TRUE, TRUE, np.zeros((60_000, 2)), PLACES)

@@ -7,9 +7,10 @@ import pytest
 from scipy.stats import norm
 from simulated_channel import simulated
 
+from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition, predict
+from planopt.channel.posterior import condition
 from planopt.channel.several_stations import (
     SharedShadowing,
     connected_to_any,

@@ -1,0 +1,134 @@
+"""Lemma 2 at places: mean and deviation from a posterior.
+
+With a factor every measurement counts. Without one the nearest do (:mod:`planopt.channel.nearby`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.factor import whiten
+from planopt.channel.many_places import PLACES_AT_ONCE, RowWhitener
+from planopt.channel.measurement_covariance import (
+    covariance_db2,
+    measured_origins,
+    measured_path_loss_variance_db2,
+    own_variance_db2,
+    place_origins,
+)
+from planopt.channel.measurements import Measurements
+from planopt.channel.nearby import NEIGHBOURS_BEYOND, nearby_terms
+from planopt.channel.neighbour_regression import regress_on_neighbours
+from planopt.channel.path_loss import regressors
+from planopt.channel.position_error import path_loss_variance_db2
+from planopt.channel.prediction import KrigingTerms, Prediction, combine
+from planopt.channel.vecchia import EARLIER_NEIGHBOURS
+
+if TYPE_CHECKING:
+    from planopt.channel.posterior import ChannelPosterior
+
+PREDICTION_ELEMENTS = 2**21
+
+MANY_PLACES = 1024
+"""From so many places on they are solved for in place (:mod:`planopt.channel.many_places`): a map
+takes half as long."""
+
+
+def predict(
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    position_std_m: NDArray[np.float64] | None = None,
+) -> Prediction:
+    """Mean and deviation of the power that would be measured (theory 4.1).
+
+    From all measurements where `posterior` has a factor, else from the `NEIGHBOURS_BEYOND` nearest
+    to each place and theta from all.
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    positions_m
+        ``(n, 2)``; memory stays bounded whatever n.
+    position_std_m
+        ``(n,)`` deviation of either coordinate, where the robot that would measure is not sure of
+        its own place (:mod:`planopt.channel.position_error`). None where it is.
+    """
+    return combine(
+        kriging_terms(posterior, positions_m, position_std_m),
+        posterior.theta,
+        posterior.theta_covariance,
+    )
+
+
+def kriging_terms(
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    position_std_m: NDArray[np.float64] | None = None,
+) -> KrigingTerms:
+    """The parts of a prediction at `positions_m` (n, 2) that do not depend on theta.
+
+    `position_std_m` as in :func:`predict`.
+    """
+    if not posterior.has_factor:
+        return nearby_terms(posterior, positions_m, NEIGHBOURS_BEYOND, position_std_m)
+    count = len(positions_m)
+    parameters = posterior.parameters
+    measured = posterior.origins
+    known = len(posterior.measurements)
+    many = count >= MANY_PLACES and known > 0
+    columns = np.column_stack([posterior.whitened_values, posterior.whitened_regressors])
+    whitener = RowWhitener(posterior.factor, columns) if many else None
+    projected = np.empty((3, count))
+    explained = np.empty(count)
+    block = PLACES_AT_ONCE if many else max(1, PREDICTION_ELEMENTS // max(1, known))
+    for start in range(0, count, block):
+        part = slice(start, start + block)
+        std_m = None if position_std_m is None else position_std_m[part]
+        places = place_origins(positions_m[part], posterior.now_s, parameters, std_m)
+        if whitener is None:
+            whitened = whiten(posterior.factor, covariance_db2(measured, places, parameters))
+            projected[:, part] = columns.T @ whitened
+            explained[part] = np.einsum("ij,ij->j", whitened, whitened)
+        else:
+            rows = covariance_db2(places, measured, parameters)
+            projected[:, part], explained[part] = whitener.reduce(rows)
+    trend = regressors(positions_m, parameters.station) - projected[1:].T
+    # Rounding alone can make the latent variance negative, at a place that is known exactly.
+    latent = np.maximum(parameters.shadow_std_db**2 - explained, 0.0)
+    variance = latent + parameters.multipath_std_db**2
+    if position_std_m is not None:
+        variance += path_loss_variance_db2(
+            positions_m, position_std_m, parameters.station, float(posterior.theta[1])
+        )
+    return KrigingTerms(projected[0], trend, variance)
+
+
+def predict_noiseless(posterior: ChannelPosterior, more: Measurements) -> Prediction:
+    """What measurements to come will be but for multipath: offset and position error included."""
+    parameters = posterior.parameters
+    origins = measured_origins(more, parameters)
+    gamma = regressors(more.positions_m, parameters.station)
+    if posterior.has_factor:
+        whitened = whiten(posterior.factor, covariance_db2(posterior.origins, origins, parameters))
+        latent = own_variance_db2(origins, parameters) - np.einsum("ij,ij->j", whitened, whitened)
+        data = posterior.whitened_values @ whitened
+        trend = gamma - whitened.T @ posterior.whitened_regressors
+    else:
+        near, _ = posterior.index.nearest(more.positions_m, EARLIER_NEIGHBOURS)
+        found = regress_on_neighbours(
+            parameters,
+            origins.at(np.arange(len(more))[:, None]),
+            posterior.origins.at(near),
+            posterior.noise_variance_db2[near],
+            np.zeros(near.shape, dtype=bool),
+        )
+        beside = regressors(posterior.measurements.positions_m[near], parameters.station)
+        latent = found.variance_db2
+        data = np.einsum("km,km->k", found.weights, posterior.values_db[near])
+        trend = gamma - np.einsum("km,kmi->ki", found.weights, beside)
+    variance = np.maximum(latent, 0.0) + measured_path_loss_variance_db2(more, parameters)
+    return combine(KrigingTerms(data, trend, variance), posterior.theta, posterior.theta_covariance)

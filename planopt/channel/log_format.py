@@ -1,0 +1,59 @@
+"""What the columns of a power log are called, and what holds for all of its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from planopt.errors import InputError
+
+DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
+"""Names of the columns for x, y and power."""
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """How a log is to be read.
+
+    Attributes
+    ----------
+    columns
+        Names of the columns for x (m), y (m) and power (dBm).
+    censored_column
+        Column of flags, 1 or true where the power is only known to be at most the given one.
+    floor_dbm
+        The receiver's floor: powers at or below it are censored, and count as at most the floor.
+    time_column
+        Column of times in seconds.
+    receiver_column
+        Column of the receivers' labels; the first label in the log is the reference.
+    resolution_db
+        Step that all powers are rounded to; 0 for none.
+    position_std_m
+        Deviation of the error of either coordinate, of all positions.
+    """
+
+    columns: tuple[str, str, str] = DEFAULT_COLUMNS
+    censored_column: str | None = None
+    floor_dbm: float | None = None
+    time_column: str | None = None
+    receiver_column: str | None = None
+    resolution_db: float = 0.0
+    position_std_m: float = 0.0
+
+
+def parse_columns(text: str) -> tuple[str, str, str]:
+    """Read ``x=east,y=north,power=rssi``; what is not named keeps its default.
+
+    Raises
+    ------
+    InputError
+        Not of that form, or something other than x, y and power is named.
+    """
+    remedy = "write x=NAME,y=NAME,power=NAME"
+    names: dict[str, str] = dict(zip(("x", "y", "power"), DEFAULT_COLUMNS, strict=True))
+    for part in text.split(","):
+        what, equals, name = (piece.strip() for piece in part.partition("="))
+        if what not in names or not equals or not name:
+            raise InputError(f"cannot read {part!r}", key="columns", remedy=remedy)
+        names[what] = name
+    return names["x"], names["y"], names["power"]

@@ -1,0 +1,189 @@
+"""Covariance between measurements, and between measurements and places: age, receiver, position.
+
+Beside multipath, two measured powers covary by
+
+    xi^2 exp(-d / beta) exp(-|t_i - t_j| / T) + s^2 [both by the same receiver, not number 0]
+
+with T the forgetting time, s the prior deviation of a receiver's offset, and d widened by position
+errors (:mod:`planopt.channel.position_error`). The offset is a random effect: a constant of each
+receiver that is integrated out, so that no mean needs a column for it. Predictions are for receiver
+0, the reference, so that places have no offset.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.kernel import decayed_db2, pairwise_distance_m
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.position_error import path_loss_variance_db2, position_blur_m2
+
+RECEIVER_OFFSET_STD_DB = 20.0
+"""s: prior deviation of a receiver's offset, wide enough to say nothing against measurements."""
+
+
+@dataclass(frozen=True, eq=False)
+class Origins:
+    """Where, when and by whom powers are measured or predicted.
+
+    Attributes
+    ----------
+    positions_m
+        ``(..., n, 2)``.
+    blur_m2
+        ``(..., n)`` of position errors; None where there is none.
+    time_s
+        ``(..., n)``, or ``(1,)`` for all; None where the channel does not forget.
+    receiver
+        ``(..., n)``; None where all are 0.
+    """
+
+    positions_m: NDArray[np.float64]
+    blur_m2: NDArray[np.float64] | None = None
+    time_s: NDArray[np.float64] | None = None
+    receiver: NDArray[np.intp] | None = None
+
+    def at(self, rows: NDArray[np.intp] | slice) -> Origins:
+        """Those of `rows`, of measurements (n,); indices (k, m) make k batches of m."""
+        return Origins(
+            self.positions_m[rows],
+            None if self.blur_m2 is None else self.blur_m2[rows],
+            None if self.time_s is None else self.time_s[rows],
+            None if self.receiver is None else self.receiver[rows],
+        )
+
+    def without_offsets(self) -> Origins:
+        """The same, with every receiver's offset known."""
+        return self if self.receiver is None else replace(self, receiver=None)
+
+
+def measured_origins(measurements: Measurements, parameters: ChannelParameters) -> Origins:
+    """Origins of measurements, with what plays no part left out."""
+    return Origins(
+        measurements.positions_m,
+        position_blur_m2(measurements.position_std_m)
+        if measurements.position_std_m.any()
+        else None,
+        None if math.isinf(parameters.forgetting_s) else measurements.time_s,
+        measurements.receiver if measurements.receiver.any() else None,
+    )
+
+
+def place_origins(
+    positions_m: NDArray[np.float64],
+    now_s: float,
+    parameters: ChannelParameters,
+    position_std_m: NDArray[np.float64] | None = None,
+) -> Origins:
+    """Origins of places (..., n, 2) that power is predicted at, at time `now_s`.
+
+    `position_std_m` (..., n) is the deviation of their position errors; None for none.
+    """
+    return Origins(
+        positions_m,
+        None if position_std_m is None else position_blur_m2(position_std_m),
+        None if math.isinf(parameters.forgetting_s) else np.array([now_s]),
+    )
+
+
+def covariance_db2(
+    first: Origins, second: Origins, parameters: ChannelParameters
+) -> NDArray[np.float64]:
+    """Covariance of the powers of `first` (..., n) and `second` (..., m), no one in both.
+
+    Returns
+    -------
+    NDArray
+        ``(..., n, m)`` in dB^2.
+    """
+    blur_m2 = blurred_m2(first, second)
+    distance_m = pairwise_distance_m(first.positions_m, second.positions_m, blur_m2)
+    return covariance_over_db2(distance_m, first, second, parameters)
+
+
+def covariance_over_db2(
+    distance_m: NDArray[np.float64], first: Origins, second: Origins, parameters: ChannelParameters
+) -> NDArray[np.float64]:
+    """What :func:`covariance_db2` gives, in place of the distances (..., n, m), blurred already."""
+    covariance = decayed_db2(distance_m, parameters)
+    if first.time_s is not None and second.time_s is not None:
+        covariance *= ageing(first.time_s[..., :, None], second.time_s[..., None, :], parameters)
+    if first.receiver is not None and second.receiver is not None:
+        covariance += offset_covariance_db2(first.receiver, second.receiver)
+    return covariance
+
+
+def offset_covariance_db2(first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Covariance of the offsets of receivers `first` (..., n) and `second` (..., m), in dB^2."""
+    one, other = first[..., :, None], second[..., None, :]
+    return np.where((one == other) & (one != 0), RECEIVER_OFFSET_STD_DB**2, 0.0)
+
+
+def own_covariance_db2(origins: Origins, parameters: ChannelParameters) -> NDArray[np.float64]:
+    """Covariance of the powers of `origins` (..., n) among themselves; (..., n, n) in dB^2."""
+    covariance = covariance_db2(origins, origins, parameters)
+    if origins.blur_m2 is not None:
+        # The error of one's own position is the same on both sides.
+        np.einsum("...ii->...i", covariance)[...] = own_variance_db2(origins, parameters)
+    return covariance
+
+
+def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> NDArray[np.float64]:
+    """Variance of shadowing and the receiver's offset; ``(..., n)`` in dB^2."""
+    variance = np.full(origins.positions_m.shape[:-1], float(parameters.shadow_std_db) ** 2)
+    if origins.receiver is not None:
+        variance[origins.receiver != 0] += RECEIVER_OFFSET_STD_DB**2
+    return variance
+
+
+def measured_path_loss_variance_db2(
+    measurements: Measurements, parameters: ChannelParameters
+) -> NDArray[np.float64]:
+    """Variance of path loss from the measurements' own position errors; ``(n,)`` in dB^2."""
+    if not measurements.position_std_m.any():
+        return np.zeros(len(measurements))
+    return path_loss_variance_db2(
+        measurements.positions_m,
+        measurements.position_std_m,
+        parameters.station,
+        parameters.n_pl,
+    )
+
+
+def ageing(
+    one_s: NDArray[np.float64] | float,
+    other_s: NDArray[np.float64] | float,
+    parameters: ChannelParameters,
+) -> NDArray[np.float64]:
+    """The factor exp(-age / T) of two times, in the shape they broadcast to."""
+    gap = np.abs(np.subtract(one_s, other_s))
+    return np.exp(-gap / parameters.forgetting_s)
+
+
+def fading(
+    measured_s: NDArray[np.float64], before_s: float, now_s: float, parameters: ChannelParameters
+) -> float | None:
+    """The factor that all covariances with places have from the time `before_s` to `now_s`.
+
+    All measurements age alike once all are past: None where some of `measured_s` (n,) were not yet
+    at `before_s`, or time runs back, so that there is no such factor.
+    """
+    if math.isinf(parameters.forgetting_s) or now_s == before_s:
+        return 1.0
+    if now_s < before_s or float(measured_s.max(initial=-math.inf)) > before_s:
+        return None
+    return math.exp((before_s - now_s) / parameters.forgetting_s)
+
+
+def blurred_m2(first: Origins, second: Origins) -> NDArray[np.float64] | None:
+    """What position errors add to the squared distances; broadcasts to (..., n, m)."""
+    if first.blur_m2 is None:
+        return None if second.blur_m2 is None else second.blur_m2[..., None, :]
+    if second.blur_m2 is None:
+        return first.blur_m2[..., :, None]
+    return first.blur_m2[..., :, None] + second.blur_m2[..., None, :]

@@ -1,0 +1,33 @@
+# pyright: basic
+"""A k-d tree with types: the boundary to SciPy's, which has none."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+
+class PlaceTree:
+    """Places in the plane, to be searched by distance.
+
+    Parameters
+    ----------
+    positions_m
+        ``(n, 2)``, at least one.
+    """
+
+    def __init__(self, positions_m: NDArray[np.float64]) -> None:
+        self._tree = KDTree(positions_m, balanced_tree=False)
+
+    def __len__(self) -> int:
+        return self._tree.n
+
+    def nearest(self, centres_m: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+        """Indices of the `count` places nearest to each of `centres_m` (k, 2); ``(k, count)``.
+
+        From the nearest to the farthest; `count` is at most n.
+        """
+        found = np.asarray(self._tree.query(centres_m, count)[1], dtype=np.intp)
+        # One neighbour each comes without an axis of its own.
+        return found.reshape(len(centres_m), count)

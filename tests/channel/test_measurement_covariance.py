@@ -1,0 +1,252 @@
+"""Age, receivers' offsets and position errors in every predictor, against dense algebra."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from local_kriging import predict_locally
+from varied_measurements import (
+    DRIFTING,
+    STEADY,
+    at_places,
+    dense_covariance,
+    dense_prediction,
+    varied,
+)
+
+from planopt.channel.cached_map import CachedMap
+from planopt.channel.conditional_field import conditional_field, conditional_values_db
+from planopt.channel.joint import joint_prediction
+from planopt.channel.kriging import predict
+from planopt.channel.measurement_covariance import (
+    covariance_db2,
+    measured_origins,
+    own_covariance_db2,
+    own_variance_db2,
+    place_origins,
+)
+from planopt.channel.nearby import predict_nearby
+from planopt.channel.neighbours import neighbour_model
+from planopt.channel.posterior import at_time, condition, extend
+from planopt.channel.posterior_derivatives import posterior_derivatives
+from planopt.channel.single_precision import predict_single
+from planopt.channel.tile_map import TileMap
+from planopt.errors import InputError
+
+PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))
+LATER_S = 900.0
+
+
+@pytest.mark.parametrize("parameters", [DRIFTING, STEADY])
+@pytest.mark.parametrize("errors", [True, False])
+@pytest.mark.parametrize("receivers", [1, 3])
+def test_the_covariance_is_its_definition(parameters, errors, receivers):
+    """Among measurements, between sets, and to places, in batches too."""
+    first = varied(20, 1, errors=errors, receivers=receivers)
+    second = varied(15, 2, errors=errors, receivers=receivers)
+    one, other = (measured_origins(part, parameters) for part in (first, second))
+    own = own_covariance_db2(one, parameters)
+    np.testing.assert_allclose(own, dense_covariance(parameters, first), rtol=1e-12)
+    np.testing.assert_allclose(np.diag(own), own_variance_db2(one, parameters))
+    np.testing.assert_allclose(
+        covariance_db2(one, other, parameters),
+        dense_covariance(parameters, first, second),
+        rtol=1e-12,
+    )
+    places = place_origins(PLACES, 700.0, parameters, np.full(len(PLACES), 1.5))
+    np.testing.assert_allclose(
+        covariance_db2(one, places, parameters),
+        dense_covariance(parameters, first, at_places(PLACES, 700.0, 1.5)),
+        rtol=1e-12,
+    )
+    rows = np.array([[3, 7, 1], [0, 19, 4]])
+    batched = own_covariance_db2(one.at(rows), parameters)
+    for part, chosen in zip(batched, rows, strict=True):
+        np.testing.assert_allclose(part, own[np.ix_(chosen, chosen)], rtol=1e-12)
+
+
+def test_it_is_a_covariance():
+    """No direction has negative variance, repeated places and large errors included."""
+    data = varied(60, 4)
+    twice = data.take(np.concatenate([np.arange(60), np.arange(60)]))
+    wide = replace(twice, position_std_m=5.0 * twice.position_std_m)
+    values = np.linalg.eigvalsh(own_covariance_db2(measured_origins(wide, DRIFTING), DRIFTING))
+    assert values[0] > -1e-9
+
+
+@pytest.mark.parametrize("parameters", [DRIFTING, STEADY])
+@pytest.mark.parametrize("censored", [0.0, 0.2])
+def test_the_posterior_is_dense_kriging(parameters, censored):
+    """Now and later, where the robot is sure of its place and where not."""
+    posterior = condition(parameters, varied(60, 5, censored=censored))
+    assert posterior.now_s == posterior.measurements.time_s.max()
+    for now_s in (posterior.now_s, LATER_S):
+        found = predict(at_time(posterior, now_s), PLACES)
+        mean, deviation = dense_prediction(posterior, PLACES, now_s)
+        np.testing.assert_allclose(found.mean_db, mean, atol=1e-8)
+        np.testing.assert_allclose(found.deviation_db, deviation, atol=1e-8)
+    blurred = predict(posterior, PLACES, np.full(len(PLACES), 2.0))
+    mean, deviation = dense_prediction(posterior, PLACES, posterior.now_s, 2.0)
+    np.testing.assert_allclose(blurred.mean_db, mean, atol=1e-8)
+    assert (blurred.deviation_db > deviation).all()
+    assert blurred.deviation_db.mean() > predict(posterior, PLACES).deviation_db.mean()
+
+
+def test_one_by_one_equals_batch():
+    """Extending keeps the factor, moves the time on, and knows receivers that were not there."""
+    data = varied(50, 6)
+    data = replace(data, receiver=np.where(np.arange(50) < 20, 0, data.receiver))
+    grown = condition(DRIFTING, data.take(slice(20)))
+    assert grown.now_s == data.time_s[19]
+    for row in range(20, 50):
+        grown = extend(grown, data.take(slice(row, row + 1)))
+    whole = condition(DRIFTING, data)
+    assert grown.now_s == whole.now_s
+    found, expected = predict(grown, PLACES), predict(whole, PLACES)
+    np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=1e-9)
+    np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-9)
+
+
+def test_a_late_limit_is_one_of_its_receiver():
+    """A limit of a receiver that reads 20 dB more says that the power is low, of another little."""
+    data = varied(60, 7, errors=False, receivers=2)
+    data = replace(data, power_dbm=data.power_dbm + 20.0 * data.receiver)
+    posterior = condition(STEADY, data)
+    at = np.array([[25.0, 25.0]])
+    limit = at_places(at, posterior.now_s)
+    limit = replace(limit, power_dbm=predict(posterior, at).mean_db, censored=np.array([True]))
+    by_reference = extend(posterior, limit)
+    by_other = extend(posterior, replace(limit, receiver=np.array([1])))
+    before = predict(posterior, at).mean_db[0]
+    # The other receiver would have read some 26 dB more: at most the mean is far below.
+    assert predict(by_other, at).mean_db[0] < predict(by_reference, at).mean_db[0] - 1.0
+    assert predict(by_reference, at).mean_db[0] < before
+
+
+def test_age_ends_in_path_loss_alone():
+    """What was measured long ago says nothing of shadowing; at once it says all that it says."""
+    posterior = condition(DRIFTING, varied(60, 8, errors=False))
+    late = predict(at_time(posterior, 1e6), PLACES)
+    assert (late.deviation_db**2 >= 4.0**2 + 1.5**2 - 1e-9).all()
+    early = predict(posterior, PLACES)
+    assert (early.deviation_db <= late.deviation_db + 1e-9).all()
+    with pytest.raises(InputError, match="now_s"):
+        at_time(posterior, np.nan)
+
+
+@pytest.mark.parametrize("parameters", [DRIFTING, STEADY])
+def test_all_predictors_agree(parameters):
+    """Many places at once, joint, local with all, near by with all, and in single precision."""
+    posterior = at_time(condition(parameters, varied(70, 9, censored=0.1)), 650.0)
+    expected = predict(posterior, PLACES)
+    many = predict(posterior, np.tile(PLACES, (30, 1)))
+    joint = joint_prediction(posterior, PLACES)
+    local = predict_locally(neighbour_model(posterior, PLACES, 80), PLACES)
+    nearby = predict_nearby(posterior, PLACES, 70)
+    for mean, deviation in (
+        (many.mean_db[:40], many.deviation_db[:40]),
+        (joint.mean_db, joint.deviation_db),
+        (local.mean_db, local.deviation_db),
+        (nearby.mean_db, nearby.deviation_db),
+    ):
+        np.testing.assert_allclose(mean, expected.mean_db, atol=1e-7)
+        np.testing.assert_allclose(deviation, expected.deviation_db, atol=1e-7)
+    single = predict_single(posterior, PLACES)
+    np.testing.assert_allclose(single.mean_db, expected.mean_db, atol=3e-3)
+    np.testing.assert_allclose(single.deviation_db, expected.deviation_db, atol=3e-3)
+
+
+def test_offsets_come_from_all_measurements():
+    """Beside measurements of another receiver alone the local prediction keeps its level."""
+    data = varied(400, 10, errors=False, receivers=2)
+    left = data.positions_m[:, 0] < 25.0
+    data = replace(data, receiver=left.astype(np.intp))
+    posterior = condition(STEADY, data)
+    places = PLACES[PLACES[:, 0] < 18.0]
+    exact = predict(posterior, places)
+    local = predict_locally(neighbour_model(posterior, places, 30), places)
+    nearby = predict_nearby(posterior, places, 30)
+    for found in (local, nearby):
+        assert np.abs(found.mean_db - exact.mean_db).max() < 0.3
+        assert np.abs(found.deviation_db - exact.deviation_db).max() < 0.1
+
+
+@pytest.mark.parametrize("parameters", [DRIFTING, STEADY])
+def test_the_cached_map_ages(parameters):
+    """Measurement by measurement, time passing, running back, and past what fades away."""
+    data = varied(60, 11)
+    posterior = condition(parameters, data.take(slice(30)))
+    cached = CachedMap(PLACES)
+
+    def agree(posterior):
+        found, expected = cached.refresh(posterior), predict(posterior, PLACES)
+        np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=1e-8)
+        np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-8)
+
+    agree(posterior)
+    agree(at_time(posterior, posterior.now_s + 40.0))
+    for row in range(30, 60):
+        posterior = extend(posterior, data.take(slice(row, row + 1)))
+        agree(posterior)
+    agree(at_time(posterior, 100.0))
+    agree(at_time(posterior, 200.0))
+    agree(posterior)
+    agree(at_time(posterior, posterior.now_s + 1e4))
+
+
+@pytest.mark.parametrize("receivers", [1, 3])
+@pytest.mark.parametrize("neighbours", [12, 100])
+def test_the_tile_map_ages(receivers, neighbours):
+    """An aged, extended map is the one built from nothing: parts fade, newcomers replace."""
+    data = varied(80, 12, receivers=receivers)
+    x = np.arange(1.0, 50.0, 4.0)
+    needed = np.ones((len(x), len(x)), dtype=bool)
+    kept = TileMap(x, x, needed, tile=3, neighbours=neighbours)
+    posterior = condition(DRIFTING, data.take(slice(40)))
+    kept.refresh(posterior)
+    for row in range(40, 80, 2):
+        posterior = extend(posterior, data.take(slice(row, row + 2)))
+        kept.refresh(at_time(posterior, posterior.now_s + 3.0))
+    for moment in (posterior.now_s + 10.0, 50.0, posterior.now_s + 20.0):
+        kept.refresh(at_time(posterior, moment))
+        fresh = TileMap(x, x, needed, tile=3, neighbours=neighbours)
+        fresh.refresh(at_time(posterior, moment))
+        np.testing.assert_allclose(kept.mean_db, fresh.mean_db, atol=1e-7)
+        np.testing.assert_allclose(kept.deviation_db, fresh.deviation_db, atol=1e-7)
+
+
+def test_derivatives_are_slopes():
+    """Of the aged mean and deviation; also at a place measured with an error of position."""
+    posterior = at_time(condition(DRIFTING, varied(30, 13)), 640.0)
+    uncertain = posterior.measurements.positions_m[1:2] + 1e-3
+    places = np.concatenate([PLACES[:5], uncertain])
+    found = posterior_derivatives(posterior, places)
+    for axis in (0, 1):
+        step = np.zeros(2)
+        step[axis] = 1e-4
+        up, down = (posterior_derivatives(posterior, places + s * step) for s in (1.0, -1.0))
+        for name in ("mean", "deviation"):
+            slope = (getattr(up, f"{name}_db") - getattr(down, f"{name}_db")) / 2e-4
+            np.testing.assert_allclose(
+                getattr(found, f"{name}_gradient")[:, axis], slope, atol=1e-6
+            )
+            bend = (getattr(up, f"{name}_gradient") - getattr(down, f"{name}_gradient")) / 2e-4
+            np.testing.assert_allclose(getattr(found, f"{name}_hessian")[:, axis], bend, atol=1e-5)
+
+
+def test_fields_are_drawn_with_offsets():
+    """Draws agree with the posterior; of ages and errors of position there is an error."""
+    data = varied(30, 14, errors=False)
+    posterior = condition(STEADY, data)
+    generator = np.random.default_rng(0)
+    draws = np.array([conditional_values_db(posterior, PLACES[:4], generator) for _ in range(1500)])
+    expected = predict(posterior, PLACES[:4])
+    latent = np.sqrt(expected.deviation_db**2 - 1.5**2)
+    error = latent / np.sqrt(1500.0)
+    assert (np.abs(draws.mean(axis=0) - expected.mean_db) < 4.0 * error).all()
+    np.testing.assert_allclose(draws.std(axis=0), latent, rtol=0.08)
+    for refused in (condition(DRIFTING, data), condition(STEADY, varied(30, 14))):
+        with pytest.raises(InputError, match="sample_power"):
+            conditional_values_db(refused, PLACES, generator)
+        with pytest.raises(InputError, match="sample_power"):
+            conditional_field(refused, (0.0, 0.0, 10.0, 10.0), 1.0, generator)

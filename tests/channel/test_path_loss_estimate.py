@@ -1,0 +1,171 @@
+"""Theta by both estimators: dense formulas, Lemma 3's recursion, and the error by simulation."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from simulated_channel import simulated
+
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.kriging import predict
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.path_loss import regressors
+from planopt.channel.path_loss_estimate import estimate_theta, ml_covariance_after
+from planopt.channel.posterior import condition, extend
+from planopt.errors import InputError
+
+CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
+
+
+def design(measurements):
+    """Gamma and U, dense."""
+    gamma = regressors(measurements.positions_m, CHANNEL.station)
+    within = shadow_covariance_db2(measurements.positions_m, measurements.positions_m, CHANNEL)
+    return gamma, within + CHANNEL.multipath_std_db**2 * np.eye(len(gamma))
+
+
+def test_dense_formulas():
+    """Both estimates and their covariances are the textbook's."""
+    measurements = simulated(CHANNEL, 0, 40, 200.0)
+    gamma, covariance = design(measurements)
+    weight = np.linalg.inv(covariance)
+    spread = np.linalg.inv(gamma.T @ weight @ gamma)
+    ml = estimate_theta(measurements, CHANNEL)
+    np.testing.assert_allclose(ml.covariance, spread, rtol=1e-8)
+    np.testing.assert_allclose(ml.theta, spread @ gamma.T @ weight @ measurements.power_dbm)
+    normal = np.linalg.inv(gamma.T @ gamma)
+    ls = estimate_theta(measurements, CHANNEL, "ls")
+    middle = gamma.T @ covariance @ gamma
+    np.testing.assert_allclose(ls.covariance, normal @ middle @ normal, rtol=1e-8)
+    np.testing.assert_allclose(
+        ls.theta, np.linalg.lstsq(gamma, measurements.power_dbm, rcond=None)[0]
+    )
+
+
+def test_ml_is_never_worse():
+    """The difference of the covariances is positive semidefinite (Gauss and Markov)."""
+    for seed in range(5):
+        measurements = simulated(CHANNEL, seed, 30, 200.0)
+        worse, best = (
+            estimate_theta(measurements, CHANNEL, how).covariance for how in ("ls", "ml")
+        )
+        assert np.linalg.eigvalsh(worse - best)[0] > -1e-9
+
+
+def test_both_agree_without_shadowing():
+    """For independent powers of one variance both are the same estimate."""
+    quiet = dataclasses.replace(CHANNEL, shadow_std_db=1e-9)
+    measurements = simulated(CHANNEL, 1, 30, 200.0)
+    ml, ls = (estimate_theta(measurements, quiet, how) for how in ("ml", "ls"))
+    np.testing.assert_allclose(ml.theta, ls.theta, rtol=1e-9)
+    np.testing.assert_allclose(ml.covariance, ls.covariance, rtol=1e-9)
+
+
+def test_lemma_3_equals_the_batch():
+    """Measuring along a path, the recursion gives the batch's M at every step to 1e-10."""
+    measurements = simulated(CHANNEL, 2, 20, 200.0)
+    path = np.stack([np.linspace(0.0, 90.0, 15), np.linspace(20.0, 0.0, 15)], axis=1)
+    path[7] = measurements.positions_m[3]
+    posterior = condition(CHANNEL, measurements)
+    for place in path:
+        recursion = ml_covariance_after(posterior, place)
+        one = Measurements(place[None], np.array([-80.0]), np.zeros(1, bool))
+        posterior = extend(posterior, one)
+        batch = estimate_theta(posterior.measurements, CHANNEL).covariance
+        np.testing.assert_allclose(recursion, batch, rtol=1e-10)
+
+
+def test_error_covariance_by_simulation():
+    """Errors of both estimates over drawn channels scatter as their covariances say."""
+    first = simulated(CHANNEL, 3, 25, 150.0)
+    gamma, covariance = design(first)
+    rng = np.random.default_rng(0)
+    draws = rng.standard_normal((2000, 25)) @ np.linalg.cholesky(covariance).T
+    truth = np.array([CHANNEL.k_pl_db, CHANNEL.n_pl])
+    for how in ("ml", "ls"):
+        found = [
+            estimate_theta(dataclasses.replace(first, power_dbm=gamma @ truth + e), CHANNEL, how)
+            for e in draws
+        ]
+        errors = np.array([each.theta for each in found]) - truth
+        whitened = np.linalg.solve(np.linalg.cholesky(found[0].covariance), errors.T)
+        # Four standard errors of a sample covariance.
+        np.testing.assert_allclose(whitened @ whitened.T / 2000, np.eye(2), atol=0.13)
+
+
+def test_prediction_with_least_squares_theta_is_calibrated():
+    """Its variance is the mean square error over drawn channels, larger than the ml one's."""
+    first = simulated(CHANNEL, 4, 12, 150.0)
+    places = np.array([[10.0, 140.0], [75.0, 75.0], [400.0, 300.0]])
+    everywhere = np.concatenate([first.positions_m, places])
+    whole = Measurements(everywhere, np.zeros(15), np.zeros(15, bool))
+    gamma, covariance = design(whole)
+    rng = np.random.default_rng(1)
+    powers = gamma @ [CHANNEL.k_pl_db, CHANNEL.n_pl] + (
+        rng.standard_normal((3000, 15)) @ np.linalg.cholesky(covariance).T
+    )
+    squares = np.zeros(3)
+    for power in powers:
+        seen = dataclasses.replace(first, power_dbm=power[:12])
+        found = predict(condition(CHANNEL, seen, theta="least_squares"), places)
+        squares += (found.mean_db - power[12:]) ** 2
+    np.testing.assert_allclose(squares / len(powers), found.deviation_db**2, rtol=0.1)
+    best = predict(condition(CHANNEL, seen), places)
+    assert (found.deviation_db >= best.deviation_db - 1e-12).all()
+    assert found.deviation_db[2] > 1.005 * best.deviation_db[2]
+
+
+def test_least_squares_posterior_grows_by_least_squares():
+    """Extended one by one it equals the batch to 1e-10."""
+    measurements = simulated(CHANNEL, 5, 30, 200.0)
+    grown = condition(CHANNEL, measurements.take(slice(0, 2)), theta="least_squares")
+    for row in range(2, 30):
+        grown = extend(grown, measurements.take(slice(row, row + 1)))
+    batch = condition(CHANNEL, measurements, theta="least_squares")
+    np.testing.assert_allclose(grown.theta, batch.theta, rtol=1e-10)
+    np.testing.assert_allclose(grown.theta_covariance, batch.theta_covariance, rtol=1e-10)
+
+
+def test_receiver_offsets_do_not_enter_least_squares():
+    """A constant added to all powers of another receiver moves theta by nothing."""
+    measurements = simulated(CHANNEL, 6, 30, 200.0)
+    mixed = dataclasses.replace(measurements, receiver=np.arange(30) % 2)
+    shifted = dataclasses.replace(mixed, power_dbm=mixed.power_dbm + 7.0 * mixed.receiver)
+    first, second = (estimate_theta(m, CHANNEL, "ls") for m in (mixed, shifted))
+    np.testing.assert_allclose(second.theta, first.theta, rtol=1e-9)
+    np.testing.assert_allclose(second.covariance, first.covariance, rtol=1e-9)
+
+
+def test_censored_ones_are_left_out_of_least_squares():
+    """A limit changes nothing of it."""
+    measurements = simulated(CHANNEL, 7, 30, 200.0)
+    flags = np.arange(30) >= 25
+    limited = dataclasses.replace(measurements, censored=flags)
+    with_limits = estimate_theta(limited, CHANNEL, "ls")
+    without = estimate_theta(measurements.take(~flags), CHANNEL, "ls")
+    np.testing.assert_allclose(with_limits.theta, without.theta, rtol=1e-9)
+    np.testing.assert_allclose(with_limits.covariance, without.covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize("how", ["ml", "ls"])
+def test_unidentified_theta_has_the_weak_prior(how):
+    """From one measurement, or none, both are the same finite estimate."""
+    for count in (0, 1):
+        few = simulated(CHANNEL, 8, 5, 200.0).take(slice(0, count))
+        found = estimate_theta(few, CHANNEL, how)
+        assert np.isfinite(found.theta).all()
+        np.testing.assert_allclose(
+            found.covariance, condition(CHANNEL, few).theta_covariance, rtol=1e-12
+        )
+
+
+def test_what_cannot_be_asked():
+    """Another estimator; the recursion of a theta that is not estimated, or of no place."""
+    measurements = simulated(CHANNEL, 9, 10, 200.0)
+    with pytest.raises(InputError, match="no estimator"):
+        estimate_theta(measurements, CHANNEL, "map")
+    with pytest.raises(InputError, match="recursion"):
+        ml_covariance_after(condition(CHANNEL, measurements, theta="known"), np.zeros(2))
+    with pytest.raises(InputError):
+        ml_covariance_after(condition(CHANNEL, measurements), np.zeros(3))

@@ -1,0 +1,221 @@
+"""Offsets of receivers: estimates, errors, and predictions that are free of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_channel import simulated
+
+from planopt.channel import measurement_covariance
+from planopt.channel import receiver_offsets as module
+from planopt.channel.fit import fit_channel
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.kriging import predict
+from planopt.channel.least_squares import coefficient_covariance, least_squares
+from planopt.channel.mean_model import mean_model
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameter_uncertainty import marginalise
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.path_loss import regressors
+from planopt.channel.posterior import condition
+from planopt.channel.receiver_offsets import receiver_offsets
+from planopt.channel.station_search import fit_channel_and_station
+
+CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 15.0, 2.0, Station((50.0, 130.0), 5.0))
+OFFSETS_DB = np.array([0.0, 7.0, -4.0])
+PLACES = np.random.default_rng(9).uniform(0.0, 100.0, (50, 2))
+METHODS = ("seed", "capped", "convex", "nls", "reml")
+
+
+def cooperative(seed, count, share=0.0):
+    """Measurements of three robots in turn, each with its own receiver."""
+    alone = simulated(CHANNEL, seed, count, 100.0, share)
+    receiver = np.arange(count) % 3
+    return replace(alone, power_dbm=alone.power_dbm + OFFSETS_DB[receiver], receiver=receiver)
+
+
+def without_offsets(data):
+    """As all by receiver 0."""
+    return Measurements(data.positions_m, data.power_dbm - OFFSETS_DB[data.receiver], data.censored)
+
+
+def explicit_columns(data, parameters):
+    """Generalised least squares with a column for each receiver, offsets under a flat prior."""
+    positions = data.positions_m
+    covariance = shadow_covariance_db2(positions, positions, parameters)
+    covariance += parameters.multipath_std_db**2 * np.eye(len(data))
+    weight = np.linalg.inv(covariance)
+    indicators = (data.receiver[:, None] == [1, 2]).astype(float)
+    columns = np.column_stack([regressors(positions, parameters.station), indicators])
+    spread = np.linalg.inv(columns.T @ weight @ columns)
+    solution = spread @ columns.T @ weight @ data.power_dbm
+    across = shadow_covariance_db2(PLACES, positions, parameters) @ weight
+    gamma = np.column_stack([regressors(PLACES, parameters.station), np.zeros((len(PLACES), 2))])
+    mean = gamma @ solution + across @ (data.power_dbm - columns @ solution)
+    return solution, spread, mean
+
+
+@pytest.fixture
+def wide(monkeypatch):
+    """A prior of the offsets that is nearly flat."""
+    monkeypatch.setattr(measurement_covariance, "RECEIVER_OFFSET_STD_DB", 3000.0)
+    monkeypatch.setattr(module, "RECEIVER_OFFSET_STD_DB", 3000.0)
+
+
+def test_a_flat_prior_is_explicit_columns(wide):
+    """Offsets, their errors and predictions are those of least squares with more columns."""
+    data = cooperative(0, 120)
+    solution, spread, mean = explicit_columns(data, CHANNEL)
+    posterior = condition(CHANNEL, data)
+    found = receiver_offsets(posterior)
+    assert [offset.receiver for offset in found] == [1, 2]
+    np.testing.assert_allclose([o.offset_db for o in found], solution[2:], atol=1e-4)
+    np.testing.assert_allclose(
+        [o.standard_error_db for o in found], np.sqrt(np.diag(spread)[2:]), atol=1e-4
+    )
+    np.testing.assert_allclose(posterior.theta, solution[:2], atol=1e-4)
+    np.testing.assert_allclose(predict(posterior, PLACES).mean_db, mean, atol=1e-4)
+
+
+def test_the_prior_hardly_matters():
+    """With 20 dB the estimates are those of the flat prior to a fiftieth of their error."""
+    data = cooperative(1, 120)
+    solution, spread, mean = explicit_columns(data, CHANNEL)
+    found = receiver_offsets(condition(CHANNEL, data))
+    for offset, exact, variance in zip(found, solution[2:], np.diag(spread)[2:], strict=True):
+        assert abs(offset.offset_db - exact) < 0.02 * np.sqrt(variance)
+        assert offset.standard_error_db == pytest.approx(np.sqrt(variance), rel=2e-3)
+    np.testing.assert_allclose(predict(condition(CHANNEL, data), PLACES).mean_db, mean, atol=0.02)
+
+
+def test_predictions_are_free_of_offsets():
+    """The more is measured the nearer to the prediction from data without offsets."""
+    gaps = []
+    for count in (60, 900):
+        data = cooperative(2, count)
+        with_offsets = predict(condition(CHANNEL, data), PLACES)
+        free = predict(condition(CHANNEL, without_offsets(data)), PLACES)
+        gaps.append(np.abs(with_offsets.mean_db - free.mean_db).max())
+        assert (with_offsets.deviation_db >= free.deviation_db - 1e-9).all()
+    assert gaps[1] < 0.3
+    assert gaps[1] < gaps[0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_every_fit_finds_them(method, share):
+    """Within three standard errors, with limits too; the other parameters as without offsets."""
+    data = cooperative(3, 240)
+    if share:
+        floor = np.quantile(data.power_dbm, share)
+        data = replace(
+            data, power_dbm=np.maximum(data.power_dbm, floor), censored=data.power_dbm < floor
+        )
+    found = fit_channel(data, CHANNEL.station, method)
+    for offset in found.receiver_offsets:
+        error = offset.offset_db - OFFSETS_DB[offset.receiver]
+        assert abs(error) < 3.0 * offset.standard_error_db
+        assert offset.standard_error_db < 2.0
+    free = fit_channel(without_offsets(cooperative(3, 240)), CHANNEL.station, method)
+    assert free.receiver_offsets == ()
+    if not share:
+        for name in ("shadow_std_db", "multipath_std_db", "decorrelation_m"):
+            assert getattr(found.parameters, name) == pytest.approx(
+                getattr(free.parameters, name), rel=0.15
+            )
+
+
+def test_standard_errors_are_those_of_estimates():
+    """Over 60 simulations the estimates scatter as their errors say."""
+    scores = []
+    for seed in range(60):
+        found = receiver_offsets(condition(CHANNEL, cooperative(100 + seed, 60)))
+        scores += [(o.offset_db - OFFSETS_DB[o.receiver]) / o.standard_error_db for o in found]
+    assert abs(np.mean(scores)) < 0.3
+    assert 0.8 < np.std(scores) < 1.2
+
+
+def test_no_measurement_by_the_reference():
+    """The level is then as uncertain as an offset, and the fit says so."""
+    data = cooperative(4, 150)
+    data = replace(data, receiver=data.receiver + 1)
+    found = fit_channel(data, CHANNEL.station)
+    assert any("receiver 0" in warning for warning in found.warnings)
+    assert all(offset.standard_error_db > 8.0 for offset in found.receiver_offsets)
+    first, second, third = (offset.offset_db for offset in found.receiver_offsets)
+    assert second - first == pytest.approx(7.0, abs=2.0)
+    assert third - first == pytest.approx(-4.0, abs=2.0)
+    assert found.standard_errors["k_pl_db"] > 8.0
+    line = fit_channel(data, CHANNEL.station, "capped")
+    assert line.standard_errors["k_pl_db"] > 8.0
+
+
+def test_least_squares_has_a_column_each():
+    """Residuals and coefficients are those of the regression with indicators."""
+    data = cooperative(5, 90)
+    model = mean_model(data.positions_m, ~data.censored, CHANNEL.station, True)
+    found = least_squares(model, data)
+    columns = np.column_stack([model.columns, data.receiver == 1, data.receiver == 2])
+    solution, *_ = np.linalg.lstsq(columns, data.power_dbm, rcond=None)
+    np.testing.assert_allclose(found.coefficients, solution[:2], atol=1e-3)
+    np.testing.assert_allclose(found.residual_db, data.power_dbm - columns @ solution, atol=1e-4)
+    positions = data.positions_m
+    dense = shadow_covariance_db2(positions, positions, CHANNEL) + 4.0 * np.eye(90)
+    outer = np.linalg.pinv(columns)
+    np.testing.assert_allclose(
+        coefficient_covariance(model, data, CHANNEL),
+        (outer @ dense @ outer.T)[:2, :2],
+        rtol=1e-3,
+    )
+
+
+def test_a_receiver_that_thinning_would_miss():
+    """Three measurements among a thousand still give an offset with an honest error."""
+    data = cooperative(6, 1000)
+    receiver = np.zeros(1000, dtype=np.intp)
+    receiver[[10, 500, 900]] = 5
+    data = replace(without_offsets(data), receiver=receiver)
+    data = replace(data, power_dbm=data.power_dbm + 9.0 * (receiver == 5))
+    (found,) = fit_channel(data, CHANNEL.station).receiver_offsets
+    assert found.receiver == 5
+    assert abs(found.offset_db - 9.0) < 3.0 * found.standard_error_db
+    assert found.standard_error_db < 4.0
+
+
+def test_other_ways_to_learn():
+    """The station's search and the marginal posterior are free of offsets too."""
+    data = cooperative(7, 80)
+    sites = [fit_channel_and_station(d).parameters.station for d in (data, without_offsets(data))]
+    one, other = (np.array(site.position_m) for site in sites)
+    assert np.linalg.norm(one - other) < 40.0
+    fitted = fit_channel(data, CHANNEL.station).parameters
+    found = marginalise(fitted, data).predict(PLACES)
+    free = marginalise(fitted, without_offsets(data)).predict(PLACES)
+    assert np.abs(found.mean_db - free.mean_db).mean() < 1.0
+
+
+def test_small_and_degenerate_sets():
+    """Any method on few measurements of many receivers gives finite numbers or our error."""
+    generator = np.random.default_rng(11)
+    for case in range(60):
+        count = int(generator.integers(2, 14))
+        positions = generator.uniform(0.0, 30.0, (count, 2))
+        if case % 3 == 0:
+            positions[:, 1] = 5.0
+        if case % 4 == 0:
+            positions[2:] = positions[0]
+        data = Measurements(
+            positions,
+            generator.normal(-60.0, 8.0, count),
+            generator.random(count) < 0.2 * (case % 2),
+            position_std_m=np.full(count, float(case % 3)),
+            time_s=generator.uniform(0.0, 100.0, count),
+            receiver=generator.integers(0, 1 + case % 5, count),
+        )
+        found = fit_channel(data, CHANNEL.station, METHODS[case % 5], 50.0)
+        for offset in found.receiver_offsets:
+            assert np.isfinite([offset.offset_db, offset.standard_error_db]).all()
+            assert offset.standard_error_db > 0.0
+        prediction = predict(condition(found.parameters, data), PLACES)
+        assert np.isfinite(prediction.mean_db).all()
+        assert np.isfinite(prediction.deviation_db).all()

@@ -1,0 +1,79 @@
+"""No method throws anything but an InputError, on a thousand small cases."""
+
+import itertools
+
+import numpy as np
+import pytest
+from small_cases import small_case
+
+from planopt.channel.fit import fit_channel
+from planopt.channel.identifiability import examine
+from planopt.channel.posterior import condition
+from planopt.errors import InputError
+
+CASES = 1000
+BLOCKS = 20
+ROTATED = (
+    ("seed", "squares"),
+    ("convex", "squares"),
+    ("capped", "squares"),
+    ("nls", "squares"),
+    ("seed", "squares"),
+    ("convex", "huber"),
+    ("capped", "squares"),
+    ("convex", "absolute"),
+)
+"""Beside reml, which has every case, each has one of these; all on every case take four times as
+long."""
+
+
+def assert_usable(fit):
+    """Finite, positive where it must be, and consistent with its own words."""
+    p = fit.parameters
+    numbers = [p.k_pl_db, p.n_pl, p.shadow_std_db, p.decorrelation_m, p.multipath_std_db]
+    assert np.isfinite(numbers).all()
+    assert min(numbers[2:]) > 0.0
+    errors = np.array(list(fit.standard_errors.values()))
+    assert (errors >= 0.0).all()
+    eigenvalues = np.linalg.eigvalsh(fit.theta_covariance)
+    assert eigenvalues[0] >= -1e-9 * eigenvalues[1]
+    assert fit.status == "ok" or fit.warnings
+
+
+@pytest.mark.parametrize("block", range(BLOCKS))
+def test_every_fit_is_usable_or_refused(block):
+    """Each case is fitted with finite numbers that predict finite ones, or refused by examine."""
+    width = CASES // BLOCKS
+    for seed in range(width * block, width * (block + 1)):
+        measurements, station, forgetting_s = small_case(seed)
+        methods = (("reml", "squares"), ROTATED[seed % len(ROTATED)])
+        for method, loss in methods:
+            try:
+                fit = fit_channel(measurements, station, method, forgetting_s, loss=loss)
+            except InputError:
+                with pytest.raises(InputError):
+                    examine(measurements, station)
+                continue
+            assert_usable(fit)
+            near = measurements.positions_m[:3] + [[0.0, 0.0]]
+            places = np.concatenate([near, near + [1.0, 3.0]])
+            found = condition(fit.parameters, measurements).predict(places)
+            assert np.isfinite(found.mean_db).all()
+            assert np.isfinite(found.deviation_db).all()
+            assert (found.deviation_db > 0.0).all()
+
+
+def test_cases_are_what_they_say():
+    """Among them are refused, repeated, far, rounded, censored and constant ones."""
+    cases = list(itertools.islice(map(small_case, itertools.count()), 90))
+    measured = [measurements for measurements, _, _ in cases]
+    assert {len(m) for m in measured} >= {2, 30}
+    for share in (
+        np.mean([len(np.unique(m.positions_m, axis=0)) < len(m) for m in measured]),
+        np.mean([m.positions_m.min() > 1e6 for m in measured]),
+        np.mean([m.resolution_db.any() for m in measured]),
+        np.mean([m.censored.any() for m in measured]),
+        np.mean([np.ptp(m.power_dbm) == 0.0 for m in measured]),
+        np.mean([m.receiver.any() for m in measured]),
+    ):
+        assert share > 0.08

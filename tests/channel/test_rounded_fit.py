@@ -1,0 +1,196 @@
+"""Fits and predictions from powers in whole steps, over simulated channels."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from simulated_channel import simulated
+
+from planopt.channel.censoring import FINE_STEP, needs_site
+from planopt.channel.covariance_fit import covariance_bounds
+from planopt.channel.fit import fit_channel
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.mean_model import mean_model
+from planopt.channel.measurements import Measurements
+from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.parameter_uncertainty import marginalise
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.path_loss import regressors
+from planopt.channel.posterior import condition
+from planopt.channel.reml import reml_fit
+from planopt.channel.restricted_likelihood import evaluate, likelihood_data
+
+CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 20.0, 1.0, Station((50.0, 50.0), 10.0))
+STEP_DB = 3.0
+COUNT = 180
+SEEDS = 30
+
+
+def in_steps(measurements, step_db, told=True):
+    """Powers in whole steps; `told` says whether the measurements know."""
+    resolution = np.full(len(measurements), step_db if told else 0.0)
+    power = np.round(measurements.power_dbm / step_db) * step_db
+    return dataclasses.replace(measurements, power_dbm=power, resolution_db=resolution)
+
+
+def first(measurements, count):
+    """The first of the measurements, the others being held out."""
+    return measurements.take(slice(0, count)), measurements.take(slice(count, None))
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """For each seed: held-out powers, rounded measurements, and fits that know of it or not."""
+    found = []
+    for seed in range(SEEDS):
+        raw, held_out = first(simulated(CHANNEL, seed, COUNT + 30, 45.0), COUNT)
+        told, untold = in_steps(raw, STEP_DB), in_steps(raw, STEP_DB, told=False)
+        station = CHANNEL.station
+        found.append((held_out, told, fit_channel(told, station), fit_channel(untold, station)))
+    return found
+
+
+def estimates(fits):
+    """xi, omega, beta of fits; ``(seeds, 3)``."""
+    found = [fit.parameters for fit in fits]
+    return np.array([[p.shadow_std_db, p.multipath_std_db, p.decorrelation_m] for p in found])
+
+
+def test_coarse_powers_are_intervals_to_these_fits(fits):
+    """At r = 3 omega the rule asks for sites, so that what follows tests them."""
+    assert FINE_STEP < STEP_DB / CHANNEL.multipath_std_db
+    coarse = [needs_site(m, fit.parameters.multipath_std_db**2).all() for _, m, fit, _ in fits]
+    assert np.mean(coarse) > 0.8
+
+
+def test_omega_is_recovered_and_biased_where_rounding_is_not_told(fits):
+    """Within Monte Carlo error of the truth when told, sqrt(omega^2 + r^2 / 12) when not."""
+    told = estimates([fit for *_, fit, _ in fits])
+    untold = estimates([fit for *_, fit in fits])
+    error = told.std(axis=0) / math.sqrt(SEEDS)
+    assert told[:, 1].mean() == pytest.approx(1.0, abs=3.0 * error[1])
+    biased = math.sqrt(1.0 + STEP_DB**2 / 12.0)
+    assert untold[:, 1].mean() == pytest.approx(biased, abs=3.0 * error[1])
+    assert untold[:, 1].mean() > 1.0 + 3.0 * error[1]
+    assert told[:, 0].mean() == pytest.approx(6.0, abs=3.0 * error[0])
+    # Its distribution has a long tail.
+    assert np.median(told[:, 2]) == pytest.approx(20.0, abs=3.0 * 1.25 * error[2])
+
+
+def test_standard_error_of_omega_is_its_spread(fits):
+    """Rounded measurements count as telling of omega^2."""
+    omegas = estimates([fit for *_, fit, _ in fits])[:, 1]
+    errors = [fit.standard_errors["multipath_std_db"] for *_, fit, _ in fits]
+    assert np.std(omegas) == pytest.approx(np.median(errors), rel=0.5)
+
+
+@one_blas_thread()
+def test_prediction_intervals_cover(fits):
+    """95 % intervals of exact powers at other places cover, with estimated parameters."""
+    inside = []
+    for held_out, told, fit, _ in fits:
+        found = condition(fit.parameters, told).predict(held_out.positions_m)
+        inside.append(np.abs(held_out.power_dbm - found.mean_db) < 1.96 * found.deviation_db)
+    assert 0.92 < np.mean(inside) < 0.98
+
+
+def test_marginalising_does_not_count_rounding_twice(fits):
+    """Components' omega, weighted, stand around the estimate, not around what rounding adds."""
+    excess = []
+    for _, told, fit, _ in fits[:8]:
+        found = marginalise(fit.parameters, told)
+        variances = [part.parameters.multipath_std_db**2 for part in found.components]
+        excess.append(found.weights @ variances - fit.parameters.multipath_std_db**2)
+    assert abs(np.mean(excess)) < 0.25 * STEP_DB**2 / 12.0
+
+
+@one_blas_thread()
+def test_repeats_in_one_place_need_intervals():
+    """Many coarse readings of the same few powers: Sheppard's Gaussian is far too sure.
+
+    With r = 6 omega the readings of a place differ seldom, which their independent rounding errors
+    would make them do. Intervals predict the power there with honest deviations.
+    """
+    scores = {True: [], False: []}
+    step = 6.0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        positions = np.repeat(rng.uniform(0.0, 100.0, (12, 2)), 12, axis=0)
+        places = Measurements(positions, np.zeros(144), np.zeros(144, dtype=bool))
+        truth = latent(positions, rng)
+        power = truth + rng.standard_normal(144)
+        told = in_steps(dataclasses.replace(places, power_dbm=power), step)
+        gaussian = in_steps(told, step, told=False)
+        widened = dataclasses.replace(CHANNEL, multipath_std_db=math.sqrt(1.0 + step**2 / 12.0))
+        for sites, posterior in (
+            (True, condition(CHANNEL, told, theta="known")),
+            (False, condition(widened, gaussian, theta="known")),
+        ):
+            found = posterior.predict(positions[::12])
+            omega2 = posterior.parameters.multipath_std_db**2
+            deviation = np.sqrt(found.deviation_db**2 - omega2)
+            scores[sites].append((truth[::12] - found.mean_db) / deviation)
+    assert np.sqrt(np.mean(np.square(scores[True]))) == pytest.approx(1.0, abs=0.2)
+    assert np.sqrt(np.mean(np.square(scores[False]))) > 1.3
+
+
+def latent(positions, rng):
+    """Noise-free powers at positions that may repeat."""
+    distinct, where = np.unique(positions, axis=0, return_inverse=True)
+    root = np.linalg.cholesky(shadow_covariance_db2(distinct, distinct, CHANNEL))
+    mean = regressors(distinct, CHANNEL.station) @ [CHANNEL.k_pl_db, CHANNEL.n_pl]
+    return (mean + root @ rng.standard_normal(len(distinct)))[where]
+
+
+@one_blas_thread()
+def test_the_refit_with_intervals_is_an_optimum():
+    """No step from the optimum, in any parameter, raises the likelihood with intervals."""
+    told = in_steps(simulated(CHANNEL, 3, 80, 40.0), 6.0)
+    station = CHANNEL.station
+    model = mean_model(told.positions_m, ~told.censored, station, True)
+    bounds = covariance_bounds(40.0, (1.0, 60.0))
+    found = reml_fit(model, told, bounds, CHANNEL)
+    estimate = found.covariance
+    assert needs_site(told, estimate.multipath_variance_db2).all()
+    data = likelihood_data(model, told, CHANNEL, np.ones(80, dtype=bool))
+    top = np.array(
+        [
+            estimate.shadow_variance_db2,
+            estimate.multipath_variance_db2,
+            estimate.decorrelation_m,
+        ]
+    )
+    assert evaluate(data, tuple(top)).log_likelihood == pytest.approx(
+        found.log_likelihood, abs=1e-6
+    )
+    ranges = (bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m)
+    for i, (low, high) in enumerate(ranges):
+        for factor in (0.8, 1.25):
+            moved = top.copy()
+            moved[i] = np.clip(factor * moved[i], low, high)
+            assert evaluate(data, tuple(moved)).log_likelihood < found.log_likelihood + 1e-6
+
+
+def test_fine_steps_cost_nothing():
+    """Steps of 1 dB at omega = 2 dB are no intervals, and hardly change the estimate."""
+    channel = dataclasses.replace(CHANNEL, multipath_std_db=2.0)
+    raw = simulated(channel, 5, 150, 60.0)
+    told = in_steps(raw, 1.0)
+    exact, found = (fit_channel(each, CHANNEL.station).parameters for each in (raw, told))
+    assert not needs_site(told, found.multipath_std_db**2).any()
+    assert found.multipath_std_db == pytest.approx(exact.multipath_std_db, abs=0.15)
+    assert found.shadow_std_db == pytest.approx(exact.shadow_std_db, rel=0.05)
+
+
+@pytest.mark.parametrize("method", ["seed", "capped", "convex", "nls"])
+def test_other_methods_take_rounding_out_of_omega(method):
+    """omega^2 = alpha - xi^2 without the r^2 / 12 that rounding adds to alpha."""
+    channel = dataclasses.replace(CHANNEL, multipath_std_db=3.0)
+    raw = simulated(channel, 6, 300, 150.0)
+    told, untold = in_steps(raw, 4.0), in_steps(raw, 4.0, told=False)
+    alphas = []
+    for each in (told, untold):
+        found = fit_channel(each, CHANNEL.station, method).parameters
+        alphas.append(found.shadow_std_db**2 + found.multipath_std_db**2)
+    assert alphas[1] - alphas[0] == pytest.approx(16.0 / 12.0, abs=0.2)

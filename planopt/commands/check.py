@@ -35,12 +35,14 @@ def check(
         "verdict": result.verdict.value,
         "certificate": certificate,
         "reasons": list(result.reasons),
+        "remarks": list(result.remarks),
     }
     lines = [
         f"{path}: {result.verdict.value}",
         f"  clearance {shown_number(certificate['min_clearance_m'], ' m')}, least probability of "
         f"connection {shown_number(certificate['min_connectivity'])}",
         *(f"  {reason}" for reason in result.reasons),
+        *(f"  remark: {remark}" for remark in result.remarks),
     ]
     show(json, data, "\n".join(lines))
     return 0 if result.verdict is Verdict.VERIFIED else REJECTED

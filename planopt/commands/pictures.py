@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from planopt.channel.fit import ChannelFit
+from planopt.channel.held_out_report import HeldOutReport
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior_map import PosteriorMap
 from planopt.planning.simulation import Simulation
 from planopt.planning.solution import Solution
 from planopt.report.belief_map import draw_belief
+from planopt.report.calibration_figure import draw_calibration
 from planopt.report.comparison_figure import draw_comparison
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_posterior_map
@@ -41,6 +43,14 @@ def picture_comparison(comparison: Comparison, folder: Path) -> None:
 def picture_fit(measurements: Measurements, fit: ChannelFit, folder: Path) -> None:
     """The fitted path loss and correlation over the measurements."""
     save_figure(draw_fit(measurements, fit, fit.parameters.station), folder / "fit.png")
+
+
+def picture_held_out(report: HeldOutReport, folder: Path) -> None:
+    """Coverage and PIT of what was held out."""
+    calibrations = {
+        name.replace("_", " "): score.calibration for name, score in report.scores.items()
+    }
+    save_figure(draw_calibration(calibrations), folder / "held_out.png")
 
 
 def picture_map(

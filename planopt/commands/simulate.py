@@ -4,60 +4,43 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from planopt.commands.options import (
-    CostToGoOption,
-    HorizonOption,
-    JsonOption,
-    OutOption,
-    PlannerOption,
-    ProblemArgument,
-    SeedOption,
-)
 from planopt.commands.output import NO_PLAN, progress, results_folder, show, shown_number
+from planopt.commands.planning import Asked, planning_command
 
 if TYPE_CHECKING:
     from planopt.planning.simulation import Simulation
 
 
-def simulate(
-    problem: ProblemArgument,
-    horizon: HorizonOption = None,
-    planner: PlannerOption = None,
-    cost_to_go: CostToGoOption = None,
-    seed: SeedOption = 0,
-    out: OutOption = None,
-    json: JsonOption = False,
-) -> int:
+@planning_command
+def simulate(asked: Asked) -> int:
     """Drive to the goal. Exit code 0 verified throughout, 3 not throughout, 4 not reached."""
     from planopt.errors import NoPlanError
     from planopt.planning.closed_loop import simulate as drive
     from planopt.planning.run_json import no_run_json, simulation_json
     from planopt.planning.saved import RUN_FILE, save_record, save_simulation, withdraw
     from planopt.planning.simulation import exit_code
-    from planopt.problems.load import load
-    from planopt.problems.overrides import with_overrides
 
-    asked = with_overrides(load(problem), horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    with results_folder(out) as folder:
+    problem, seed = asked.problem, asked.seed
+    with results_folder(asked.out) as folder:
         try:
             with progress("driving, steps:") as advance:
-                simulation = drive(asked, seed=seed, on_step=lambda _: advance())
+                simulation = drive(problem, seed=seed, on_step=lambda _: advance())
         except NoPlanError as error:
-            data = no_run_json(asked, seed, str(error))
+            data = no_run_json(problem, seed, str(error))
             if folder is not None:
                 withdraw(folder)
-                save_record({**data, "plans": []}, asked, folder / RUN_FILE)
-            show(json, data, f"{asked.name}: no plan: {error}")
+                save_record({**data, "plans": []}, problem, folder / RUN_FILE)
+            show(asked.json, data, f"{problem.name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
             withdraw(folder)
-            if asked.report.figures:
+            if problem.report.figures:
                 from planopt.commands.pictures import picture_simulation
 
                 with progress("drawing"):
                     picture_simulation(simulation, folder)
             save_simulation(simulation, folder)
-    show(json, simulation_json(simulation), _in_words(simulation))
+    show(asked.json, simulation_json(simulation), _in_words(simulation))
     return exit_code(simulation)
 
 

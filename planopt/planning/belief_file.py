@@ -7,12 +7,11 @@ it came. The sites and theta are saved too, so that a file that contradicts itse
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +20,16 @@ from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition, extend
-from planopt.errors import InputError
 from planopt.files import write_whole
-from planopt.planning.solution_json import LARGEST
+from planopt.planning.npz_arrays import NpzArrays, read_npz
+
+BELIEF_FILE = "belief.npz"
 
 PARAMETER_NAMES = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
 """Order of the arrays ``parameters`` and ``standard_errors``."""
 
-SITE_TOLERANCE = 1e-5
-"""Sites come from an iteration that stops at 1e-7, theta from round-off; natural units of each."""
-
-_REMEDY = "save the plan or run again"
+OPTIONAL_NAMES = ("resolution_db", "position_std_m", "time_s")
+"""Of measurements, zero in files that lack them; as is ``receiver``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +52,8 @@ class SavedBelief:
         Whether theta was given rather than estimated.
     values_db, noise_variance_db2
         ``(kappa,)`` the Gaussian measurements that stood for them.
-    theta
-        ``(2,)`` (K_PL, n_PL) from all.
+    arrays
+        All that the file has, by name.
     """
 
     file: Path
@@ -66,7 +64,7 @@ class SavedBelief:
     theta_known: bool
     values_db: NDArray[np.float64]
     noise_variance_db2: NDArray[np.float64]
-    theta: NDArray[np.float64]
+    arrays: Mapping[str, NDArray[Any]]
 
 
 def write_belief(path: Path, belief: Belief, known_before_step: NDArray[np.int64]) -> None:
@@ -81,15 +79,25 @@ def write_belief(path: Path, belief: Belief, known_before_step: NDArray[np.int64
     known_before_step
         ``(steps,)`` how many measurements each step was planned on; empty for a plan.
     """
+    arrays = belief_arrays(belief, known_before_step)
+
+    def write(temporary: Path) -> None:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+
+    write_whole(path, write)
+
+
+def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """What :func:`write_belief` writes, by name."""
     fit, posterior = belief.fit, belief.posterior
-    parameters, measurements = posterior.parameters, posterior.measurements
-    station = parameters.station
-    arrays: dict[str, Any] = {
+    measurements = posterior.measurements
+    return {
         "positions_m": measurements.positions_m,
         "power_dbm": measurements.power_dbm,
         "censored": measurements.censored,
-        "parameters": np.array([getattr(parameters, name) for name in PARAMETER_NAMES]),
-        "station": np.array([*station.position_m, station.height_m]),
+        **{name: getattr(measurements, name) for name in OPTIONAL_NAMES},
+        "receiver": measurements.receiver,
+        **parameter_arrays(posterior.parameters),
         "first_measurements": np.array(fit.measurements),
         "known_before_step": known_before_step,
         "theta": posterior.theta,
@@ -103,10 +111,15 @@ def write_belief(path: Path, belief: Belief, known_before_step: NDArray[np.int64
         "fit_warnings": np.array(fit.warnings, dtype=np.str_),
     }
 
-    def write(temporary: Path) -> None:
-        np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
-    write_whole(path, write)
+def parameter_arrays(parameters: ChannelParameters) -> dict[str, NDArray[Any]]:
+    """Those of the file's arrays that have the channel's parameters."""
+    station = parameters.station
+    return {
+        "parameters": np.array([getattr(parameters, name) for name in PARAMETER_NAMES]),
+        "forgetting_s": np.array(parameters.forgetting_s),
+        "station": np.array([*station.position_m, station.height_m]),
+    }
 
 
 def read_belief(path: Path) -> SavedBelief:
@@ -118,7 +131,7 @@ def read_belief(path: Path) -> SavedBelief:
         The file is missing, truncated or no ``npz``, or an array is missing, of the wrong shape
         or impossible; with the file and the array's name as the key.
     """
-    arrays = _Arrays(path, _read_arrays(path))
+    arrays = read_npz(path)
     power = arrays.floats("power_dbm", None)
     count = len(power)
     positions = arrays.floats("positions_m", (count, 2))
@@ -127,6 +140,9 @@ def read_belief(path: Path) -> SavedBelief:
     x, y, height = (float(v) for v in arrays.floats("station", (3,)))
     if numbers[3] <= 0.0 or numbers[2] < 0.0 or numbers[4] < 0.0:
         raise arrays.error("parameters", f"{numbers.tolist()} are no channel parameters")
+    noise = arrays.floats("noise_variance_db2", (count,))
+    if (noise <= 0.0).any():
+        raise arrays.error("noise_variance_db2", "a variance is not positive")
     known = arrays.of_kind("known_before_step", "iu", None).astype(np.int64)
     first = int(arrays.of_kind("first_measurements", "iu", ()))
     steps = np.array([first, *known, count])
@@ -137,15 +153,17 @@ def read_belief(path: Path) -> SavedBelief:
     return SavedBelief(
         file=path,
         parameters=ChannelParameters(
-            *(float(number) for number in numbers), station=Station((x, y), height)
+            *(float(number) for number in numbers),
+            station=Station((x, y), height),
+            forgetting_s=_forgetting_s(arrays),
         ),
-        measurements=Measurements(positions, power, censored),
+        measurements=Measurements(positions, power, censored, **_optional(arrays, count)),
         first=first,
         known_before_step=known,
         theta_known=bool(arrays.of_kind("theta_known", "b", ())),
         values_db=arrays.floats("values_db", (count,), largest=np.inf),
-        noise_variance_db2=arrays.floats("noise_variance_db2", (count,)),
-        theta=arrays.floats("theta", (2,)),
+        noise_variance_db2=noise,
+        arrays=arrays.arrays,
     )
 
 
@@ -153,7 +171,7 @@ def first_posterior(saved: SavedBelief) -> ChannelPosterior:
     """What was believed before the first step."""
     return condition(
         saved.parameters,
-        _part(saved.measurements, 0, saved.first),
+        saved.measurements.take(slice(saved.first)),
         theta="known" if saved.theta_known else "estimated",
     )
 
@@ -162,83 +180,27 @@ def grown_posterior(
     saved: SavedBelief, posterior: ChannelPosterior, count: int
 ) -> ChannelPosterior:
     """`posterior` extended to the first `count` measurements of the file."""
-    return extend(posterior, _part(saved.measurements, len(posterior.measurements), count))
+    return extend(posterior, saved.measurements.take(slice(len(posterior.measurements), count)))
 
 
-def contradictions(saved: SavedBelief, posterior: ChannelPosterior) -> list[str]:
-    """Where the saved sites and theta are not those of the rebuilt `posterior` of all."""
-    found: list[str] = []
-    precision, saved_precision = 1.0 / posterior.noise_variance_db2, 1.0 / saved.noise_variance_db2
-    differs = ~np.isclose(
-        saved_precision, precision, rtol=SITE_TOLERANCE, atol=SITE_TOLERANCE
-    ) | ~np.isclose(
-        saved.values_db * saved_precision,
-        posterior.values_db * precision,
-        rtol=SITE_TOLERANCE,
-        atol=SITE_TOLERANCE,
-    )
-    if differs.any():
-        found.append(
-            f"{saved.file.name}: measurement {int(np.argmax(differs))} does not give the saved "
-            "values_db and noise_variance_db2"
-        )
-    if not np.allclose(saved.theta, posterior.theta, rtol=SITE_TOLERANCE, atol=SITE_TOLERANCE):
-        found.append(f"{saved.file.name}: the measurements do not give the saved theta")
+def _optional(arrays: NpzArrays, count: int) -> dict[str, NDArray[Any]]:
+    """What measurements may have beside place, power and flag, and the file has."""
+    found: dict[str, NDArray[Any]] = {
+        name: arrays.floats(name, (count,)) for name in OPTIONAL_NAMES if name in arrays.arrays
+    }
+    for name in ("resolution_db", "position_std_m"):
+        if name in found and (found[name] < 0.0).any():
+            raise arrays.error(name, "a number is negative")
+    if "receiver" in arrays.arrays:
+        found["receiver"] = arrays.of_kind("receiver", "iu", (count,)).astype(np.intp)
     return found
 
 
-def _part(measurements: Measurements, start: int, stop: int) -> Measurements:
-    return Measurements(
-        measurements.positions_m[start:stop],
-        measurements.power_dbm[start:stop],
-        measurements.censored[start:stop],
-    )
-
-
-@dataclass(frozen=True)
-class _Arrays:
-    """The arrays of a file, asked for by name."""
-
-    path: Path
-    arrays: Mapping[str, NDArray[Any]]
-
-    def error(self, name: str, message: str) -> InputError:
-        return InputError(message, file=self.path, key=name, remedy=_REMEDY)
-
-    def of_kind(self, name: str, kinds: str, shape: tuple[int, ...] | None) -> NDArray[Any]:
-        """An array of one of the dtype `kinds` and of `shape`, None for any one dimension."""
-        if name not in self.arrays:
-            raise self.error(name, "the array is missing")
-        array = self.arrays[name]
-        fits = array.ndim == 1 if shape is None else array.shape == shape
-        if not fits or array.dtype.kind not in kinds:
-            raise self.error(
-                name, f"an array of shape {array.shape} and type {array.dtype} does not fit"
-            )
-        return array
-
-    def floats(
-        self, name: str, shape: tuple[int, ...] | None, largest: float = LARGEST
-    ) -> NDArray[np.float64]:
-        """Finite numbers of magnitude at most `largest`."""
-        array = self.of_kind(name, "f", shape).astype(np.float64)
-        if not (np.isfinite(array) & (np.abs(array) <= largest)).all():
-            raise self.error(name, "a number is not finite or too large")
-        return array
-
-
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        # Opened here, because NumPy leaves its own handle open on a damaged archive.
-        with path.open("rb") as stream:
-            loaded = np.load(stream, allow_pickle=False)
-            if not isinstance(loaded, np.lib.npyio.NpzFile):
-                raise InputError("is not an npz archive", file=path, remedy=_REMEDY)
-            archive = cast("Mapping[str, NDArray[Any]]", loaded)
-            return {name: archive[name] for name in archive}
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror or error}", file=path, remedy=_REMEDY
-        ) from None
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, KeyError) as error:
-        raise InputError(f"is damaged: {error}", file=path, remedy=_REMEDY) from None
+def _forgetting_s(arrays: NpzArrays) -> float:
+    """The forgetting time; infinite in files that lack it."""
+    if "forgetting_s" not in arrays.arrays:
+        return math.inf
+    value = float(arrays.of_kind("forgetting_s", "f", ()))
+    if not value > 0.0:
+        raise arrays.error("forgetting_s", f"{value!r} is no forgetting time")
+    return value

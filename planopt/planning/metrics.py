@@ -10,16 +10,25 @@ from numpy.typing import NDArray
 from planopt.planning.plan import Plan
 from planopt.planning.run import Metrics, Outcome, StepLog
 
+POSSIBLE = {
+    "goal_time_s": (0.0, np.inf),
+    "path_m": (0.0, np.inf),
+    "true_connected_share": (0.0, 1.0),
+    "longest_outage_m": (0.0, np.inf),
+    "predicted_min_connectivity": (0.0, 1.0),
+}
+"""Least and largest value that a metric can have; one that is not here can have any."""
+
 
 def metrics_of(log: StepLog, plans: Sequence[Plan], outcome: Outcome) -> Metrics:
     """Compute the metrics of a run.
 
     Shares are over the steps driven, the start not counted; a run of no step counts as wholly
-    connected. The polish gain of a step is the part of the lattice path's cost that it saved.
+    connected. The polish gain is the mean over the steps.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
-    gains = [(p.lattice_objective - p.objective) / p.lattice_objective for p in plans]
+    gains = [plan.polish_gain for plan in plans]
     return Metrics(
         goal_time_s=float(log.t_s[-1]) if outcome is Outcome.REACHED else float("nan"),
         path_m=float(lengths.sum()),

@@ -8,12 +8,11 @@ length never overestimates the way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.global_search import GlobalStart
+from planopt.planning.plan import Pivot
 from planopt.planning.road_map import way_from
 from planopt.planning.scene import Scene
 from planopt.planning.tolerances import MARGIN_PAD_DB
@@ -24,14 +23,6 @@ LOOKAHEAD_STEPS = 5.0
 LATTICE_DETOUR = 0.03
 """A lattice path is at most this share longer than the straight one (16 headings: 2.7 %). The pivot
 lies at least that far ahead, or a polished path would come to it and have nowhere to go."""
-
-
-@dataclass(frozen=True)
-class Pivot:
-    """The point, and the weighted length of the way from it to the goal."""
-
-    position_m: NDArray[np.float64]
-    cost_m: float
 
 
 def find_pivot(

@@ -91,6 +91,22 @@ class Certificate:
 
 
 @dataclass(frozen=True)
+class Pivot:
+    """A point of the way beyond the horizon, and the weighted length of the way on from it.
+
+    Attributes
+    ----------
+    position_m
+        ``(2,)``.
+    cost_m
+        Metres, those below the connectivity bound counted more than once.
+    """
+
+    position_m: NDArray[np.float64]
+    cost_m: float
+
+
+@dataclass(frozen=True)
 class Plan:
     """One robot's plan over N steps.
 
@@ -117,6 +133,8 @@ class Plan:
         Named constraint multipliers of the solver, for reports.
     message
         In words, for people: why there is no better plan; empty if all is well.
+    pivot
+        The way beyond the horizon that the objective charges; None if it charges none.
     """
 
     robot: str
@@ -138,3 +156,11 @@ class Plan:
         default_factory=dict[str, NDArray[np.float64]]
     )
     message: str = ""
+    pivot: Pivot | None = None
+
+    @property
+    def polish_gain(self) -> float:
+        """The part of the lattice path's cost that the polish saved."""
+        if self.lattice_objective == 0.0:
+            return 0.0
+        return (self.lattice_objective - self.objective) / self.lattice_objective

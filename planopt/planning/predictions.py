@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearby import predict_nearby
-from planopt.channel.posterior import ChannelPosterior, predict
+from planopt.channel.kriging import predict
+from planopt.channel.nearby import NEIGHBOURS_BEYOND, predict_nearby
+from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction
 
-EXACT_LIMIT = 5000
-"""Up to this many measurements certificates use the full posterior (design 4.2)."""
-NEIGHBOURS_BEYOND = 512
-"""Nearest measurements a place beyond that: a true posterior of less data."""
 SEARCH_EXACT_LIMIT = 1000
 """Up to this many measurements searches use the full posterior too."""
 SEARCH_NEIGHBOURS = 128

@@ -6,6 +6,7 @@ believed when it was made.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -13,43 +14,62 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.planning.plan import Plan, Verdict
+from planopt.planning.plan import Plan
 from planopt.planning.run import Metrics, Outcome, Run
 from planopt.planning.simulation import Simulation
 from planopt.planning.solution_json import (
+    NotNegative,
     Number,
+    PivotRecord,
     Record,
-    Residual,
     RobotRecord,
     finite,
     finite_list,
+    pivot_json,
 )
 from planopt.problems.problem import Problem
 
 
 class ReleasedRecord(Record):
-    """One released plan of a run: its places, now included."""
+    """One released plan of a run: its places, now included, and what only the planner knows."""
 
     x_m: list[Number] = Field(min_length=2)
     y_m: list[Number]
-    verdict: Verdict
-    kkt_residual: Residual | None
+    termination: str
+    verdict: str
+    rung: str
+    lattice_objective: float
+    pivot: PivotRecord | None
+    kkt_residual: NotNegative | None
+
+
+class StepTimesRecord(Record):
+    """Planning times of the steps."""
+
+    p50: NotNegative | None
+    p95: NotNegative | None
+    max: NotNegative | None
 
 
 class RunRecord(Record):
-    """What is judged of ``run.json``."""
+    """What judging ``run.json`` starts from."""
 
-    outcome: Outcome
-    message: str
-    robots: list[RobotRecord] = Field(max_length=1)
+    seed: int = Field(ge=0)
+    outcome: str
+    step_s: StepTimesRecord
+    robots: list[RobotRecord] = Field(min_length=1, max_length=1)
     plans: list[ReleasedRecord]
     problem_file: dict[str, Any]
 
 
 def simulation_json(simulation: Simulation) -> dict[str, Any]:
     """The JSON keys of ``simulate`` (design, section 3)."""
-    run = simulation.run
-    return {"problem": simulation.problem.name, **run_summary(run), "robots": [_robot(run)]}
+    return run_json(simulation.problem, simulation.run)
+
+
+def run_json(problem: Problem, run: Run) -> dict[str, Any]:
+    """As :func:`simulation_json`, of a run and its problem."""
+    return {"problem": problem.name, **run_summary(run), "robots": [_robot(run)]}
 
 
 def run_summary(run: Run) -> dict[str, Any]:
@@ -68,9 +88,9 @@ def run_summary(run: Run) -> dict[str, Any]:
     }
 
 
-def released_plans_json(simulation: Simulation) -> list[dict[str, Any]]:
-    """Every released plan in order, with what judging it again needs."""
-    return [_plan(plan) for plan in simulation.plans]
+def released_plans_json(plans: Iterable[Plan]) -> list[dict[str, Any]]:
+    """Released plans in order, with what judging them again needs."""
+    return [_plan(plan) for plan in plans]
 
 
 def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
@@ -79,7 +99,7 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "problem": problem.name,
         "horizon": problem.planner.horizon,
         "planner": problem.planner.name,
-        "cost_to_go": problem.objective.cost_to_go,
+        "cost_to_go": problem.cost_to_go,
         "seed": seed,
         "outcome": Outcome.NO_PLAN.value,
         "message": message,
@@ -115,6 +135,8 @@ def _plan(plan: Plan) -> dict[str, Any]:
         "x_m": finite_list(plan.positions_m[:, 0]),
         "y_m": finite_list(plan.positions_m[:, 1]),
         "objective": finite(plan.objective),
+        "lattice_objective": finite(plan.lattice_objective),
+        "pivot": pivot_json(plan.pivot),
         "termination": plan.termination.value,
         "verdict": plan.verdict.value,
         "rung": plan.rung.value,

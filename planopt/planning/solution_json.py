@@ -13,22 +13,22 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from planopt.planning.plan import Certificate, Plan, Termination, Verdict
+from planopt.planning.plan import Certificate, Pivot, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
-
-SENSE = "min"
-"""The objective is a time: less is better."""
 
 LARGEST = 1e9
 """Positions, times, powers and parameters beyond this in a saved file are a fault."""
 
+REMEDY = "save the plan or run again"
+"""What to do about a saved file that cannot be read."""
+
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
-Residual = Annotated[float, Field(ge=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 
 
 class Record(BaseModel):
-    """Part of a saved JSON object; keys that are not judged are let through."""
+    """Part of a saved JSON object: what judging starts from. The rest is computed again."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False, frozen=True)
 
@@ -44,20 +44,42 @@ class RobotRecord(Record):
 
 
 class CertificateRecord(Record):
-    """What the plan's own certificate claims."""
+    """What only the solver knows of the plan's own certificate."""
 
-    min_clearance_m: float | None
-    min_connectivity: float | None
-    kkt_residual: Residual | None
+    kkt_residual: NotNegative | None
+
+
+class PivotRecord(Record):
+    """The way beyond the horizon."""
+
+    x_m: Number
+    y_m: Number
+    cost_m: NotNegative
 
 
 class PlanRecord(Record):
-    """What is judged of ``plan.json``."""
+    """What judging ``plan.json`` starts from."""
 
-    verdict: Verdict
-    message: str
+    seed: int = Field(ge=0)
+    termination: str
+    verdict: str
+    rung: str
+    wall_s: NotNegative
+    solve_s: NotNegative
+    iterations: int = Field(ge=0, le=10**9)
+    lattice_objective: float
+    pivot: PivotRecord | None
     certificate: CertificateRecord
-    robots: list[RobotRecord] = Field(max_length=1)
+    robots: list[RobotRecord] = Field(min_length=1, max_length=1)
+    problem_file: dict[str, Any]
+
+
+class NoPlanRecord(Record):
+    """What judging ``plan.json`` or ``run.json`` starts from where there is no plan."""
+
+    seed: int = Field(ge=0)
+    message: str
+    robots: list[RobotRecord] = Field(max_length=0)
     problem_file: dict[str, Any]
 
 
@@ -87,12 +109,16 @@ def solution_json(solution: Solution) -> dict[str, Any]:
 
     ``bound`` and ``gap`` are null: no lower bound is proven.
     """
-    plan = solution.plan
+    return plan_json(solution.problem, solution.seed, solution.plan)
+
+
+def plan_json(problem: Problem, seed: int, plan: Plan) -> dict[str, Any]:
+    """As :func:`solution_json`, of a plan and what it was asked for."""
     return {
-        **_question(solution.problem, solution.seed),
+        **_question(problem, seed),
         "termination": plan.termination.value,
         "verdict": plan.verdict.value,
-        "sense": SENSE,
+        "sense": problem.sense,
         "objective": finite(plan.objective),
         "bound": None,
         "gap": None,
@@ -103,7 +129,8 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         "robots": [_robot(plan)],
         "rung": plan.rung.value,
         "lattice_objective": finite(plan.lattice_objective),
-        "polish_gain": finite(_polish_gain(plan)),
+        "polish_gain": finite(plan.polish_gain),
+        "pivot": pivot_json(plan.pivot),
         "message": plan.message,
     }
 
@@ -114,13 +141,21 @@ def no_plan_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         **_question(problem, seed),
         "termination": Termination.NO_PATH.value,
         "verdict": Verdict.NONE.value,
-        "sense": SENSE,
+        "sense": problem.sense,
         **dict.fromkeys(("objective", "bound", "gap", "wall_s", "solve_s", "iterations")),
         "certificate": no_certificate_json((message,)),
         "robots": [],
-        **dict.fromkeys(("rung", "lattice_objective", "polish_gain")),
+        **dict.fromkeys(("rung", "lattice_objective", "polish_gain", "pivot")),
         "message": message,
     }
+
+
+def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:
+    """The way beyond the horizon, which the objective charges."""
+    if pivot is None:
+        return None
+    x_m, y_m = pivot.position_m.tolist()
+    return {"x_m": x_m, "y_m": y_m, "cost_m": pivot.cost_m}
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
@@ -159,7 +194,7 @@ def _question(problem: Problem, seed: int) -> dict[str, Any]:
         "problem": problem.name,
         "horizon": problem.planner.horizon,
         "planner": problem.planner.name,
-        "cost_to_go": problem.objective.cost_to_go,
+        "cost_to_go": problem.cost_to_go,
         "seed": seed,
     }
 
@@ -172,10 +207,3 @@ def _robot(plan: Plan) -> dict[str, Any]:
         "y_m": finite_list(plan.positions_m[:, 1]),
         "connectivity": finite_list(plan.connectivity),
     }
-
-
-def _polish_gain(plan: Plan) -> float:
-    """The part of the lattice path's cost that the polish saved."""
-    if plan.lattice_objective == 0.0:
-        return 0.0
-    return (plan.lattice_objective - plan.objective) / plan.lattice_objective

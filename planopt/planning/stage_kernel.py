@@ -61,7 +61,7 @@ def stage_margins(
     beta = parameters.decorrelation_m
     dx = positions_m[:, None, 0] - model.positions_m[:, :, 0]
     dy = positions_m[:, None, 1] - model.positions_m[:, :, 1]
-    r = np.sqrt(dx * dx + dy * dy + (CUSP_ROUNDING * beta) ** 2)
+    r = np.sqrt(dx * dx + dy * dy + model.blur_m2 + (CUSP_ROUNDING * beta) ** 2)
     phi = variance * np.exp(-r / beta)
     slope = -phi / (beta * r)
     bend = phi / (beta * r) ** 2 + phi / (beta * r**3)

@@ -23,6 +23,7 @@ from planopt.channel.truth import Truth
 from planopt.planning.global_search import GlobalSearch
 from planopt.planning.node_margins import NodeMargins
 from planopt.planning.prepare import Prepared
+from planopt.planning.road_map import RoadMap, build_road_map
 from planopt.planning.scene import Scene, build_scene
 from planopt.problems.problem import (
     ChannelSetup,
@@ -34,6 +35,7 @@ from planopt.problems.problem import (
     ReachObjective,
     Robot,
 )
+from planopt.world.lattice import build_lattice
 from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle, Workspace
 
@@ -51,6 +53,27 @@ CUP = shapely.Polygon(
 RING = shapely.Polygon(
     [(10, 5), (30, 5), (30, 25), (10, 25)], [[(14, 9), (26, 9), (26, 21), (14, 21)]]
 )
+
+
+def workspace_of(
+    bounds_m: tuple[float, float, float, float], polygons: tuple[shapely.Polygon, ...]
+) -> Workspace:
+    """A rectangle with these obstacles."""
+    obstacles = tuple(Obstacle(f"obstacle {k}", polygon) for k, polygon in enumerate(polygons))
+    return Workspace(bounds_m, obstacles)
+
+
+def small_road_map(
+    *polygons: shapely.Polygon,
+    bounds_m: tuple[float, float, float, float] = (0.0, 0.0, 10.0, 8.0),
+    anchor_m: tuple[float, float] = (1.0, 1.0),
+    spacing_m: float = 1.0,
+    clearance_m: float = 0.1,
+) -> RoadMap:
+    """The road map of a rectangle with the given obstacles, anchored at a place."""
+    step_m = spacing_m * float(np.sqrt(5.0))
+    workspace = workspace_of(bounds_m, polygons)
+    return build_road_map(build_lattice(workspace, np.array(anchor_m), step_m, clearance_m))
 
 
 def small_problem(
@@ -74,9 +97,7 @@ def small_problem(
     return Problem(
         name="small",
         description="",
-        workspace=Workspace(
-            bounds_m, tuple(Obstacle(f"obstacle {k}", p) for k, p in enumerate(polygons))
-        ),
+        workspace=workspace_of(bounds_m, polygons),
         channel=ChannelSetup(
             None,
             LoggedMeasurements(Path("none.csv"), ("x_m", "y_m", "power_dbm"), None, None),

@@ -7,6 +7,7 @@ import pytest
 import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scenes import small_road_map
 
 from planopt.planning.lattice_search import search_lattice
 from planopt.planning.road_map import build_road_map, shortest_ways
@@ -116,11 +117,11 @@ def test_the_cheapest_of_all_paths(seed, horizon):
 @pytest.mark.parametrize("horizon", [2, 3, 5])
 @pytest.mark.parametrize("direction", [(2, 1), (1, 2), (-2, 1), (-1, -2), (2, 0), (0, -2)])
 @pytest.mark.parametrize("spacing_m", [0.1, 0.7, 1.0 / 3.0, 0.6261, 1.7888543819998315])
-def test_the_farthest_node_within_reach_is_reached(make_road_map, horizon, direction, spacing_m):
+def test_the_farthest_node_within_reach_is_reached(horizon, direction, spacing_m):
     """Longest moves in one line all the way, although it begins opposite the first node listed."""
     moves = horizon + 2
     half = spacing_m * (2.0 * moves + 0.5)
-    road_map = make_road_map(
+    road_map = small_road_map(
         bounds_m=(-half, -half, half, half), anchor_m=(0.0, 0.0), spacing_m=spacing_m
     )
     centre = np.array(road_map.lattice.shape) // 2
@@ -196,11 +197,11 @@ def test_nowhere_to_go():
     assert search(road_map, [0], [0.1], 3, 0, np.full(count, np.inf), nothing) is None
 
 
-def test_an_obstacle_that_changes_no_move_changes_nothing(make_road_map):
+def test_an_obstacle_that_changes_no_move_changes_nothing():
     """A second obstacle within the first, and one far off: same nodes, same cost."""
     wall = shapely.box(4.3, 0.0, 4.7, 5.2)
-    plain = make_road_map(wall)
-    more = make_road_map(wall, shapely.box(4.4, 1.0, 4.6, 3.0), shapely.box(30, 30, 31, 31))
+    plain = small_road_map(wall)
+    more = small_road_map(wall, shapely.box(4.4, 1.0, 4.6, 3.0), shapely.box(30, 30, 31, 31))
     start, goal = int(plain.number[0, 1]), int(plain.number[1, 7])
     terminal = shortest_ways(plain, goal).cost_m
     nothing = np.zeros(len(terminal))

@@ -34,7 +34,7 @@ def log_of(positions, connected, connectivity=None, step_s=0.5):
 
 
 PLACES = [[0, 0], [3, 0], [3, 4], [3, 4], [3, 6]]
-PLANS = [SimpleNamespace(lattice_objective=x, objective=y) for x, y in ((10.0, 9.0), (8.0, 8.0))]
+PLANS = [SimpleNamespace(polish_gain=gain) for gain in (0.1, 0.0)]
 
 
 def test_metrics_by_hand():

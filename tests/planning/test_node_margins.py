@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import shapely
+from scenes import small_road_map
 
+from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition, extend, predict
+from planopt.channel.posterior import condition, extend
 from planopt.planning.node_margins import NodeMargins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 4.0, 2.0, Station((3.0, -4.0), 6.0))
@@ -29,9 +31,9 @@ def exact(posterior, places):
 
 
 @pytest.fixture
-def road_map(make_road_map):
+def road_map():
     """A lattice with a block in it."""
-    return make_road_map(shapely.box(4.0, 3.0, 6.0, 5.0), spacing_m=0.5)
+    return small_road_map(shapely.box(4.0, 3.0, 6.0, 5.0), spacing_m=0.5)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from scenes import small_problem
 
 from planopt.planning.global_search import GlobalStart
 from planopt.planning.pivot import LATTICE_DETOUR, LOOKAHEAD_STEPS, find_pivot
@@ -34,9 +35,9 @@ def sight(scene_polygons, a, b):
 
 @pytest.mark.parametrize("horizon", [4, 40, 200])
 @pytest.mark.parametrize("polygons", [(), (WALL,), (WALL, BLOCK)])
-def test_from_every_node(make_problem, polygons, horizon):
+def test_from_every_node(polygons, horizon):
     """Everywhere: on the way, of consistent cost, and the last of it seen, if far enough."""
-    problem = make_problem(*polygons)
+    problem = small_problem(*polygons)
     scene = build_scene(problem)
     clearance, step = problem.constraints.clearance_m, problem.step_length_m
     places = scene.road_map.nodes_m
@@ -70,9 +71,9 @@ def test_from_every_node(make_problem, polygons, horizon):
         assert hidden == 0
 
 
-def test_free_space_looks_as_far_as_allowed(make_problem):
+def test_free_space_looks_as_far_as_allowed():
     """Nothing in the way: the place five steps on, or the goal if that is nearer."""
-    problem = make_problem()
+    problem = small_problem()
     scene = build_scene(problem)
     step = problem.step_length_m
     places = scene.road_map.nodes_m
@@ -86,18 +87,18 @@ def test_free_space_looks_as_far_as_allowed(make_problem):
     assert pivot.cost_m == 0.0
 
 
-def test_at_the_goal_the_pivot_is_the_goal(make_problem):
+def test_at_the_goal_the_pivot_is_the_goal():
     """A path that ends there has nothing beyond it."""
-    problem = make_problem(WALL)
+    problem = small_problem(WALL)
     scene = build_scene(problem)
     pivot = find_pivot(scene, start_at(scene, scene.goal_node), None, 2.0, 0.5)
     np.testing.assert_allclose(pivot.position_m, problem.robots[0].goal_m)
     assert pivot.cost_m == 0.0
 
 
-def test_behind_a_wall_the_pivot_is_before_its_corner(make_problem):
+def test_behind_a_wall_the_pivot_is_before_its_corner():
     """The goal is hidden: the pivot is this side of the wall's end, and seen."""
-    problem = make_problem(WALL)
+    problem = small_problem(WALL)
     scene = build_scene(problem)
     places = scene.road_map.nodes_m
     node = int(np.argmin(np.linalg.norm(places - [17.0, 15.0], axis=1)))
@@ -107,9 +108,9 @@ def test_behind_a_wall_the_pivot_is_before_its_corner(make_problem):
     assert pivot.cost_m > np.linalg.norm(pivot.position_m - problem.robots[0].goal_m)
 
 
-def test_weighted_ways_keep_the_cost_consistent(make_problem):
+def test_weighted_ways_keep_the_cost_consistent():
     """With factors of 1 and more on the nodes the pivot's cost plus distance is still no more."""
-    problem = make_problem(BLOCK)
+    problem = small_problem(BLOCK)
     scene = build_scene(problem)
     places = scene.road_map.nodes_m
     factor = 1.0 + 4.0 * (places[:, 1] > 12.0)
@@ -121,9 +122,9 @@ def test_weighted_ways_keep_the_cost_consistent(make_problem):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_no_pivot_beyond_a_change_of_connectivity(make_problem, sign):
+def test_no_pivot_beyond_a_change_of_connectivity(sign):
     """With the bound to be kept, the pivot is on the same side of it as the path's end."""
-    problem = make_problem()
+    problem = small_problem()
     scene = build_scene(problem)
     places = scene.road_map.nodes_m
     node = int(np.argmin(np.linalg.norm(places - [10.0, 15.0], axis=1)))
@@ -136,9 +137,9 @@ def test_no_pivot_beyond_a_change_of_connectivity(make_problem, sign):
     np.testing.assert_array_equal(same.position_m, free.position_m)
 
 
-def test_an_end_cut_off_by_the_bound_is_its_own_pivot(make_problem):
+def test_an_end_cut_off_by_the_bound_is_its_own_pivot():
     """Where the very next place of the way changes sides, the pivot is the end itself."""
-    problem = make_problem()
+    problem = small_problem()
     scene = build_scene(problem)
     places = scene.road_map.nodes_m
     node = int(np.argmin(np.linalg.norm(places - [10.0, 15.0], axis=1)))
@@ -149,10 +150,10 @@ def test_an_end_cut_off_by_the_bound_is_its_own_pivot(make_problem):
     assert pivot.cost_m == scene.ways.cost_m[node]
 
 
-def test_a_mirrored_scene_keeps_the_costs(make_problem):
+def test_a_mirrored_scene_keeps_the_costs():
     """Turning the world upside down keeps the cost to go, which bounds the pivot's in both."""
     flip = [shapely.transform(p, lambda xy: xy * [1.0, -1.0] + [0.0, 30.0]) for p in (WALL, BLOCK)]
-    here, there = build_scene(make_problem(WALL, BLOCK)), build_scene(make_problem(*flip))
+    here, there = build_scene(small_problem(WALL, BLOCK)), build_scene(small_problem(*flip))
     a, b = here.road_map.nodes_m, there.road_map.nodes_m
     for place in ([6.0, 9.0], [16.0, 23.0], [23.0, 24.0]):
         one = int(np.argmin(np.linalg.norm(a - place, axis=1)))

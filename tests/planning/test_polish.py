@@ -22,10 +22,11 @@ from reach_tasks import (
 from scipy.optimize import brentq, minimize
 
 from planopt.channel.connectivity import bound_margin_db, bound_quantile
+from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition, predict
+from planopt.channel.posterior import condition
 from planopt.planning import polish as polish_module
 from planopt.planning.plan import Termination
 from planopt.planning.polish import polish

@@ -14,7 +14,9 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.multipath_models import Nakagami
 from planopt.channel.truth import true_power_dbm
 from planopt.errors import InputError
-from planopt.planning.prepare import draw_truth, free_places, learn, prepare
+from planopt.planning.given import draw_truth, free_places
+from planopt.planning.learn import learn
+from planopt.planning.prepare import prepare
 from planopt.problems.problem import RasterTruth, SampledMeasurements
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters

@@ -6,6 +6,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import small_road_map
 
 from planopt.planning.road_map import build_road_map, shortest_ways, way_from
 from planopt.world.lattice import MOVES, Lattice, node_positions
@@ -73,9 +74,9 @@ def test_costs_are_networkx_costs(seed, weighted):
     assert_ways_lead_to_goal(road_map, ways, goal, factor)
 
 
-def test_round_a_wall(make_road_map):
+def test_round_a_wall():
     """Real obstacles: networkx agrees, and the way behind the wall leads round its end."""
-    road_map = make_road_map(WALL, BLOCK, spacing_m=0.5)
+    road_map = small_road_map(WALL, BLOCK, spacing_m=0.5)
     goal = int(road_map.number[4, 16])
     ways = shortest_ways(road_map, goal)
     np.testing.assert_allclose(ways.cost_m, costs_by_networkx(road_map, goal), atol=1e-9)
@@ -90,9 +91,9 @@ def test_round_a_wall(make_road_map):
     assert line.length == pytest.approx(ways.cost_m[start])
 
 
-def test_numbering_and_sources(make_road_map):
+def test_numbering_and_sources():
     """Numbers, positions and rows agree, and a source's move arrives where it says."""
-    road_map = make_road_map(WALL, BLOCK)
+    road_map = small_road_map(WALL, BLOCK)
     lattice, count = road_map.lattice, len(road_map.nodes_m)
     assert count == lattice.free.sum() < lattice.free.size
     np.testing.assert_array_equal(road_map.number[road_map.rows, road_map.columns], range(count))
@@ -116,13 +117,13 @@ def test_numbering_and_sources(make_road_map):
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), road_map.edge_length_m, atol=1e-12)
 
 
-def test_a_mirrored_scene_has_mirrored_ways(make_road_map):
+def test_a_mirrored_scene_has_mirrored_ways():
     """Mirroring obstacles and goal about x = 5 mirrors the costs."""
-    here = make_road_map(WALL, BLOCK)
+    here = small_road_map(WALL, BLOCK)
     mirrored = [
         shapely.transform(p, lambda xy: xy * [-1.0, 1.0] + [10.0, 0.0]) for p in (WALL, BLOCK)
     ]
-    there = make_road_map(*mirrored, anchor_m=(9.0, 1.0))
+    there = small_road_map(*mirrored, anchor_m=(9.0, 1.0))
     np.testing.assert_array_equal(here.lattice.free[:, ::-1], there.lattice.free)
     goal, mirrored_goal = here.number[2, 7], there.number[2, -8]
     cost, mirrored_cost = np.full((2, *here.lattice.shape), np.nan)
@@ -131,9 +132,9 @@ def test_a_mirrored_scene_has_mirrored_ways(make_road_map):
     np.testing.assert_allclose(cost[:, ::-1], mirrored_cost, atol=1e-9)
 
 
-def test_a_factor_of_one_is_plain(make_road_map):
+def test_a_factor_of_one_is_plain():
     """No factor and a factor of 1 give the same ways; a factor of 3 costs three times as much."""
-    road_map = make_road_map(WALL)
+    road_map = small_road_map(WALL)
     plain = shortest_ways(road_map, 5)
     ones = shortest_ways(road_map, 5, np.ones(len(road_map.nodes_m)))
     np.testing.assert_array_equal(plain.cost_m, ones.cost_m)
@@ -142,9 +143,9 @@ def test_a_factor_of_one_is_plain(make_road_map):
     np.testing.assert_allclose(threes.cost_m, 3.0 * plain.cost_m)
 
 
-def test_costs_are_symmetric_and_bounded(make_road_map):
+def test_costs_are_symmetric_and_bounded():
     """From a to b costs what b to a does, at least the distance; 2.8 % more at most if free."""
-    road_map = make_road_map(spacing_m=0.5)
+    road_map = small_road_map(spacing_m=0.5)
     centre = int(road_map.number[7, 9])
     costs = shortest_ways(road_map, centre).cost_m
     distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[centre], axis=1)
@@ -154,9 +155,9 @@ def test_costs_are_symmetric_and_bounded(make_road_map):
         assert shortest_ways(road_map, node).cost_m[centre] == pytest.approx(costs[node])
 
 
-def test_costs_avoid_dear_places(make_road_map):
+def test_costs_avoid_dear_places():
     """A dear column is crossed at its cheap end if the way round is shorter than the charge."""
-    road_map = make_road_map()
+    road_map = small_road_map()
     factor = np.ones(len(road_map.nodes_m))
     dear = (np.abs(road_map.nodes_m[:, 0] - 5.0) <= 1.0) & (road_map.nodes_m[:, 1] < 6.5)
     factor[dear] = 100.0
@@ -165,9 +166,9 @@ def test_costs_avoid_dear_places(make_road_map):
     assert not dear[way].any()
 
 
-def test_a_way_ends_once_it_is_long_enough(make_road_map):
+def test_a_way_ends_once_it_is_long_enough():
     """It stops at the first node past the length, at the goal, and where there is no way."""
-    road_map = make_road_map()
+    road_map = small_road_map()
     goal, start = int(road_map.number[0, 8]), int(road_map.number[0, 0])
     ways = shortest_ways(road_map, goal)
     np.testing.assert_array_equal(way_from(road_map, ways, start, 0.0), [start])
@@ -179,9 +180,9 @@ def test_a_way_ends_once_it_is_long_enough(make_road_map):
     np.testing.assert_array_equal(way_from(road_map, ways, goal, 5.0), [goal])
 
 
-def test_an_island_has_no_way(make_road_map):
+def test_an_island_has_no_way():
     """Behind a wall without an end the cost is infinite and the way is the node alone."""
-    road_map = make_road_map(shapely.box(4.2, -1.0, 4.8, 9.0))
+    road_map = small_road_map(shapely.box(4.2, -1.0, 4.8, 9.0))
     ways = shortest_ways(road_map, int(road_map.number[3, 8]))
     here = int(road_map.number[3, 1])
     assert np.isinf(ways.cost_m[here])

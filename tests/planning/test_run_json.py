@@ -53,7 +53,7 @@ def test_step_times_are_quantiles(simulation: Simulation) -> None:
 
 def test_released_plans_are_whole(simulation: Simulation) -> None:
     """Each released plan has its N + 1 places; the second is where the robot went."""
-    plans = released_plans_json(simulation)
+    plans = released_plans_json(simulation.plans)
     track = simulation.run.log.positions_m
     assert len(plans) == 4
     for step, plan in enumerate(plans, start=1):

@@ -13,9 +13,9 @@ from planopt import load
 from planopt.errors import InputError, OutputError
 from planopt.planning import saved as saved_module
 from planopt.planning.closed_loop import simulate
+from planopt.planning.read_saved import read_saved
 from planopt.planning.saved import (
     known_before_steps,
-    read_saved,
     save_simulation,
     save_solution,
     withdraw,
@@ -159,11 +159,17 @@ PLAN_DAMAGE = {
     "empty json": (edit_text("plan.json", lambda t: ""), "plan.json", None),
     "json is a list": (edit_text("plan.json", lambda t: "[1]"), "plan.json", None),
     "key missing": (edit_json("plan.json", lambda d: d.pop("verdict")), "plan.json", "verdict"),
-    "unknown verdict": (
-        edit_json("plan.json", lambda d: d.update(verdict="fine")),
+    "a number for a verdict": (
+        edit_json("plan.json", lambda d: d.update(verdict=1)),
         "plan.json",
         "verdict",
     ),
+    "a key twice": (
+        edit_text("plan.json", lambda t: t.replace("{", '{"verdict": "verified", ', 1)),
+        "plan.json",
+        "verdict",
+    ),
+    "too deep": (edit_text("plan.json", lambda t: "[" * 100_000), "plan.json", None),
     "text for a number": (
         edit_json("plan.json", lambda d: d["robots"][0]["x_m"].__setitem__(1, "a")),
         "plan.json",
@@ -243,11 +249,7 @@ RUN_DAMAGE = {
         "run.json",
         "plans[1]",
     ),
-    "unknown outcome": (
-        edit_json("run.json", lambda d: d.update(outcome="fine")),
-        "run.json",
-        "outcome",
-    ),
+    "negative seed": (edit_json("run.json", lambda d: d.update(seed=-1)), "run.json", "seed"),
 }
 
 

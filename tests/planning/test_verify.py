@@ -27,8 +27,9 @@ from scenes import (
 )
 
 import planopt.planning.predictions as predictions
+from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition, predict
+from planopt.channel.posterior import condition
 from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.verify import judge, verify
 from planopt.problems.problem import Problem

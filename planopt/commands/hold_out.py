@@ -1,0 +1,132 @@
+"""``planopt fit --hold-out``: whole walks predicted from the others, against path loss alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from planopt.errors import InputError
+
+if TYPE_CHECKING:
+    from planopt.channel.grouped_ratio import GroupedRatio
+    from planopt.channel.held_out_report import HeldOutReport, HeldOutScore
+    from planopt.commands.log_fit import LogFit
+
+HoldOutOption = Annotated[
+    str | None,
+    typer.Option(
+        "--hold-out",
+        metavar="COLUMN[:BLOCK][,...]",
+        help="Predict rows that agree in these columns from all others, such as day or "
+        "day,t_s:600 (blocks of 600 in t_s).",
+    ),
+]
+
+MOST_FOLDS = 10
+"""The fit is repeated without each group in turn, or without each of so many shares of them."""
+
+SEED = 0
+"""Of which group goes to which share."""
+
+SHOWN_LEVELS = (0.5, 0.8, 0.95)
+"""Coverage for people; JSON has all levels."""
+
+
+def held_out(log: Path, fitted: LogFit, text: str) -> HeldOutReport:
+    """Hold out what `text` says, fit the rest as the whole was fitted, and score.
+
+    Raises
+    ------
+    InputError
+        `text` or the columns cannot be used, there is one group only, several receivers measured,
+        or without some groups there is nothing to fit.
+    """
+    import numpy as np
+
+    from planopt.channel.held_out import deal
+    from planopt.channel.held_out_report import held_out_report, predictors_of
+    from planopt.channel.log_groups import parse_groups, read_groups
+
+    groups = read_groups(log, parse_groups(text))
+    count = len(np.unique(groups))
+    if count < 2:
+        raise InputError(
+            f"all rows agree in {text}",
+            file=log,
+            key="--hold-out",
+            remedy="name columns, or a block, that tell walks apart",
+        )
+    if fitted.measurements.receiver.any():
+        raise InputError(
+            "path loss alone, which others are compared with, knows no offsets of receivers",
+            key="--hold-out",
+            remedy="hold out without --receiver, on the log of one receiver",
+        )
+    fold_of = deal(groups, min(count, MOST_FOLDS), np.random.default_rng(SEED))
+    try:
+        return held_out_report(fitted.measurements, groups, fold_of, predictors_of(fitted.fit))
+    except InputError as error:
+        # Its row, if any, is one of a part of the log.
+        raise InputError(
+            f"without some of the groups: {error.message}",
+            file=log,
+            key="--hold-out",
+            remedy=error.remedy,
+        ) from None
+
+
+def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
+    """What ``held_out`` of the JSON has."""
+    return {
+        "columns": text,
+        "groups": report.groups,
+        "folds": len(report.fold_sizes),
+        "fold_sizes": list(report.fold_sizes),
+        "measurements": report.measurements,
+        "censored": report.censored,
+        "predictors": {name: _score_json(score) for name, score in report.scores.items()},
+    }
+
+
+def held_out_words(data: dict[str, Any]) -> list[str]:
+    """Lines for people, from what :func:`held_out_json` gives."""
+    header = f"  {'':9}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
+        f"  {f'inside {level:.0%}':21}" for level in SHOWN_LEVELS
+    )
+    lines = [
+        f"held out by {data['columns']}: {data['groups']} groups in {data['folds']} folds, "
+        "intervals over the groups",
+        header.rstrip(),
+    ]
+    for name, score in data["predictors"].items():
+        inside = {one["level"]: one for one in score["coverage"]}
+        cells = [
+            f"{name:9}",
+            f"{_words(score['rmse_db'], '.2f'):22}",
+            f"{_words(score['of_path_loss'], '.3f'):22}",
+            *(f"{_words(inside[level], '.1%'):21}" for level in SHOWN_LEVELS),
+        ]
+        lines.append("  " + "  ".join(cells).rstrip())
+    return lines
+
+
+def _score_json(score: HeldOutScore) -> dict[str, Any]:
+    return {
+        "rmse_db": _ratio_json(score.rmse_db),
+        "of_path_loss": _ratio_json(score.of_path_loss),
+        "coverage": [
+            {"level": level, **_ratio_json(ratio)} for level, ratio in score.coverage.items()
+        ],
+    }
+
+
+def _ratio_json(ratio: GroupedRatio) -> dict[str, float]:
+    return {"value": ratio.value, "low": ratio.low, "high": ratio.high}
+
+
+def _words(ratio: dict[str, float], form: str) -> str:
+    """The number with its interval."""
+    low, high = format(ratio["low"], form).rstrip("%"), format(ratio["high"], form)
+    return f"{ratio['value']:{form}} ({low} to {high})"

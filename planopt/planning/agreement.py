@@ -1,0 +1,150 @@
+"""Where two versions of the same data disagree: what a file says, and what was found again."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import cast
+
+EXACT = 1e-6
+"""Numbers that are computed again from what the files say (m, s) agree to this."""
+
+PREDICTION = 1e-4
+"""Predictions computed again (dB, probability) agree to this: another machine rounds otherwise."""
+
+FIT = 1e-3
+"""Fitted parameters agree to this share of themselves: they come from an iteration."""
+
+PREDICTED_NAMES = frozenset(
+    (
+        "best_margin_db",
+        "connectivity",
+        "deviation_db",
+        "min_connectivity",
+        "predicted_db",
+        "predicted_min_connectivity",
+        "relaxation_db",
+    )
+)
+FITTED_NAMES = frozenset(("parameters", "standard_errors", "theta", "theta_covariance"))
+
+SHOWN_ALIKE = 3
+"""Of disagreements that differ in nothing but an index, so many are reported one by one."""
+
+_NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
+_INDEX = re.compile(r"\[\d+\]")
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One value that is not as found.
+
+    Attributes
+    ----------
+    key
+        Where it stands, as ``robots[0].x_m[3]``.
+    said, found
+        The two, as people read them.
+    """
+
+    key: str
+    said: str
+    found: str
+
+
+def disagreements(
+    said: object, found: object, key: str = "", name: str = ""
+) -> Iterator[Disagreement]:
+    """Every leaf of `said` that is not as in `found`, keys that only one of them has included.
+
+    Parameters
+    ----------
+    said, found
+        Tables, arrays, texts, numbers, booleans and None, as JSON has them; `said` is the file's.
+    key
+        Where they stand.
+    name
+        The last key that is no index: it says how well numbers must agree.
+    """
+    if isinstance(said, Mapping) and isinstance(found, Mapping):
+        table, other = cast("Mapping[str, object]", said), cast("Mapping[str, object]", found)
+        for part in dict.fromkeys([*other, *table]):
+            where = f"{key}.{part}".removeprefix(".")
+            if part not in table:
+                yield Disagreement(where, "is missing", _shown(other[part]))
+            elif part not in other:
+                yield Disagreement(where, _shown(table[part]), "no such key")
+            else:
+                yield from disagreements(table[part], other[part], where, part)
+    elif isinstance(said, list) and isinstance(found, list):
+        these, those = cast("list[object]", said), cast("list[object]", found)
+        if len(these) != len(those):
+            yield Disagreement(key, _shown(these), _shown(those))
+            return
+        for index, (one, other_one) in enumerate(zip(these, those, strict=True)):
+            yield from disagreements(one, other_one, f"{key}[{index}]", name)
+    elif not _same(cast("object", said), found, name):
+        yield Disagreement(key, _shown(cast("object", said)), _shown(found))
+
+
+def in_words(file: str, differences: Iterator[Disagreement], source: str = "found") -> list[str]:
+    """Differences with their file, few of those that differ in nothing but an index."""
+    by_kind: dict[str, list[Disagreement]] = {}
+    for difference in differences:
+        by_kind.setdefault(_INDEX.sub("[]", difference.key), []).append(difference)
+    words: list[str] = []
+    for kind, alike in by_kind.items():
+        words += [f"{file}, key {d.key}: {d.said}, {source} {d.found}" for d in alike[:SHOWN_ALIKE]]
+        if len(alike) > SHOWN_ALIKE:
+            words.append(f"{file}, key {kind}: {len(alike) - SHOWN_ALIKE} more like these")
+    return words
+
+
+def same_words(said: str, found: str) -> bool:
+    """Whether two texts are one but for the last shown digit of decimal numbers in them."""
+    these, those = _NUMBER.split(said), _NUMBER.split(found)
+    # What is split at is a number at every odd place.
+    return len(these) == len(those) and all(
+        one == other or (place % 2 == 1 and _same_shown(one, other))
+        for place, (one, other) in enumerate(zip(these, those, strict=True))
+    )
+
+
+def _same_shown(said: str, found: str) -> bool:
+    """Whether two printed numbers differ by no more than rounding the last digit."""
+    if "e" in said + found:
+        return math.isclose(float(said), float(found), rel_tol=0.1)
+    digits = max(len(number.partition(".")[2]) for number in (said, found))
+    return digits > 0 and abs(float(said) - float(found)) < 1.5 * 10.0**-digits
+
+
+def _same(said: object, found: object, name: str) -> bool:
+    if isinstance(said, bool) or isinstance(found, bool):
+        return said is found
+    if isinstance(said, (int, float)) and isinstance(found, (int, float)):
+        absolute = PREDICTION if name in PREDICTED_NAMES else EXACT
+        relative = FIT if name in FITTED_NAMES else 1e-9
+        if said == found:
+            return True
+        try:
+            one, other = float(said), float(found)
+        except OverflowError:  # a whole number of hundreds of digits
+            return False
+        both_none = math.isnan(one) and math.isnan(other)
+        return both_none or math.isclose(one, other, rel_tol=relative, abs_tol=absolute)
+    if isinstance(said, str) and isinstance(found, str):
+        return same_words(said, found)
+    return said is None and found is None
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list):
+        return f"{len(cast('list[object]', value))} values"
+    if isinstance(value, float):
+        return "empty" if math.isnan(value) else f"{value:.9g}"
+    return json.dumps(value, ensure_ascii=False, default=str)

@@ -1,0 +1,32 @@
+"""What keeps a plan from being all that was asked, in words for people."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.plan import Certificate
+from planopt.planning.tolerances import STANDSTILL_M
+
+
+def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> str:
+    """Say what is wrong with a path (N + 1, 2), the robot's own place first; empty if all is well.
+
+    Parameters
+    ----------
+    certificate
+        What the verifier says of it.
+    positions_m
+        The path.
+    """
+    parts = list(certificate.reasons)
+    if certificate.relaxed_steps and not parts:
+        worst = max(certificate.relaxation_db)
+        parts.append(
+            f"the connectivity bound cannot be met from here at steps "
+            f"{', '.join(map(str, certificate.relaxed_steps))}; "
+            f"it is missed by up to {worst:.2f} dB"
+        )
+    if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
+        parts.append("the plan stands still")
+    return "; ".join(parts)

@@ -1,0 +1,84 @@
+"""A plan as it must be: from its path, what the verifier says, and what only its planner knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import connection_probability
+from planopt.planning.message import plan_message
+from planopt.planning.plan import Pivot, Plan, Rung, Termination
+from planopt.planning.reach_cost import ReachCost
+from planopt.planning.run_json import ReleasedRecord
+from planopt.planning.solution_json import PlanRecord
+from planopt.planning.verify import Judgement
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Wall times and iterations, which nothing proves.
+
+    Attributes
+    ----------
+    wall_s, solve_s, iterations
+        As in :class:`planopt.planning.plan.Plan`.
+    """
+
+    wall_s: float = 0.0
+    solve_s: float = 0.0
+    iterations: int = 0
+
+
+def rebuilt_plan(
+    problem: Problem,
+    path_m: NDArray[np.float64],
+    judgement: Judgement,
+    record: PlanRecord | ReleasedRecord,
+    effort: Effort,
+) -> Plan:
+    """The plan of a path (N + 1, 2), the robot's own place first.
+
+    Parameters
+    ----------
+    problem
+        What was asked.
+    path_m
+        The path, from the file.
+    judgement
+        What the verifier says of it.
+    record
+        Rung, termination, lattice objective and pivot are taken from it.
+    effort
+        Taken as it is.
+    """
+    power = judgement.power
+    if power is None:
+        raise AssertionError("places in files are finite")
+    pivot = None
+    if record.pivot is not None:
+        place = np.array([record.pivot.x_m, record.pivot.y_m])
+        pivot = Pivot(place, record.pivot.cost_m)
+    return Plan(
+        robot=problem.robots[0].name,
+        t_s=problem.planner.step_s * np.arange(len(path_m), dtype=np.float64),
+        positions_m=path_m,
+        mean_dbm=power.mean_db,
+        deviation_db=power.deviation_db,
+        connectivity=connection_probability(
+            power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm
+        ),
+        objective=ReachCost(problem, path_m[0], pivot)(path_m[1:]),
+        lattice_objective=record.lattice_objective,
+        termination=Termination(record.termination),
+        verdict=judgement.verdict,
+        rung=Rung(record.rung),
+        certificate=judgement.certificate,
+        wall_s=effort.wall_s,
+        solve_s=effort.solve_s,
+        iterations=effort.iterations,
+        message=plan_message(judgement.certificate, path_m),
+        pivot=pivot,
+    )

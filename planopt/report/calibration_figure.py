@@ -41,8 +41,7 @@ def draw_calibration(calibrations: Mapping[str, Calibration]) -> Figure:
     entries: list[Artist] = []
     for number, (name, calibration) in enumerate(calibrations.items()):
         entries.append(_draw_one(coverage, pit, name, calibration, number))
-    some = next(iter(calibrations.values()))
-    even = 100.0 / len(some.pit_share)
+    even = 100.0 / len(next(iter(calibrations.values())).pit_share)
     uniform = pit.plot([0.0, 1.0], [even, even], color=BLACK, linewidth=1.0, label="as promised")
     coverage.set_xlim(40.0, 101.0)
     coverage.set_ylim(30.0, 101.0)
@@ -56,8 +55,17 @@ def draw_calibration(calibrations: Mapping[str, Calibration]) -> Figure:
         "measurements [%]",
     )
     legend_below(figure, [*entries, *uniform], 4)
-    head(figure, f"calibration on {some.count} held-out measurements, {some.censored} censored")
+    count, censored = (
+        _either(sorted({getattr(one, name) for one in calibrations.values()}))
+        for name in ("count", "censored")
+    )
+    head(figure, f"calibration on {count} held-out measurements, {censored} censored")
     return figure
+
+
+def _either(counts: list[int]) -> str:
+    """A number, or from where to where where they differ."""
+    return f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
 
 
 def _draw_one(

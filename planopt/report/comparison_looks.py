@@ -12,8 +12,8 @@ from planopt.studies.comparison import Comparison
 SPREAD = 0.6
 """Width that the settings of one horizon share, in distances between horizons."""
 
-Setting = tuple[str, str]
-"""Cost to go and planner."""
+Setting = tuple[str | None, str]
+"""Cost to go, None where there is no goal, and planner."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def looks_of(comparison: Comparison) -> dict[Setting, Look]:
     shifts = SPREAD * ((np.arange(len(settings)) + 0.5) / len(settings) - 0.5)
     return {
         (cost, planner): Look(
-            label=f"{cost} cost to go, planner {planner}",
+            label=f"planner {planner}" if cost is None else f"{cost} cost to go, planner {planner}",
             colour=SERIES[costs.index(cost) % len(SERIES)],
             marker=MARKERS[planners.index(planner) % len(MARKERS)],
             shift=float(shift),

@@ -18,7 +18,7 @@ def comparison_text(comparison: Comparison) -> str:
     comparison
         The comparison. A metric that it does not have, or that no run has, is shown as ``-``.
     """
-    settings: dict[tuple[str, str, int], dict[str, Row]] = {}
+    settings: dict[tuple[str | None, str, int], dict[str, Row]] = {}
     for row in comparison.rows:
         setting = (row.cost_to_go, row.planner, row.horizon)
         settings.setdefault(setting, {})[row.metric] = row
@@ -45,11 +45,11 @@ def comparison_text(comparison: Comparison) -> str:
     return "\n".join([title, "", *_aligned([header, *lines])])
 
 
-def _cells(cost_to_go: str, planner: str, horizon: int, rows: dict[str, Row]) -> list[str]:
+def _cells(cost_to_go: str | None, planner: str, horizon: int, rows: dict[str, Row]) -> list[str]:
     """One line of the table; what is not of one metric is the same in every row."""
     one = next(iter(rows.values()))
     return [
-        cost_to_go,
+        cost_to_go or "-",
         planner,
         str(horizon),
         str(one.seeds),

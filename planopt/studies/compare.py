@@ -14,6 +14,7 @@ from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.errors import InputError
 from planopt.planning.closed_loop import simulate
+from planopt.planning.metrics import POSSIBLE
 from planopt.planning.prepare import prepare
 from planopt.planning.run import Metrics, Outcome, Run
 from planopt.planning.scene import build_scene
@@ -22,6 +23,7 @@ from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Row
 
 CONFIDENCE = 0.95
+ANY = (-np.inf, np.inf)
 BACKENDS = ("loky",)
 """What joblib may run tasks on."""
 
@@ -135,7 +137,7 @@ def tabulate(setting: Setting, runs: Sequence[Run], reference: Sequence[Run]) ->
     for metric in (field.name for field in fields(Metrics)):
         values, others = _values(runs, metric), _values(reference, metric)
         there = values[np.isfinite(values)]
-        low, high = mean_interval(there)
+        low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
         rows.append(
             Row(
                 horizon=setting.horizon,
@@ -157,14 +159,21 @@ def tabulate(setting: Setting, runs: Sequence[Run], reference: Sequence[Run]) ->
     return rows
 
 
-def mean_interval(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
-    """Student interval of the mean at `CONFIDENCE`; None for fewer than two values."""
+def mean_interval(
+    values: NDArray[np.float64], possible: tuple[float, float] = ANY
+) -> tuple[float | None, float | None]:
+    """Student interval of the mean at `CONFIDENCE`, cut to the values that are possible.
+
+    The mean is one of these, so that cutting takes nothing from the confidence. None for fewer
+    than two values.
+    """
     if values.size < 2:
         return None, None
     quantile = np.asarray(stdtrit(values.size - 1, 0.5 + CONFIDENCE / 2))
     half = float(quantile) * float(values.std(ddof=1)) / float(np.sqrt(values.size))
     mean = float(values.mean())
-    return mean - half, mean + half
+    least, largest = possible
+    return max(mean - half, least), min(mean + half, largest)
 
 
 def paired_ratio(values: NDArray[np.float64], others: NDArray[np.float64]) -> float | None:

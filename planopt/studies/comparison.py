@@ -23,8 +23,8 @@ class Row:
     metric
         Its name (`goal_time_s`, `true_connected_share`, ...).
     mean, ci_low, ci_high
-        Mean over the runs for which the metric exists and its 95 % Student interval; None if
-        there is none. With one run the interval is None.
+        Mean over the runs for which the metric exists and its 95 % Student interval, cut to the
+        values that the metric can have; None if there is none. With one run the interval is None.
     count
         How many runs the mean is over: `goal_time_s` exists only where the goal was reached.
     paired_ratio
@@ -38,7 +38,7 @@ class Row:
 
     horizon: int
     planner: str
-    cost_to_go: str
+    cost_to_go: str | None
     seeds: int
     stalled: int
     metric: str

@@ -105,6 +105,9 @@ def test_means_and_intervals_against_scipy(comparison):
         low, high = scipy.stats.t.interval(
             0.95, len(values) - 1, values.mean(), scipy.stats.sem(values)
         )
+        low = low if row.metric == "polish_gain" else max(low, 0.0)
+        is_share = row.metric in ("true_connected_share", "predicted_min_connectivity")
+        high = min(high, 1.0) if is_share else high
         assert (row.ci_low, row.ci_high) == pytest.approx((low, high))
         compared += 1
     assert compared > 5
@@ -235,3 +238,12 @@ def test_runs_of_no_step(comparison, problem):
     assert all(row.verified_rate == 1.0 for row in rows)
     assert all(row.p50_step_s == row.p95_step_s == 0.0 for row in rows)
     assert [row.mean for row in rows if row.metric == "path_m"] == [0.0]
+
+
+def test_an_interval_holds_nothing_impossible():
+    """Two seeds with shares of 90 and 100 %: Student's interval would end at 159 %."""
+    shares = np.array([0.9, 1.0])
+    low, high = mean_interval(shares)
+    assert low < 0.95 - 0.6 and high > 1.5
+    assert mean_interval(shares, (0.0, 1.0)) == (low, 1.0)
+    assert mean_interval(1.0 - shares, (0.0, 1.0)) == (0.0, pytest.approx(1.0 - low))

@@ -1,0 +1,114 @@
+"""``planopt fit --hold-out``: what is printed, drawn and refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.cli import main
+
+CHANNEL = ChannelParameters(-30.0, 3.0, 6.0, 60.0, 1.5, Station((0.0, 0.0)))
+
+
+def power_dbm(places: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
+    """One draw of the channel."""
+    covariance = shadow_covariance_db2(places, places, CHANNEL) + 2.25 * np.eye(len(places))
+    path_loss = -30.0 - 30.0 * np.log10(np.hypot(*places.T))
+    return path_loss + np.linalg.cholesky(covariance) @ generator.standard_normal(len(places))
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Two days of 75 powers each, one every 10 s, the weakest cut at -100 dBm."""
+    generator = np.random.default_rng(2)
+    places = generator.uniform(10.0, 200.0, (150, 2))
+    rows = [
+        f"{x:.3f},{y:.3f},{max(power, -100.0):.3f},{'tue' if i >= 75 else 'mon'},{10 * (i % 75)}"
+        for i, ((x, y), power) in enumerate(zip(places, power_dbm(places, generator), strict=True))
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["x_m,y_m,power_dbm,day,t_s", *rows]))
+    return path
+
+
+def run(log: Path, *options: str) -> int:
+    """Run the command."""
+    return main(["fit", str(log), "--station", "0,0", "--floor", "-100", *options])
+
+
+def test_json(log: Path, capsys) -> None:
+    """Groups, folds and, for all three, RMSE and coverage with intervals; the rest is unchanged."""
+    assert run(log, "--json") == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert run(log, "--hold-out", "day,t_s:250", "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    held_out = data.pop("held_out")
+    assert data == plain
+    assert (held_out["groups"], held_out["folds"]) == (6, 6)
+    assert sum(held_out["fold_sizes"]) == held_out["measurements"] == 150
+    assert held_out["censored"] == data["censored"] > 0
+    assert list(held_out["predictors"]) == ["channel", "marginal", "path_loss"]
+    for score in held_out["predictors"].values():
+        assert score["rmse_db"]["low"] < score["rmse_db"]["value"] < score["rmse_db"]["high"]
+        levels = [one["level"] for one in score["coverage"]]
+        assert {0.5, 0.8, 0.95} <= set(levels)
+        assert all(one["low"] <= one["value"] <= one["high"] for one in score["coverage"])
+    channel = held_out["predictors"]["channel"]
+    assert channel["of_path_loss"]["value"] < 0.9
+    assert held_out["predictors"]["path_loss"]["of_path_loss"]["value"] == 1.0
+
+
+def test_many_groups_are_dealt_into_few_folds(log: Path, monkeypatch, capsys) -> None:
+    """The same every time."""
+    monkeypatch.setattr("planopt.commands.hold_out.MOST_FOLDS", 2)
+    printed = []
+    for _ in range(2):
+        assert run(log, "--hold-out", "day,t_s:100", "--json") == 0
+        printed.append(capsys.readouterr().out)
+    held_out = json.loads(printed[0])["held_out"]
+    assert (held_out["groups"], held_out["folds"]) == (16, 2)
+    assert printed[0] == printed[1]
+
+
+def test_words_and_picture(log: Path, tmp_path: Path, capsys) -> None:
+    """A table for people; with --out the calibration is drawn."""
+    out = tmp_path / "fit"
+    assert run(log, "--hold-out", "day", "--out", str(out)) == 0
+    text = capsys.readouterr().out
+    assert "held out by day: 2 groups in 2 folds" in text
+    for word in ("channel", "marginal", "path_loss", "inside 95%"):
+        assert word in text
+    assert {file.name for file in out.iterdir()} == {"fit.json", "fit.png", "held_out.png"}
+    assert "held_out" in json.loads((out / "fit.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--hold-out", "week"], "column 'week' is missing"),
+        (["--hold-out", "day:2"], "'mon' is not a number"),
+        (["--hold-out", "day", "--floor", "0"], "upper limits alone"),
+        (["--hold-out", "t_s:0"], "COLUMN:BLOCK"),
+        (["--hold-out", "t_s:1e6"], "tell walks apart"),
+        (["--hold-out", "day", "--receiver", "day"], "without --receiver"),
+    ],
+)
+def test_refused(log: Path, tmp_path: Path, options: list[str], words: str, capsys) -> None:
+    """One line, exit code 2, nothing written."""
+    out = tmp_path / "out"
+    assert run(log, *options, "--out", str(out)) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1 and words in printed.err
+    assert not out.exists()
+
+
+def test_too_little_is_left(tmp_path: Path, capsys) -> None:
+    """Where a fold leaves nothing that can be fitted, the error says so and names no wrong line."""
+    path = tmp_path / "log.csv"
+    path.write_text("x_m,y_m,power_dbm,day\n1,0,-40,0\n2,0,-50,0\n3,0,-55,1\n3,0,-56,1\n")
+    assert main(["fit", str(path), "--station", "0,0", "--hold-out", "day"]) == 2
+    assert "without some of the groups" in capsys.readouterr().err

@@ -1,7 +1,8 @@
-"""A candidate path and its judge: cost by the objective, verdict by the verifier."""
+"""A candidate path and its judge: worth by the objective, verdict by the verifier."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,10 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.prediction import Prediction
-from planopt.objectives.reach import cost_rate_s_m, path_cost_s
-from planopt.planning.pivot import Pivot
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
-from planopt.planning.scene import Scene
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
     DYNAMICS_TOLERANCE_M,
@@ -21,7 +19,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.verify import judge
 from planopt.problems.problem import Problem
-from planopt.world.clearance import inside_bounds
+from planopt.world.clearance import ObstacleIndex, inside_bounds
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,8 @@ class Candidate:
     path_m
         ``(N, 2)``.
     objective, lattice_objective
-        Its cost and that of the lattice path of the same step, in seconds.
+        What it is worth, in the sense of the problem, and the same of the lattice path of the
+        same step.
     rung, termination
         Where it comes from.
     certificate, verdict
@@ -74,41 +73,19 @@ class Judge:
 
     Attributes
     ----------
-    problem, scene, belief
-        The problem, its geometry, and what is believed of the channel.
+    problem, index, belief
+        The problem, its obstacles, and what is believed of the channel.
     position_m
         ``(2,)`` where the robot is.
-    pivot
-        The way beyond the horizon; None if there is none to be had.
+    objective
+        What a path (N, 2) from there is worth.
     """
 
     problem: Problem
-    scene: Scene
+    index: ObstacleIndex
     belief: Belief
     position_m: NDArray[np.float64]
-    pivot: Pivot | None = None
-
-    @property
-    def rate_s_m(self) -> float:
-        """Cost of a metre beyond the horizon."""
-        return cost_rate_s_m(
-            self.problem.objective.effort_weight_s2_m2, self.problem.robots[0].speed_max_m_s
-        )
-
-    def objective(self, path_m: NDArray[np.float64]) -> float:
-        """Cost of a path (N, 2) in seconds, cost to go by the step's pivot included."""
-        problem = self.problem
-        cost = path_cost_s(
-            np.vstack([self.position_m, path_m]),
-            np.asarray(problem.robots[0].goal_m),
-            problem.constraints.goal_radius_m,
-            problem.planner.step_s,
-            problem.objective.effort_weight_s2_m2,
-        )
-        if self.pivot is None:
-            return cost
-        to_pivot = float(np.linalg.norm(path_m[-1] - self.pivot.position_m))
-        return cost + self.rate_s_m * (to_pivot + self.pivot.cost_m)
+    objective: Callable[[NDArray[np.float64]], float]
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -123,15 +100,15 @@ class Judge:
         self, path_m: NDArray[np.float64], rung: Rung, termination: Termination
     ) -> Candidate:
         """Make a candidate of a path, not yet verified."""
-        cost = self.objective(path_m)
-        return Candidate(path_m, cost, cost, rung, termination)
+        worth = self.objective(path_m)
+        return Candidate(path_m, worth, worth, rung, termination)
 
     def judged(self, candidate: Candidate) -> Candidate:
         """Ask the verifier."""
         path = np.vstack([self.position_m, candidate.path_m])
         judgement = judge(
             self.problem,
-            self.scene.index,
+            self.index,
             self.belief.posterior,
             self.position_m,
             path,

@@ -259,7 +259,7 @@ def _disagreeing_outcome(problem: Problem, record: RunRecord, steps: Steps) -> l
     track, true = steps.positions_m, steps.numbers["true_db"]
     if np.abs(track[0] - problem.robots[0].start_m).max() > AGREEMENT:
         reasons.append("the run does not start at robots[0].start_m")
-    missing = float(np.linalg.norm(track[-1] - problem.robots[0].goal_m))
+    missing = float(np.linalg.norm(track[-1] - problem.goal_m))
     reached = missing <= problem.constraints.goal_radius_m + AGREEMENT
     if reached != (record.outcome is Outcome.REACHED):
         reasons.append(

@@ -64,7 +64,7 @@ def simulate(
     planning = ReachPlanner(problem, scene)
     belief, truth = prepared.belief, prepared.truth
     position = np.asarray(problem.robots[0].start_m)
-    goal = np.asarray(problem.robots[0].goal_m)
+    goal = np.asarray(problem.goal_m)
     track = [position]
     plans: list[Plan] = []
     since_learnt = 0
@@ -100,7 +100,7 @@ def simulate(
         robot=problem.robots[0].name,
         horizon=problem.planner.horizon,
         planner=problem.planner.name,
-        cost_to_go=problem.objective.cost_to_go,
+        cost_to_go=problem.cost_to_go,
         seed=seed,
         outcome=outcome,
         reason=reason,

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from planopt.objectives.reach import cost_rate_s_m
 from planopt.planning.frontier import OUT_OF_BOUND_FACTOR, Frontier
+from planopt.planning.ground import first_moves
 from planopt.planning.lattice_search import search_lattice
 from planopt.planning.node_margins import NodeMargins
 from planopt.planning.road_map import Ways, shortest_ways, way_from
-from planopt.planning.scene import Scene, first_moves
+from planopt.planning.scene import Scene
 from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import inside_bounds, swept_clearance_m
@@ -82,7 +83,7 @@ class GlobalSearch:
         self._margins = margins
         self._frontier = Frontier(scene.road_map, problem.step_length_m)
         self._rate = cost_rate_s_m(
-            problem.objective.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+            problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
         )
 
     def find_start(
@@ -99,7 +100,7 @@ class GlobalSearch:
         measured_m
             ``(m, 2)`` where power has been measured.
         """
-        if self._problem.objective.cost_to_go == "geodesic":
+        if self._problem.reach.cost_to_go == "geodesic":
             start = self._search(position_m, self._scene.goal_node, self._scene.ways)
             return self._with_fine_first_step(position_m, start)
         if self._frontier.crossing:
@@ -207,7 +208,7 @@ class GlobalSearch:
     ) -> GlobalStart | None:
         """Search once, with exact margins wherever the path rests on them."""
         settings, scene, margins = self._problem.planner, self._scene, self._margins
-        first_nodes, first_lengths = first_moves(scene, self._problem, position_m)
+        first_nodes, first_lengths = first_moves(scene.ground, self._problem, position_m)
         if first_nodes.size == 0:
             return None
         nodes: NDArray[np.intp] | None = None
@@ -218,7 +219,7 @@ class GlobalSearch:
                 first_lengths,
                 settings.horizon if horizon is None else horizon,
                 settings.step_s,
-                self._problem.objective.effort_weight_s2_m2,
+                self._problem.reach.effort_weight_s2_m2,
                 target,
                 self._penalty_s(),
                 self._rate * ways.cost_m,

@@ -14,6 +14,7 @@ from planopt.planning.global_search import GlobalSearch, GlobalStart
 from planopt.planning.node_margins import NodeMargins
 from planopt.planning.pivot import find_pivot
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.reach_cost import ReachCost
 from planopt.planning.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
@@ -63,11 +64,12 @@ class ReachPlanner:
         problem, scene = self.problem, self.scene
         self._margins.refresh(belief.posterior)
         start = self._search.find_start(position_m, belief.posterior.measurements.positions_m)
-        judge = Judge(problem, scene, belief, position_m)
+        cost = ReachCost(problem, position_m)
+        judge = Judge(problem, scene.index, belief, position_m, cost)
         if start is None:
             chosen = self._without_start(judge, warm)
         else:
-            connected = problem.objective.cost_to_go == "connected"
+            connected = problem.reach.cost_to_go == "connected"
             pivot = find_pivot(
                 scene,
                 start,
@@ -75,16 +77,18 @@ class ReachPlanner:
                 problem.step_length_m,
                 problem.constraints.clearance_m,
             )
-            judge = replace(judge, pivot=pivot)
-            chosen = self._climb(judge, start, warm)
+            cost = replace(cost, pivot=pivot)
+            chosen = self._climb(replace(judge, objective=cost), cost, start, warm)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
-    def _climb(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> Candidate:
+    def _climb(
+        self, judge: Judge, cost: ReachCost, start: GlobalStart, warm: Plan | None
+    ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
         tried: list[Candidate] = []
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
-            refiner = Refiner(self._nlp, judge, start, lattice.objective)
+            refiner = Refiner(self._nlp, self.scene, judge, cost, start, lattice.objective)
             for attempt in refiner.attempts(_shifted_path(warm)):
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
                     return attempt

@@ -18,8 +18,10 @@ from planopt.planning.margin_source import MarginFunction
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.polish import Polished, ReachTask, polish
 from planopt.planning.predictions import search_prediction
+from planopt.planning.reach_cost import ReachCost
 from planopt.planning.reach_nlp import ReachNlp
 from planopt.planning.retime import retime
+from planopt.planning.scene import Scene
 from planopt.planning.stage_kernel import StageMargins, stage_margins
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
@@ -54,8 +56,12 @@ class Refiner:
     ----------
     nlp
         The built solver.
+    scene
+        The geometry.
     judge
-        What attempts are judged by; its pivot is set.
+        What attempts are judged by.
+    cost
+        What it judges their worth by; its pivot is set.
     start
         The global start.
     lattice_objective
@@ -63,10 +69,18 @@ class Refiner:
     """
 
     def __init__(
-        self, nlp: ReachNlp, judge: Judge, start: GlobalStart, lattice_objective: float
+        self,
+        nlp: ReachNlp,
+        scene: Scene,
+        judge: Judge,
+        cost: ReachCost,
+        start: GlobalStart,
+        lattice_objective: float,
     ) -> None:
         self._nlp = nlp
+        self._scene = scene
         self._judge = judge
+        self._cost = cost
         self._start = start
         self._lattice_objective = lattice_objective
 
@@ -102,7 +116,7 @@ class Refiner:
         """Start path at cruising speed."""
         problem = self._judge.problem
         speed = cruising_speed_m_s(
-            problem.objective.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+            problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
         )
         step = speed * problem.planner.step_s - STEP_PAD_M
         return retime(self._judge.position_m, self._start.path_m, self._start.beyond_m, step)
@@ -111,7 +125,7 @@ class Refiner:
         """Arrive in fewer steps if the polished path is short enough for it; None if it is not."""
         problem = self._judge.problem
         path = np.vstack([self._judge.position_m, candidate.path_m])
-        away = np.linalg.norm(path - np.asarray(problem.robots[0].goal_m), axis=1)
+        away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
         there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
         if candidate.verdict is not Verdict.VERIFIED or there.size == 0 or there[0] < 2:
             return None
@@ -188,18 +202,18 @@ class Refiner:
     def _task(self, path_m: NDArray[np.float64]) -> ReachTask:
         """Set the programme up about a start path."""
         judge = self._judge
-        problem, pivot = judge.problem, judge.pivot
+        problem, pivot = judge.problem, self._cost.pivot
         if pivot is None:
             raise AssertionError("a refiner needs a pivot")
         ends = np.vstack([judge.position_m, path_m])
         lines = separating_lines(
-            judge.scene.pieces,
+            self._scene.pieces,
             ends[:-1],
             ends[1:],
             self._nlp.lines,
             LINE_REACH_STEPS * problem.step_length_m,
         )
-        goal = np.asarray(problem.robots[0].goal_m)
+        goal = np.asarray(problem.goal_m)
         at_goal = np.linalg.norm(path_m[-1] - goal) <= problem.constraints.goal_radius_m
         # Where the start path stands still at its end it has arrived, at the goal or where it
         # waits or measures. Spread over the whole horizon, such a way would never end.
@@ -215,8 +229,8 @@ class Refiner:
             bounds_m=problem.workspace.bounds_m,
             arrival=arrival + 1 if dwells else None,
             pivot_m=pivot.position_m,
-            effort_s_m2=problem.objective.effort_weight_s2_m2 / problem.planner.step_s,
-            rate_s_m=judge.rate_s_m,
+            effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
+            rate_s_m=self._cost.rate_s_m,
             margins=self._margins_about(path_m),
             bound_db=np.full(len(path_m), -np.inf),
             slack_limit_db=np.zeros(len(path_m)),
@@ -267,7 +281,7 @@ class Refiner:
         judge = self._judge
         ends = np.vstack([judge.position_m, path_m])
         now = separating_lines(
-            judge.scene.pieces,
+            self._scene.pieces,
             ends[:-1],
             ends[1:],
             self._nlp.lines,
@@ -284,4 +298,4 @@ class Refiner:
         if not changed:
             return None
         first = np.vstack([judge.position_m, start_path_m])
-        return lines_for(judge.scene.pieces, first[:-1], first[1:], pieces)
+        return lines_for(self._scene.pieces, first[:-1], first[1:], pieces)

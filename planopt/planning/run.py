@@ -104,7 +104,7 @@ class Run:
     robot: str
     horizon: int
     planner: str
-    cost_to_go: str
+    cost_to_go: str | None
     seed: int
     outcome: Outcome
     reason: str

@@ -79,7 +79,7 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "problem": problem.name,
         "horizon": problem.planner.horizon,
         "planner": problem.planner.name,
-        "cost_to_go": problem.objective.cost_to_go,
+        "cost_to_go": problem.cost_to_go,
         "seed": seed,
         "outcome": Outcome.NO_PLAN.value,
         "message": message,

@@ -17,9 +17,6 @@ from planopt.planning.plan import Certificate, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
 
-SENSE = "min"
-"""The objective is a time: less is better."""
-
 LARGEST = 1e9
 """Positions, times, powers and parameters beyond this in a saved file are a fault."""
 
@@ -92,7 +89,7 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         **_question(solution.problem, solution.seed),
         "termination": plan.termination.value,
         "verdict": plan.verdict.value,
-        "sense": SENSE,
+        "sense": solution.problem.sense,
         "objective": finite(plan.objective),
         "bound": None,
         "gap": None,
@@ -114,7 +111,7 @@ def no_plan_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         **_question(problem, seed),
         "termination": Termination.NO_PATH.value,
         "verdict": Verdict.NONE.value,
-        "sense": SENSE,
+        "sense": problem.sense,
         **dict.fromkeys(("objective", "bound", "gap", "wall_s", "solve_s", "iterations")),
         "certificate": no_certificate_json((message,)),
         "robots": [],
@@ -159,7 +156,7 @@ def _question(problem: Problem, seed: int) -> dict[str, Any]:
         "problem": problem.name,
         "horizon": problem.planner.horizon,
         "planner": problem.planner.name,
-        "cost_to_go": problem.objective.cost_to_go,
+        "cost_to_go": problem.cost_to_go,
         "seed": seed,
     }
 

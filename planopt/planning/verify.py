@@ -113,6 +113,7 @@ def judge(
     power, kind = certified_prediction(posterior, positions_m)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
+    # Without a bound every margin is infinite.
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
     missed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0] + 1
     here = bound_margin_db(
@@ -124,8 +125,8 @@ def judge(
     if not no_connected_way:
         reasons += [
             f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "
-            f"although a place with {margin:.2f} dB to spare is within reach, and so is a way to "
-            "the goal that keeps it"
+            f"although a place with {margin:.2f} dB to spare is within reach"
+            + (", and so is a way to the goal that keeps it" if problem.task == "reach" else "")
             for step, margin in zip(missed, best, strict=True)
             if margin >= 0.0
         ][:1]
@@ -162,7 +163,8 @@ def _what_is_possible(
 ) -> tuple[tuple[float, ...], bool]:
     """Best margin within reach at each missed step; whether no way to the goal keeps the bound.
 
-    The second is only searched for where some missed step could have been met. Ways begin at the
+    The second is only searched for where there is a goal and some missed step could have been met.
+    Ways begin at the
     start if that keeps the bound, else at the places nearest to it that do: those within reach by
     the first step that meets the bound or could.
     """
@@ -179,7 +181,7 @@ def _what_is_possible(
         missed,
         constraints.clearance_m,
     )
-    if best[-1] < 0.0:
+    if best[-1] < 0.0 or problem.task != "reach":
         return best, False
     possible = {int(step) for step, margin in zip(missed, best, strict=True) if margin >= 0.0}
     impossible = set(missed.tolist()) - possible
@@ -189,7 +191,7 @@ def _what_is_possible(
         problem.workspace.bounds_m,
         margin_db,
         start_m,
-        np.asarray(problem.robots[0].goal_m),
+        np.asarray(problem.goal_m),
         constraints.clearance_m,
         length,
         within_m=0.0 if starts_within else first * length,
@@ -213,7 +215,7 @@ def _needless_outage(
         problem.workspace.bounds_m,
         _margins_of(problem, posterior),
         positions_m[[0, -1]],
-        np.asarray(problem.robots[0].goal_m),
+        np.asarray(problem.goal_m),
         problem.constraints.clearance_m,
         problem.step_length_m,
     )

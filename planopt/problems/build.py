@@ -20,6 +20,7 @@ from planopt.problems.problem import (
     ReportSettings,
     Robot,
     SampledMeasurements,
+    TermsObjective,
 )
 from planopt.problems.schema import ObstacleTable, ProblemFile
 from planopt.problems.schema_channel import (
@@ -76,11 +77,13 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             )
             for table in tables.stations
         ),
-        objective=ReachObjective(tables.objective.effort_weight_s2_m2, tables.objective.cost_to_go),
+        objective=_objective(tables),
+        targets=tuple(table.target for table in tables.targets),
         constraints=Constraints(
             tables.constraints.p_min,
             tables.constraints.clearance_m,
             tables.constraints.goal_radius_m,
+            tables.constraints.separation_m,
         ),
         planner=PlannerSettings(
             tables.planner.name,
@@ -92,6 +95,13 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
         file=file,
         report=ReportSettings(tables.report.figures),
     )
+
+
+def _objective(tables: ProblemFile) -> ReachObjective | TermsObjective:
+    table = tables.objective
+    if tables.problem.task == "reach":
+        return ReachObjective(table.effort_weight_s2_m2, table.cost_to_go)
+    return TermsObjective(tuple(term.term for term in table.terms))
 
 
 def _obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:

@@ -44,7 +44,8 @@ def check(problem: Problem) -> None:
     index = index_obstacles(problem.workspace)
     for number, robot in enumerate(problem.robots):
         _check_place(problem, index, robot.start_m, f"robots[{number}].start_m")
-        _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
+        if robot.goal_m is not None:
+            _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
     _check_channel(problem)
 
 

@@ -7,9 +7,11 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from planopt.errors import InputError
 from planopt.problems.messages import input_error
 from planopt.problems.problem import PlannerSettings, Problem, ReachObjective
-from planopt.problems.schema import ObjectiveTable, PlannerTable
+from planopt.problems.schema import PlannerTable
+from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.tables import Table
 
 AnyTable = TypeVar("AnyTable", bound=Table)
@@ -43,13 +45,20 @@ def with_overrides(
     planner_table = _changed(
         PlannerTable, "planner", asdict(problem.planner), {"horizon": horizon, "name": planner}
     )
+    changed = replace(problem, planner=PlannerSettings(**planner_table.model_dump()))
+    if not isinstance(problem.objective, ReachObjective):
+        if cost_to_go is not None:
+            raise InputError(
+                f"is for problems that are to reach a goal, {problem.name} is to {problem.task}",
+                key="objective.cost_to_go",
+                remedy="leave it out",
+            )
+        return changed
     objective_table = _changed(
         ObjectiveTable, "objective", asdict(problem.objective), {"cost_to_go": cost_to_go}
     )
     return replace(
-        problem,
-        planner=PlannerSettings(**planner_table.model_dump()),
-        objective=ReachObjective(**objective_table.model_dump()),
+        changed, objective=ReachObjective(**objective_table.model_dump(exclude={"terms"}))
     )
 
 

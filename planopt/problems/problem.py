@@ -12,29 +12,58 @@ from planopt.world.workspace import Workspace
 
 CostToGo = Literal["geodesic", "connected"]
 FitMethod = Literal["seed", "capped", "convex", "nls", "reml"]
-PlannerName = Literal["auto", "lattice"]
+Task = Literal["reach", "track", "learn", "map"]
+LearningCriterion = Literal["T", "D", "A", "V"]
+MappingForm = Literal["two_layer", "path", "information", "average"]
+PlannerName = Literal["auto", "lattice", "one_step", "random", "lawnmower", "scp"]
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
 
 
 @dataclass(frozen=True)
 class Robot:
-    """One robot and where it must go.
+    """One robot.
 
     Attributes
     ----------
     name
         What outputs call it.
-    start_m, goal_m
+    start_m
         ``(x, y)`` in metres.
+    goal_m
+        Where it must go; None unless the task is to reach a goal.
     speed_max_m_s
         Largest speed: the input set is the disc of this radius (single integrator).
     """
 
     name: str
     start_m: tuple[float, float]
-    goal_m: tuple[float, float]
+    goal_m: tuple[float, float] | None
     speed_max_m_s: float
+
+
+@dataclass(frozen=True)
+class Target:
+    """A moving target and what is known of it at the start (seed, section III-B).
+
+    Attributes
+    ----------
+    name
+        What outputs call it.
+    start_m, velocity_m_s
+        Where it truly is and how it moves at the start, ``(x, y)``.
+    acceleration_std_m_s2
+        Deviation of the white acceleration along either axis (the seed's Theta is its square).
+    position_std_m, velocity_std_m_s
+        Deviation of the first estimate of position and velocity along either axis (P_0).
+    """
+
+    name: str
+    start_m: tuple[float, float]
+    velocity_m_s: tuple[float, float]
+    acceleration_std_m_s2: float
+    position_std_m: float
+    velocity_std_m_s: float
 
 
 @dataclass(frozen=True)
@@ -180,22 +209,118 @@ class ReachObjective:
 
 
 @dataclass(frozen=True)
+class TrackingTerm:
+    """Expected information on the target that reaches the station (seed, (4); theory 4.6).
+
+    Each step is worth P(connected) / g(r), with r the distance to the target's predicted position
+    and ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    noise_curvature, noise_floor_m2, sweet_spot_m
+        The seed's varpi, nu (m^2) and r_s.
+    """
+
+    weight: float
+    noise_curvature: float
+    noise_floor_m2: float
+    sweet_spot_m: float
+
+
+@dataclass(frozen=True)
+class LearningTerm:
+    """Information on path loss gathered along the way (seed, (2); theory 4.4).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    criterion
+        ``T`` (the seed's trace), ``D``, ``A`` or ``V`` (prediction over the workspace).
+    """
+
+    weight: float
+    criterion: LearningCriterion
+
+
+@dataclass(frozen=True)
+class MappingTerm:
+    """Uncertainty of the channel removed along the way (seed, (3); theory 4.5).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    form
+        ``two_layer`` (the seed's: steer to the maximiser of J_CH), ``path`` (J_CH summed along the
+        path), ``information`` or ``average`` (over the workspace, the seed's footnote 3).
+    variance_threshold_db2
+        sigma_TH^2 in dB^2.
+    closeness_per_m
+        zeta of ``psi(d) = exp(-zeta d)``.
+    """
+
+    weight: float
+    form: MappingForm
+    variance_threshold_db2: float
+    closeness_per_m: float
+
+
+@dataclass(frozen=True)
+class MotionEnergyTerm:
+    """Energy of motion, a cost (theory 3.2): k1 |v| + k2 while moving, in joules.
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms, per joule; the energy is subtracted.
+    per_metre_j_m, power_w
+        k1 and k2.
+    """
+
+    weight: float
+    per_metre_j_m: float
+    power_w: float
+
+
+Term = TrackingTerm | LearningTerm | MappingTerm | MotionEnergyTerm
+
+
+@dataclass(frozen=True)
+class TermsObjective:
+    """A weighted sum of named terms over the horizon, to be maximised.
+
+    Attributes
+    ----------
+    terms
+        At least one; the first is the task's.
+    """
+
+    terms: tuple[Term, ...]
+
+
+@dataclass(frozen=True)
 class Constraints:
     """What every plan must keep.
 
     Attributes
     ----------
     p_min
-        Least probability of connection at every step where that is possible.
+        Least probability of connection at every step where that is possible; 0 asks for none.
     clearance_m
         Least distance of the whole swept path from every obstacle.
     goal_radius_m
         The goal is reached within this distance of it.
+    separation_m
+        Least distance between robots at any time; 0 asks for none.
     """
 
     p_min: float
     clearance_m: float
     goal_radius_m: float
+    separation_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -205,7 +330,8 @@ class PlannerSettings:
     Attributes
     ----------
     name
-        ``auto`` (lattice, polish, verify) or ``lattice`` (no polish).
+        ``auto`` (lattice, polish, verify), ``lattice`` (no polish), and for tasks other than reach
+        ``one_step`` (the seed's dense local search), ``random``, ``lawnmower`` and ``scp``.
     horizon
         Steps ahead, N.
     step_s
@@ -250,8 +376,8 @@ class Problem:
         The tables of the problem file.
     file
         Where it was read from, for messages; None if made in Python.
-    report
-        The table of that name.
+    report, targets
+        The tables of these names.
     """
 
     name: str
@@ -260,13 +386,54 @@ class Problem:
     channel: ChannelSetup
     robots: tuple[Robot, ...]
     stations: tuple[RadioStation, ...]
-    objective: ReachObjective
+    objective: ReachObjective | TermsObjective
     constraints: Constraints
     planner: PlannerSettings
     file: Path | None = None
     report: ReportSettings = ReportSettings()
+    targets: tuple[Target, ...] = ()
 
     @property
     def step_length_m(self) -> float:
         """Longest way of the (first) robot in one step."""
         return self.robots[0].speed_max_m_s * self.planner.step_s
+
+    @property
+    def reach(self) -> ReachObjective:
+        """The objective of a problem that is to reach a goal; others have none."""
+        if not isinstance(self.objective, ReachObjective):
+            raise AssertionError(f"the task of {self.name} is not to reach a goal")
+        return self.objective
+
+    @property
+    def goal_m(self) -> tuple[float, float]:
+        """Where the (first) robot must go; only in a problem that is to reach a goal."""
+        goal = self.robots[0].goal_m
+        if goal is None:
+            raise AssertionError(f"the task of {self.name} is not to reach a goal")
+        return goal
+
+    @property
+    def sense(self) -> Literal["min", "max"]:
+        """Whether less or more of the objective is better."""
+        return "min" if isinstance(self.objective, ReachObjective) else "max"
+
+    @property
+    def cost_to_go(self) -> CostToGo | None:
+        """What the way beyond the horizon costs; None where there is no goal."""
+        return self.objective.cost_to_go if isinstance(self.objective, ReachObjective) else None
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the objective; none where the task is to reach a goal."""
+        return self.objective.terms if isinstance(self.objective, TermsObjective) else ()
+
+    @property
+    def task(self) -> Task:
+        """What the problem asks: its goal, or its first term."""
+        if isinstance(self.objective, ReachObjective):
+            return "reach"
+        first = self.objective.terms[0]
+        if isinstance(first, TrackingTerm):
+            return "track"
+        return "learn" if isinstance(first, LearningTerm) else "map"

@@ -18,11 +18,15 @@ from planopt.channel.multipath_models import Lognormal, Multipath, Nakagami, Ric
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import (
     ChannelSetup,
+    LearningTerm,
     LoggedMeasurements,
+    MappingTerm,
     ModelTruth,
+    MotionEnergyTerm,
     Problem,
     RadioStation,
     RasterTruth,
+    TrackingTerm,
 )
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.world.workspace import Obstacle
@@ -43,7 +47,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "problem": {
             "schema": SCHEMA_VERSION,
             "name": problem.name,
-            "task": "reach",
+            "task": problem.task,
             "description": problem.description,
         },
         "world": {
@@ -53,7 +57,8 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "channel": channel,
         "robots": [_plain(asdict(robot)) for robot in problem.robots],
         "stations": [_station(station) for station in problem.stations],
-        "objective": asdict(problem.objective),
+        "targets": [_plain(asdict(target)) for target in problem.targets],
+        "objective": _objective(problem),
         "constraints": asdict(problem.constraints),
         "planner": asdict(problem.planner),
         "report": asdict(problem.report),
@@ -77,6 +82,21 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> P
     """
     folder = Path.cwd() if file is None else file.absolute().parent
     return problem_from_tables(data, folder=folder, file=file)
+
+
+KINDS = {
+    TrackingTerm: "tracking",
+    LearningTerm: "path_loss_learning",
+    MappingTerm: "mapping",
+    MotionEnergyTerm: "motion_energy",
+}
+"""What problem files call the terms."""
+
+
+def _objective(problem: Problem) -> dict[str, Any]:
+    if problem.task == "reach":
+        return asdict(problem.reach)
+    return {"terms": [{"kind": KINDS[type(term)], **asdict(term)} for term in problem.terms]}
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ tables at once (a start inside an obstacle) is in :mod:`planopt.problems.checks`
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -15,11 +15,18 @@ from pydantic_core import PydanticCustomError
 from planopt.problems.problem import (
     MAX_HORIZON,
     MIN_HORIZON,
-    CostToGo,
     PlannerName,
     ReportSettings,
+    Task,
 )
 from planopt.problems.schema_channel import ChannelTable
+from planopt.problems.schema_objective import (
+    LearningTable,
+    MappingTable,
+    ObjectiveTable,
+    TargetTable,
+    TrackingTable,
+)
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
 
 SCHEMA_VERSION = 1
@@ -32,8 +39,10 @@ class ProblemTable(Table):
         alias="schema", description="Version of this schema; it is 1."
     )
     name: Name = Field(description="Name: letters, digits, '_' and '-'.")
-    task: Literal["reach"] = Field(
-        default="reach", description="What the robot must do: reach its goal."
+    task: Task = Field(
+        default="reach",
+        description="What the robots must do: reach a goal, track a target, learn the path loss or "
+        "map the channel.",
     )
     description: str = Field(default="", description="One sentence for people.")
 
@@ -84,11 +93,13 @@ class WorldTable(Table):
 
 
 class RobotTable(Table):
-    """``[[robots]]``: one robot and where it must go."""
+    """``[[robots]]``: one robot, and where it must go."""
 
     name: Name = Field(default="robot", description="What outputs call it.")
     start_m: Pair = Field(description="Start [x, y] in metres.")
-    goal_m: Pair = Field(description="Goal [x, y] in metres.")
+    goal_m: Pair | None = Field(
+        default=None, description="Goal [x, y] in metres, for the task reach."
+    )
     speed_max_m_s: float = Field(gt=0, le=1000, description="Largest speed in m/s.")
 
 
@@ -108,29 +119,15 @@ class StationTable(Table):
     )
 
 
-class ObjectiveTable(Table):
-    """``[objective]``: time plus effort, and what the way beyond the horizon costs."""
-
-    effort_weight_s2_m2: float = Field(
-        default=0.1,
-        ge=0,
-        le=1e6,
-        description="Weight of speed squared in the cost rate 1 + weight * speed^2, in s^2/m^2.",
-    )
-    cost_to_go: CostToGo = Field(
-        default="connected",
-        description="Beyond the horizon: geodesic (shortest way round the obstacles) or connected "
-        "(shortest way that keeps the predicted bound).",
-    )
-
-
 class ConstraintsTable(Table):
     """``[constraints]``: what every plan must keep."""
 
     p_min: float = Field(
-        gt=0,
+        default=0.0,
+        ge=0,
         lt=1,
-        description="Least probability of connection at every step where that is possible.",
+        description="Least probability of connection at every step where that is possible; 0 asks "
+        "for none. The task reach needs it above 0.",
     )
     clearance_m: float = Field(
         default=1.0,
@@ -141,13 +138,21 @@ class ConstraintsTable(Table):
     goal_radius_m: float = Field(
         default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
     )
+    separation_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e4,
+        description="Least distance in metres between robots at any time; 0 asks for none.",
+    )
 
 
 class PlannerTable(Table):
     """``[planner]``: how plans are found."""
 
     name: PlannerName = Field(
-        default="auto", description="auto (lattice, polish, verify) or lattice (no polish)."
+        default="auto",
+        description="auto (lattice, polish, verify), lattice (no polish), and for tasks other than "
+        "reach one_step, random, lawnmower or scp.",
     )
     horizon: int = Field(
         default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead, the seed's N."
@@ -182,17 +187,68 @@ class ProblemFile(Table):
     world: WorldTable
     channel: ChannelTable
     robots: list[RobotTable] = Field(
-        min_length=1, max_length=1, description="The robots; this version plans for exactly one."
+        min_length=1, max_length=20, description="The robots; exactly one for the task reach."
     )
     stations: list[StationTable] = Field(
         min_length=1,
         max_length=1,
         description="The fixed stations; this version plans with exactly one.",
     )
+    targets: list[TargetTable] = Field(
+        default=[], max_length=1, description="The target, for the task track."
+    )
     objective: ObjectiveTable = Field(default_factory=ObjectiveTable)
-    constraints: ConstraintsTable
+    constraints: ConstraintsTable = Field(default_factory=ConstraintsTable)
     planner: PlannerTable
     report: ReportTable = Field(default_factory=ReportTable)
+
+    @model_validator(mode="after")
+    def _fits_the_task(self) -> ProblemFile:
+        fault = _reach_fault(self) if self.problem.task == "reach" else _terms_fault(self)
+        if fault is not None:
+            raise PydanticCustomError("task", "{words}", {"words": fault})
+        return self
+
+
+TASK_TERMS = {"track": TrackingTable, "learn": LearningTable, "map": MappingTable}
+"""The term that each task's objective begins with."""
+
+
+def _reach_fault(tables: ProblemFile) -> str | None:
+    """What keeps tables from being a problem that is to reach a goal."""
+    if len(tables.robots) > 1:
+        return "task reach is for exactly one robot"
+    if tables.robots[0].goal_m is None:
+        return "task reach needs robots[0].goal_m"
+    if tables.objective.terms:
+        return "task reach has no objective.terms"
+    if tables.targets:
+        return "task reach has no targets"
+    if tables.constraints.p_min == 0.0:
+        return "task reach needs constraints.p_min above 0"
+    if tables.planner.name not in ("auto", "lattice"):
+        return f"planner.name {tables.planner.name} is not for task reach: use auto or lattice"
+    return None
+
+
+def _terms_fault(tables: ProblemFile) -> str | None:
+    """What keeps tables from being a problem whose objective is a sum of terms."""
+    task, terms = tables.problem.task, tables.objective.terms
+    if not terms or not isinstance(terms[0], TASK_TERMS[task]):
+        kind = TASK_TERMS[task].model_fields["kind"].annotation
+        return f"task {task} needs objective.terms that begin with one of kind {get_args(kind)[0]}"
+    if any(robot.goal_m is not None for robot in tables.robots):
+        return f"task {task} has no robots.goal_m"
+    for key in ("effort_weight_s2_m2", "cost_to_go"):
+        if key in tables.objective.model_fields_set:
+            return f"objective.{key} is for task reach, not for {task}"
+    tracked = any(isinstance(term, TrackingTable) for term in terms)
+    if tracked != bool(tables.targets):
+        return "a term of kind tracking and an entry of targets go together"
+    names = [robot.name for robot in tables.robots]
+    if len(set(names)) < len(names):
+        return "two robots have one name"
+    return None
 
 
 def json_schema() -> dict[str, Any]:

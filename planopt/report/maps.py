@@ -130,13 +130,16 @@ def draw_level(panel: Panel, raster: Raster, level: float, colour: str) -> None:
 
 def draw_places(panel: Panel, problem: Problem) -> list[Artist]:
     """Mark start and goal of every robot and the stations; the artists, for a legend."""
+    goals = [robot.goal_m for robot in problem.robots if robot.goal_m is not None]
     marks = (
         ("start", "o", 70.0, GREEN, [robot.start_m for robot in problem.robots]),
-        ("goal", "*", 200.0, YELLOW, [robot.goal_m for robot in problem.robots]),
+        ("goal", "*", 200.0, YELLOW, goals),
         ("station", "^", 80.0, ORANGE, [radio.site.position_m for radio in problem.stations]),
     )
     artists: list[Artist] = []
     for label, marker, size, colour, places in marks:
+        if not places:
+            continue
         x, y = np.array(places, dtype=np.float64).T
         artists.append(
             panel.scatter(

@@ -1,0 +1,53 @@
+"""What a path costs that is to reach a goal, the way beyond the horizon included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.objectives.reach import cost_rate_s_m, path_cost_s
+from planopt.planning.pivot import Pivot
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True)
+class ReachCost:
+    """The cost of paths of one step of planning.
+
+    Attributes
+    ----------
+    problem
+        A problem that is to reach a goal.
+    position_m
+        ``(2,)`` where the robot is.
+    pivot
+        The way beyond the horizon; None if there is none to be had.
+    """
+
+    problem: Problem
+    position_m: NDArray[np.float64]
+    pivot: Pivot | None = None
+
+    @property
+    def rate_s_m(self) -> float:
+        """Cost of a metre beyond the horizon."""
+        return cost_rate_s_m(
+            self.problem.reach.effort_weight_s2_m2, self.problem.robots[0].speed_max_m_s
+        )
+
+    def __call__(self, path_m: NDArray[np.float64]) -> float:
+        """Cost of a path (N, 2) in seconds, cost to go by the step's pivot included."""
+        problem = self.problem
+        cost = path_cost_s(
+            np.vstack([self.position_m, path_m]),
+            np.asarray(problem.goal_m),
+            problem.constraints.goal_radius_m,
+            problem.planner.step_s,
+            problem.reach.effort_weight_s2_m2,
+        )
+        if self.pivot is None:
+            return cost
+        to_pivot = float(np.linalg.norm(path_m[-1] - self.pivot.position_m))
+        return cost + self.rate_s_m * (to_pivot + self.pivot.cost_m)

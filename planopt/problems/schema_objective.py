@@ -1,0 +1,148 @@
+"""The tables ``[objective]`` and ``[[targets]]`` of a problem file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from planopt.problems.problem import (
+    CostToGo,
+    LearningCriterion,
+    LearningTerm,
+    MappingForm,
+    MappingTerm,
+    MotionEnergyTerm,
+    Target,
+    Term,
+    TrackingTerm,
+)
+from planopt.problems.tables import Name, Pair, Table
+
+Weight = Annotated[float, Field(ge=0, le=1e9)]
+Deviation = Annotated[float, Field(ge=0, le=1e6)]
+
+
+class TrackingTable(Table):
+    """A term: expected information on the target that reaches the station, summed over steps."""
+
+    kind: Literal["tracking"] = Field(description="Track a target over a lossy link.")
+    weight: Weight = Field(default=1.0, description="In the sum of terms.")
+    noise_curvature: float = Field(
+        gt=0, le=1e9, description="The seed's varpi in g(r) = varpi (r - sweet spot)^2 + floor."
+    )
+    noise_floor_m2: float = Field(gt=0, le=1e9, description="The seed's nu, in m^2.")
+    sweet_spot_m: float = Field(
+        ge=0, le=1e6, description="Distance in metres at which the sensor is best, the seed's r_s."
+    )
+
+    @property
+    def term(self) -> Term:
+        """The plain term."""
+        return TrackingTerm(
+            self.weight, self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m
+        )
+
+
+class LearningTable(Table):
+    """A term: information on path loss that the measurements on the way give."""
+
+    kind: Literal["path_loss_learning"] = Field(description="Learn the path loss.")
+    weight: Weight = Field(default=1.0, description="In the sum of terms.")
+    criterion: LearningCriterion = Field(
+        default="D",
+        description="T (the seed's trace), D (volume), A (variances) or V (prediction over the "
+        "workspace).",
+    )
+
+    @property
+    def term(self) -> Term:
+        """The plain term."""
+        return LearningTerm(self.weight, self.criterion)
+
+
+class MappingTable(Table):
+    """A term: uncertainty of the channel that the measurements on the way remove."""
+
+    kind: Literal["mapping"] = Field(description="Map the channel.")
+    weight: Weight = Field(default=1.0, description="In the sum of terms.")
+    form: MappingForm = Field(
+        default="information",
+        description="two_layer (the seed's (3)), path (J_CH along the path), information, or "
+        "average (variance over the workspace).",
+    )
+    variance_threshold_db2: Deviation = Field(
+        default=0.0, description="Variances up to this count as none, sigma_TH^2 in dB^2."
+    )
+    closeness_per_m: Deviation = Field(
+        default=0.0, description="zeta of exp(-zeta d), in 1/m: how much near places are preferred."
+    )
+
+    @property
+    def term(self) -> Term:
+        """The plain term."""
+        return MappingTerm(
+            self.weight, self.form, self.variance_threshold_db2, self.closeness_per_m
+        )
+
+
+class MotionEnergyTable(Table):
+    """A term: energy of motion, subtracted."""
+
+    kind: Literal["motion_energy"] = Field(description="Spare energy.")
+    weight: Weight = Field(default=1.0, description="In the sum of terms, per joule.")
+    per_metre_j_m: float = Field(ge=0, le=1e9, description="k1 in J/m.")
+    power_w: float = Field(default=0.0, ge=0, le=1e9, description="k2 in W while moving.")
+
+    @property
+    def term(self) -> Term:
+        """The plain term."""
+        return MotionEnergyTerm(self.weight, self.per_metre_j_m, self.power_w)
+
+
+TermTable = Annotated[
+    TrackingTable | LearningTable | MappingTable | MotionEnergyTable, Field(discriminator="kind")
+]
+
+
+class ObjectiveTable(Table):
+    """``[objective]``: to reach a goal, time plus effort; for other tasks a sum of terms."""
+
+    effort_weight_s2_m2: float = Field(
+        default=0.1,
+        ge=0,
+        le=1e6,
+        description="Weight of speed squared in the cost rate 1 + weight * speed^2, in s^2/m^2.",
+    )
+    cost_to_go: CostToGo = Field(
+        default="connected",
+        description="Beyond the horizon: geodesic (shortest way round the obstacles) or connected "
+        "(shortest way that keeps the predicted bound).",
+    )
+    terms: list[TermTable] = Field(
+        default=[],
+        description="For tasks other than reach: the weighted sum to be maximised; the first term "
+        "is the task's.",
+    )
+
+
+class TargetTable(Table):
+    """``[[targets]]``: a moving target and what is known of it at the start."""
+
+    name: Name = Field(default="target", description="What outputs call it.")
+    start_m: Pair = Field(description="Where it truly starts, [x, y] in metres.")
+    velocity_m_s: Pair = Field(description="Its true velocity at the start, [x, y] in m/s.")
+    acceleration_std_m_s2: Deviation = Field(
+        default=0.03, description="Deviation of its white acceleration along an axis, in m/s^2."
+    )
+    position_std_m: float = Field(
+        default=1.0, gt=0, le=1e6, description="Deviation of its first estimated position, in m."
+    )
+    velocity_std_m_s: float = Field(
+        default=0.3, gt=0, le=1e6, description="Deviation of its first estimated velocity, in m/s."
+    )
+
+    @property
+    def target(self) -> Target:
+        """The plain target."""
+        return Target(**self.model_dump())

@@ -12,7 +12,7 @@ from planopt.planning.ipopt_status import termination_of
 from planopt.planning.kkt import Bounds, kkt_residual
 from planopt.planning.margin_source import MarginFunction
 from planopt.planning.path_row_values import path_row_values
-from planopt.planning.plan import Termination
+from planopt.planning.polished import Polished
 from planopt.planning.reach_nlp import PIVOT_ROUNDING_M, ReachNlp
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.separation import SeparatingLines
@@ -65,33 +65,6 @@ class ReachTask:
     bound_db: NDArray[np.float64]
     slack_limit_db: NDArray[np.float64]
     elastic: bool = False
-
-
-@dataclass(frozen=True)
-class Polished:
-    """What came out.
-
-    Attributes
-    ----------
-    path_m
-        ``(N, 2)``; only worth something if a verifier says so.
-    slack_db
-        ``(N,)`` missing dB.
-    termination, iterations
-        Why the solver stopped, after how many iterations.
-    kkt_residual
-        Unscaled, computed without the solver's derivatives.
-    multipliers
-        By name: ``speed`` (N,), ``line_end`` (N, lines), ``line_start`` (N - 1, lines),
-        ``connectivity`` (N,).
-    """
-
-    path_m: NDArray[np.float64]
-    slack_db: NDArray[np.float64]
-    termination: Termination
-    iterations: int
-    kkt_residual: float
-    multipliers: dict[str, NDArray[np.float64]]
 
 
 ELASTIC_COST_SCALE = 1e-4

@@ -16,7 +16,8 @@ from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.global_search import GlobalStart
 from planopt.planning.margin_source import MarginFunction
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.polish import Polished, ReachTask, polish
+from planopt.planning.polish import ReachTask, polish
+from planopt.planning.polished import Polished
 from planopt.planning.predictions import search_prediction
 from planopt.planning.reach_cost import ReachCost
 from planopt.planning.reach_nlp import ReachNlp

@@ -158,8 +158,9 @@ def _motion(
 
 
 def _weighted(weight: float, part: Part) -> Part:
-    make = type(part)
-    return make(weight * part.value, weight * part.gradient, weight * part.hessian)
+    if isinstance(part, PathDerivatives):
+        return PathDerivatives(weight * part.value, weight * part.gradient, weight * part.hessian)
+    return Derivatives(weight * part.value, weight * part.gradient, weight * part.hessian)
 
 
 def _sum(parts: list[Part], stages: int, stagewise: bool) -> PathValue:

@@ -106,23 +106,28 @@ class StartSearch:
             return None
         road_map = self._ground.road_map
         first = np.stack([road_map.rows[nodes], road_map.columns[nodes]], axis=1)
-        for _ in range(CORRECTIONS):
-            rewards = StageRewards(situation, self._field)
-            found = search_rewards(
-                self._table,
-                first,
-                move_values(self._problem, lengths),
-                move_values(self._problem, road_map.lengths_m),
-                self._problem.planner.horizon,
-                rewards,
-            )
-            end = best_end(found)
-            if end is None:
-                return None
-            path = path_to(found, end)
-            if self._problem.constraints.p_min == 0.0 or not self._field.correct(path):
-                break
-        return self._field.places_m(path)
+        path = self._search(situation, first, lengths)
+        if self._problem.constraints.p_min > 0.0:
+            for _ in range(CORRECTIONS):
+                if path is None or not self._field.correct(path):
+                    break
+                path = self._search(situation, first, lengths)
+        return None if path is None else self._field.places_m(path)
+
+    def _search(
+        self, situation: Situation, first: NDArray[np.intp], lengths_m: NDArray[np.float64]
+    ) -> NDArray[np.intp] | None:
+        """Nodes (N, 2) of the best path by the field as it is; None if there is no way."""
+        found = search_rewards(
+            self._table,
+            first,
+            move_values(self._problem, lengths_m),
+            move_values(self._problem, self._ground.road_map.lengths_m),
+            self._problem.planner.horizon,
+            StageRewards(situation, self._field),
+        )
+        end = best_end(found)
+        return None if end is None else path_to(found, end)
 
     def _missing_db(self, situation: Situation, path_m: NDArray[np.float64]) -> float:
         if self._problem.constraints.p_min == 0.0:

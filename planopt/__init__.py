@@ -9,10 +9,43 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from planopt.channel.fit import fit_channel
+    from planopt.channel.belief import Belief
+    from planopt.channel.cached_map import CachedMap
+    from planopt.channel.calibration import Calibration, calibrate
+    from planopt.channel.conditional_field import conditional_field
+    from planopt.channel.field import shadow_field_db
+    from planopt.channel.first_passage import FirstPassage, first_passage
+    from planopt.channel.fit import ChannelFit, fit_channel
+    from planopt.channel.held_out_report import HeldOutReport, held_out_report, predictors_of
+    from planopt.channel.joint import JointPrediction, joint_prediction, sample_power
+    from planopt.channel.joint_connectivity import JointConnectivity, joint_connectivity
+    from planopt.channel.log_file import read_log
+    from planopt.channel.log_format import LogFormat
     from planopt.channel.measurements import Measurements
-    from planopt.channel.parameters import Station
-    from planopt.channel.posterior import ChannelPosterior
+    from planopt.channel.multipath_connectivity import multipath_connectivity
+    from planopt.channel.multipath_field import multipath_of
+    from planopt.channel.multipath_models import Lognormal, Nakagami, Rician
+    from planopt.channel.outage import DeliveredData, LongestOutage, delivered_data, longest_outage
+    from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise
+    from planopt.channel.parameters import ChannelParameters, Station
+    from planopt.channel.path_loss_estimate import estimate_theta
+    from planopt.channel.posterior import ChannelPosterior, at_time, condition
+    from planopt.channel.posterior_derivatives import posterior_derivatives
+    from planopt.channel.posterior_map import PosteriorMap, posterior_map
+    from planopt.channel.prediction import Prediction
+    from planopt.channel.profile_likelihood import profile_likelihood
+    from planopt.channel.readings import predict_readings
+    from planopt.channel.receiver_offsets import receiver_offsets
+    from planopt.channel.scattered_field import scattered_field_db
+    from planopt.channel.sensitivity import mean_squared_error_db2, sensitivity_curves
+    from planopt.channel.several_stations import (
+        SharedShadowing,
+        connected_to_any,
+        strongest_station,
+    )
+    from planopt.channel.station_search import fit_channel_and_station
+    from planopt.channel.traffic import Traffic
+    from planopt.channel.truth import Truth, measure, model_truth, raster_truth, true_power_dbm
     from planopt.errors import InputError, NoPlanError, OutputError, PlanoptError
     from planopt.planning.check import check
     from planopt.planning.closed_loop import simulate
@@ -24,43 +57,151 @@ if TYPE_CHECKING:
     from planopt.studies.compare import compare_horizons
 
 __all__ = [
+    "Belief",
+    "CachedMap",
+    "Calibration",
+    "ChannelFit",
+    "ChannelParameters",
     "ChannelPosterior",
+    "DeliveredData",
+    "FirstPassage",
+    "HeldOutReport",
     "InputError",
+    "JointConnectivity",
+    "JointPrediction",
+    "LogFormat",
+    "Lognormal",
+    "LongestOutage",
+    "MarginalPosterior",
     "Measurements",
+    "Nakagami",
     "NoPlanError",
     "OutputError",
     "PlanoptError",
+    "PosteriorMap",
+    "Prediction",
     "Problem",
+    "Rician",
+    "SharedShadowing",
     "Station",
     "Termination",
+    "Traffic",
+    "Truth",
     "Verdict",
+    "at_time",
+    "calibrate",
     "check",
     "compare_horizons",
+    "condition",
+    "conditional_field",
+    "connected_to_any",
+    "delivered_data",
+    "estimate_theta",
+    "first_passage",
     "fit_channel",
+    "fit_channel_and_station",
+    "held_out_report",
+    "joint_connectivity",
+    "joint_prediction",
     "list_problems",
     "load",
+    "longest_outage",
+    "marginalise",
+    "mean_squared_error_db2",
+    "measure",
+    "model_truth",
+    "multipath_connectivity",
+    "multipath_of",
+    "posterior_derivatives",
+    "posterior_map",
+    "predict_readings",
+    "predictors_of",
+    "profile_likelihood",
+    "raster_truth",
+    "read_log",
+    "receiver_offsets",
+    "sample_power",
+    "scattered_field_db",
+    "sensitivity_curves",
+    "shadow_field_db",
     "simulate",
     "solve",
+    "strongest_station",
+    "true_power_dbm",
 ]
 
 _MODULES = {
+    "Belief": "planopt.channel.belief",
+    "CachedMap": "planopt.channel.cached_map",
+    "Calibration": "planopt.channel.calibration",
+    "ChannelFit": "planopt.channel.fit",
+    "ChannelParameters": "planopt.channel.parameters",
     "ChannelPosterior": "planopt.channel.posterior",
+    "DeliveredData": "planopt.channel.outage",
+    "FirstPassage": "planopt.channel.first_passage",
+    "HeldOutReport": "planopt.channel.held_out_report",
     "InputError": "planopt.errors",
+    "JointConnectivity": "planopt.channel.joint_connectivity",
+    "JointPrediction": "planopt.channel.joint",
+    "LogFormat": "planopt.channel.log_format",
+    "Lognormal": "planopt.channel.multipath_models",
+    "LongestOutage": "planopt.channel.outage",
+    "MarginalPosterior": "planopt.channel.parameter_uncertainty",
     "Measurements": "planopt.channel.measurements",
+    "Nakagami": "planopt.channel.multipath_models",
     "NoPlanError": "planopt.errors",
     "OutputError": "planopt.errors",
     "PlanoptError": "planopt.errors",
+    "PosteriorMap": "planopt.channel.posterior_map",
+    "Prediction": "planopt.channel.prediction",
     "Problem": "planopt.problems.problem",
+    "Rician": "planopt.channel.multipath_models",
+    "SharedShadowing": "planopt.channel.several_stations",
     "Station": "planopt.channel.parameters",
     "Termination": "planopt.planning.plan",
+    "Traffic": "planopt.channel.traffic",
+    "Truth": "planopt.channel.truth",
     "Verdict": "planopt.planning.plan",
+    "at_time": "planopt.channel.posterior",
+    "calibrate": "planopt.channel.calibration",
     "check": "planopt.planning.check",
     "compare_horizons": "planopt.studies.compare",
+    "condition": "planopt.channel.posterior",
+    "conditional_field": "planopt.channel.conditional_field",
+    "connected_to_any": "planopt.channel.several_stations",
+    "delivered_data": "planopt.channel.outage",
+    "estimate_theta": "planopt.channel.path_loss_estimate",
+    "first_passage": "planopt.channel.first_passage",
     "fit_channel": "planopt.channel.fit",
+    "fit_channel_and_station": "planopt.channel.station_search",
+    "held_out_report": "planopt.channel.held_out_report",
+    "joint_connectivity": "planopt.channel.joint_connectivity",
+    "joint_prediction": "planopt.channel.joint",
     "list_problems": "planopt.problems.library",
     "load": "planopt.problems.load",
+    "longest_outage": "planopt.channel.outage",
+    "marginalise": "planopt.channel.parameter_uncertainty",
+    "mean_squared_error_db2": "planopt.channel.sensitivity",
+    "measure": "planopt.channel.truth",
+    "model_truth": "planopt.channel.truth",
+    "multipath_connectivity": "planopt.channel.multipath_connectivity",
+    "multipath_of": "planopt.channel.multipath_field",
+    "posterior_derivatives": "planopt.channel.posterior_derivatives",
+    "posterior_map": "planopt.channel.posterior_map",
+    "predict_readings": "planopt.channel.readings",
+    "predictors_of": "planopt.channel.held_out_report",
+    "profile_likelihood": "planopt.channel.profile_likelihood",
+    "raster_truth": "planopt.channel.truth",
+    "read_log": "planopt.channel.log_file",
+    "receiver_offsets": "planopt.channel.receiver_offsets",
+    "sample_power": "planopt.channel.joint",
+    "scattered_field_db": "planopt.channel.scattered_field",
+    "sensitivity_curves": "planopt.channel.sensitivity",
+    "shadow_field_db": "planopt.channel.field",
     "simulate": "planopt.planning.closed_loop",
     "solve": "planopt.planning.solve",
+    "strongest_station": "planopt.channel.several_stations",
+    "true_power_dbm": "planopt.channel.truth",
 }
 """Where each public name stands."""
 

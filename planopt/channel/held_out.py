@@ -29,8 +29,9 @@ Predictor = Callable[[Measurements], Prediction]
 """From measurements to what they would read; their powers are not looked at."""
 
 MARGINAL_EXACT_LIMIT = 1000
-"""From more measurements the marginalised channel predicts by the nearest. On the campus logs its
-mean is then 0.1 dB rms off, its deviation 0.02 %, and it takes a fifth of the time."""
+"""From more measurements the marginalised channel predicts by the nearest, as each of its some 15
+components would cost a factor. With days of the campus logs held out the RMSE of the channel itself
+is then 6.53 dB instead of 6.48."""
 
 
 def learn_channel(measurements: Measurements, station: Station) -> Predictor:

@@ -154,9 +154,7 @@ def _score(
         grouped_ratio(squares, exact).root(),
         grouped_ratio(squares, reference).root(),
         {
-            level: _share(
-                sizes * np.array([part.coverage[index].share for part in parts]), sizes
-            )
+            level: _share(sizes * np.array([part.coverage[index].share for part in parts]), sizes)
             for index, level in enumerate(LEVELS)
         },
         calibrate(prediction, measurements),

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.ipopt import NlpPoint, call_nlp
 from planopt.planning.ipopt_status import termination_of
 from planopt.planning.kkt import Bounds, kkt_residual
 from planopt.planning.margin_source import MarginFunction
-from planopt.planning.plan import Termination
-from planopt.planning.reach_nlp import PIVOT_ROUNDING_M, NlpPoint, ReachNlp, call_reach_nlp
+from planopt.planning.path_row_values import path_row_values
+from planopt.planning.polished import Polished
+from planopt.planning.reach_nlp import PIVOT_ROUNDING_M, ReachNlp
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.separation import SeparatingLines
 
@@ -65,33 +67,6 @@ class ReachTask:
     elastic: bool = False
 
 
-@dataclass(frozen=True)
-class Polished:
-    """What came out.
-
-    Attributes
-    ----------
-    path_m
-        ``(N, 2)``; only worth something if a verifier says so.
-    slack_db
-        ``(N,)`` missing dB.
-    termination, iterations
-        Why the solver stopped, after how many iterations.
-    kkt_residual
-        Unscaled, computed without the solver's derivatives.
-    multipliers
-        By name: ``speed`` (N,), ``line_end`` (N, lines), ``line_start`` (N - 1, lines),
-        ``connectivity`` (N,).
-    """
-
-    path_m: NDArray[np.float64]
-    slack_db: NDArray[np.float64]
-    termination: Termination
-    iterations: int
-    kkt_residual: float
-    multipliers: dict[str, NDArray[np.float64]]
-
-
 ELASTIC_COST_SCALE = 1e-4
 """Weight of the cost beside the missing dB in an elastic solve: only settles ties."""
 
@@ -120,8 +95,9 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     nlp.source.use(task.margins)
     missing = np.maximum(task.bound_db - task.margins(task.path_m).value, 0.0)
     start = np.concatenate([task.path_m.ravel(), np.minimum(missing, task.slack_limit_db)])
-    point = call_reach_nlp(
-        nlp,
+    point = call_nlp(
+        nlp.solver,
+        n,
         start,
         np.concatenate([head, line.ravel()]),
         (variables.lower, variables.upper),
@@ -165,7 +141,7 @@ def _residual(
     variable_bounds: Bounds,
 ) -> float:
     """KKT residual with gradients written out in NumPy."""
-    n, lines = nlp.horizon, nlp.lines
+    n = nlp.horizon
     if not (np.isfinite(point.positions_m).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
     q = np.vstack([task.start_m, point.positions_m])
@@ -178,29 +154,14 @@ def _residual(
     gradient[-1] += rate * to_pivot / np.sqrt(to_pivot @ to_pivot + PIVOT_ROUNDING_M**2)
 
     margins = task.margins(point.positions_m)
+    plain, plain_jacobian = path_row_values(q, line)
     stage = np.arange(n)
-    speed = np.zeros((n, n, 2))
-    speed[stage, stage] = 2.0 * steps
-    speed[stage[1:], stage[:-1]] = -2.0 * steps[1:]
-    line_end = np.zeros((n, lines, n, 2))
-    line_end[stage, :, stage] = line[:, :, :2]
-    line_start = np.zeros((n - 1, lines, n, 2))
-    line_start[stage[:-1], :, stage[:-1]] = line[1:, :, :2]
     connectivity = np.zeros((n, n, 2))
     connectivity[stage, stage] = margins.gradient
-    jacobian = np.concatenate(
-        [block.reshape(-1, 2 * n) for block in (speed, line_end, line_start, connectivity)]
-    )
+    jacobian = np.concatenate([plain_jacobian, connectivity.reshape(n, 2 * n)])
     slack_columns = np.zeros((len(jacobian), n))
     slack_columns[-n:] = np.eye(n)
-    rows = np.concatenate(
-        [
-            (steps**2).sum(1),
-            (np.einsum("kji,ki->kj", line[:, :, :2], q[1:]) - line[:, :, 2]).ravel(),
-            (np.einsum("kji,ki->kj", line[1:, :, :2], q[1:-1]) - line[1:, :, 2]).ravel(),
-            margins.value + point.slack_db,
-        ]
-    )
+    rows = np.concatenate([plain, margins.value + point.slack_db])
     return kkt_residual(
         np.concatenate([scale * gradient.ravel(), np.full(n, slack_weight)]),
         np.hstack([jacobian, slack_columns]),

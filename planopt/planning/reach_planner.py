@@ -18,6 +18,7 @@ from planopt.planning.reach_cost import ReachCost
 from planopt.planning.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
+from planopt.planning.shifted import shifted_path
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.problems.problem import Problem
 
@@ -90,7 +91,7 @@ class ReachPlanner:
         tried: list[Candidate] = []
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
             refiner = Refiner(self._nlp, self.scene, judge, cost, start, lattice.objective)
-            for attempt in refiner.attempts(_shifted_path(warm)):
+            for attempt in refiner.attempts(shifted_path(warm)):
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
                     return attempt
                 tried.append(attempt)
@@ -114,7 +115,7 @@ class ReachPlanner:
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
         horizon = self.problem.planner.horizon
-        path = _shifted_path(warm)
+        path = shifted_path(warm)
         if path is not None and len(path) == horizon:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
@@ -127,13 +128,6 @@ def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which steps of a path move at all; a path that stands still needs no polish."""
     steps = np.diff(np.vstack([judge.position_m, path_m]), axis=0)
     return np.linalg.norm(steps, axis=1) > STANDSTILL_M
-
-
-def _shifted_path(warm: Plan | None) -> NDArray[np.float64] | None:
-    """Rest of a verified plan after its first step, standing still at its end."""
-    if warm is None or warm.verdict is not Verdict.VERIFIED:
-        return None
-    return np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])
 
 
 def _with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:

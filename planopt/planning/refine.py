@@ -15,8 +15,10 @@ from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.global_search import GlobalStart
 from planopt.planning.margin_source import MarginFunction
+from planopt.planning.offenders import lines_with_offenders
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.polish import Polished, ReachTask, polish
+from planopt.planning.polish import ReachTask, polish
+from planopt.planning.polished import Polished
 from planopt.planning.predictions import search_prediction
 from planopt.planning.reach_cost import ReachCost
 from planopt.planning.reach_nlp import ReachNlp
@@ -24,12 +26,11 @@ from planopt.planning.retime import retime
 from planopt.planning.scene import Scene
 from planopt.planning.stage_kernel import StageMargins, stage_margins
 from planopt.planning.tolerances import (
-    CLEARANCE_TOLERANCE_M,
     MARGIN_PAD_DB,
     STANDSTILL_M,
     STEP_PAD_M,
 )
-from planopt.world.separation import SeparatingLines, lines_for, separating_lines
+from planopt.world.separation import separating_lines
 
 LINE_REACH_STEPS = 2.0
 """Pieces farther than this many longest steps from a segment get no line."""
@@ -169,7 +170,14 @@ class Refiner:
             candidate = self._judged(polished, rung, perf_counter() - begun, iterations)
             yield candidate
             if not candidate.sound:
-                lines = self._with_offenders(task.lines, path_m, polished.path_m)
+                lines = lines_with_offenders(
+                    self._scene.pieces,
+                    task.lines,
+                    np.vstack([task.start_m, path_m]),
+                    np.vstack([task.start_m, polished.path_m]),
+                    task.clearance_m,
+                    task.step_length_m,
+                )
                 if lines is None:
                     return
                 task = replace(task, lines=lines)
@@ -267,35 +275,3 @@ class Refiner:
         # The elastic solve may have shown that nothing needs relaxing after all.
         met_after_all = rung is Rung.RELAXED and not judged.relaxes
         return replace(judged, rung=Rung.PLAN) if met_after_all else judged
-
-    def _with_offenders(
-        self,
-        lines: SeparatingLines,
-        start_path_m: NDArray[np.float64],
-        path_m: NDArray[np.float64],
-    ) -> SeparatingLines | None:
-        """Lines of the start path with the pieces that the result comes too near to put in.
-
-        None if no piece is to blame.
-        """
-        judge = self._judge
-        ends = np.vstack([judge.position_m, path_m])
-        now = separating_lines(
-            self._scene.pieces,
-            ends[:-1],
-            ends[1:],
-            self._nlp.lines,
-            judge.problem.step_length_m,
-        )
-        pieces = lines.piece.copy()
-        changed = False
-        limit = judge.problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
-        for k, j in zip(*np.nonzero(now.gaps < limit), strict=True):
-            offender = now.piece[k, j]
-            if offender >= 0 and offender not in pieces[k]:
-                pieces[k, -1] = offender
-                changed = True
-        if not changed:
-            return None
-        first = np.vstack([judge.position_m, start_path_m])
-        return lines_for(self._scene.pieces, first[:-1], first[1:], pieces)

@@ -88,10 +88,10 @@ def _draw_dots(panel: Panel, measurements: Measurements) -> list[Artist]:
     ):
         if selection.any():
             x, y = measurements.positions_m[selection].T
-            look = {"color": colour, "linewidths": 0, "zorder": PATH_Z, "label": label}
+            look = {"color": colour, "linewidths": 0, "zorder": PATH_Z}
             panel.scatter(x, y, s=area, **look)
             # In the legend a dot is to be seen however small the others are.
-            artists.append(panel.scatter([], [], s=DOT_AREA, **look))
+            artists.append(panel.scatter([], [], s=DOT_AREA, label=label, **look))
     return artists
 
 

@@ -85,7 +85,7 @@ def test_channel_and_marginal_beat_path_loss():
 
 
 def test_many_measurements_are_marginalised_by_the_nearest(monkeypatch):
-    """Beyond the limit the marginalised channel has no factors, and predicts all but the same."""
+    """Beyond the limit there are no factors, and the predictions are all but the same."""
     learn = predictors_of(partial(fit_channel, station=CHANNEL.station))
     known, more = simulated(CHANNEL, 3, 150, 200.0), simulated(CHANNEL, 4, 40, 200.0)
     exact = learn(known)["marginal"](more)

@@ -18,13 +18,16 @@ from scenes import (
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.pivot import Pivot
 from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.reach_cost import ReachCost
 from planopt.planning.scene import build_scene
 
 
 def judge_of(problem, power_at=good_everywhere, pivot=None) -> Judge:
     """The judge of a step from the problem's start."""
     start = np.asarray(problem.robots[0].start_m)
-    return Judge(problem, build_scene(problem), belief_of(problem, power_at), start, pivot)
+    cost = ReachCost(problem, start, pivot)
+    index = build_scene(problem).index
+    return Judge(problem, index, belief_of(problem, power_at), start, cost)
 
 
 def judged(judge: Judge, path_m) -> Candidate:
@@ -38,7 +41,7 @@ def test_objective_by_hand():
     judge = judge_of(small_problem(), pivot=Pivot(np.array([8.5, 18.0]), 10.0))
     path = np.array([(6.5, 15.0), (8.5, 15.0)])
     steps = (1.0 + 0.1 * 1.5**2) + (1.0 + 0.1 * 2.0**2)
-    assert judge.rate_s_m == pytest.approx(0.7)
+    assert judge.objective.rate_s_m == pytest.approx(0.7)
     assert judge.objective(path) == pytest.approx(steps + 0.7 * 13.0)
     candidate = judge.candidate(path, Rung.PLAN, Termination.CONVERGED)
     assert candidate.objective == candidate.lattice_objective == judge.objective(path)

@@ -21,28 +21,29 @@ from scenes import (
 import planopt.planning.polish as polish_module
 import planopt.planning.refine as refine_module
 from planopt.planning.closed_loop import simulate
+from planopt.planning.ipopt import NlpPoint
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.reach_nlp import IPOPT_OPTIONS, NlpPoint
+from planopt.planning.reach_nlp import IPOPT_OPTIONS
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.run import Outcome
 from planopt.planning.scene import build_scene
 
-CALL = polish_module.call_reach_nlp
+CALL = polish_module.call_nlp
 
 
 def falling_back(status, change):
     """A solver that reports a status and changes the places that it found."""
 
-    def call(nlp, start, parameters, variable_bounds, row_bounds):
-        point = CALL(nlp, start, parameters, variable_bounds, row_bounds)
+    def call(solver, horizon, start, parameters, variable_bounds, row_bounds):
+        point = CALL(solver, horizon, start, parameters, variable_bounds, row_bounds)
         return replace(point, positions_m=change(point.positions_m), status=status)
 
     return call
 
 
-def not_numbers(nlp, *_):
+def not_numbers(_solver, n, _start, _parameters, _variable_bounds, row_bounds):
     """What a solver leaves after an evaluation error."""
-    n, rows = nlp.horizon, 2 * nlp.horizon * (nlp.lines + 1) - nlp.lines
+    rows = len(row_bounds[0])
     return NlpPoint(
         np.full((n, 2), np.nan),
         np.full(n, np.nan),
@@ -91,7 +92,7 @@ PROBLEM = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
 def failure(request, monkeypatch):
     """One of the failures, in force; its termination."""
     solver, termination = FAILURES[request.param]
-    monkeypatch.setattr(polish_module, "call_reach_nlp", solver)
+    monkeypatch.setattr(polish_module, "call_nlp", solver)
     return termination
 
 
@@ -129,7 +130,7 @@ def test_next_step_is_as_if_nothing_had_happened(monkeypatch):
     fresh = planner_of(PROBLEM).plan(belief, start)
     used = planner_of(PROBLEM)
     for solver, _ in FAILURES.values():
-        monkeypatch.setattr(polish_module, "call_reach_nlp", solver)
+        monkeypatch.setattr(polish_module, "call_nlp", solver)
         used.plan(belief, start)
     monkeypatch.undo()
     again = used.plan(belief, start)
@@ -249,7 +250,7 @@ def test_closed_loop_through_failures(monkeypatch):
         k = next(calls)
         return CALL(*arguments) if k % 2 else solvers[(k // 2) % len(solvers)](*arguments)
 
-    monkeypatch.setattr(polish_module, "call_reach_nlp", sometimes)
+    monkeypatch.setattr(polish_module, "call_nlp", sometimes)
     done = simulate(problem, prepared=prepared_of(problem, good_everywhere))
     assert done.run.outcome is Outcome.REACHED
     assert done.run.verified_rate == 1.0

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from reach_tasks import bowl_margins, constant_margins
 
+from planopt.planning.ipopt import call_nlp
 from planopt.planning.margin_source import MarginSource
+from planopt.planning.path_rows import PathCallback
 from planopt.planning.reach_nlp import (
     PIVOT_ROUNDING_M,
-    _StageCallback,
     build_reach_nlp,
-    call_reach_nlp,
 )
 from planopt.planning.stage_kernel import StageMargins
 
@@ -110,7 +110,9 @@ def test_stages_see_only_their_own_margin():
     flat = np.array([0.5, -1.0, 2.0, 3.0])
     expected = saddle(flat.reshape(2, 2))
     for quantity, width in (("value", 1), ("gradient", 2), ("hessian", 3)):
-        callback = _StageCallback(f"c_{quantity}", source, quantity, width)
+        callback = PathCallback(
+            f"c_{quantity}", 2, 2 * width, lambda at, q=quantity: getattr(source.at(at), q)
+        )
         found = np.asarray(callback(flat)).ravel()
         np.testing.assert_array_equal(found, getattr(expected, quantity).ravel())
 
@@ -126,8 +128,9 @@ def test_every_structure_solves(horizon, lines):
     lower = np.concatenate([np.full(horizon, -np.inf), np.zeros(plain)])
     upper = np.concatenate([np.ones(horizon), np.full(plain, np.inf)])
     bound = np.concatenate([np.full(2 * horizon, 50.0), np.zeros(horizon)])
-    found = call_reach_nlp(
-        nlp,
+    found = call_nlp(
+        nlp.solver,
+        nlp.horizon,
         np.zeros(3 * horizon),
         parameters,
         (np.where(bound > 0.0, -bound, 0.0), bound),
@@ -148,8 +151,9 @@ def test_two_solvers_do_not_share_margins():
     one.source.use(constant_margins(5.0))
     two.source.use(constant_margins(-5.0))
     statuses = [
-        call_reach_nlp(
-            nlp,
+        call_nlp(
+            nlp.solver,
+            nlp.horizon,
             np.zeros(3),
             np.array([0.0, 0.0, 9.0, 0.0, 0.1, 1.0, 1.0, 0.0]),
             (np.array([-9.0, -9.0, 0.0]), np.array([9.0, 9.0, 0.0])),

@@ -12,6 +12,7 @@ import planopt.planning.refine as refine
 from planopt.planning.candidate import Judge
 from planopt.planning.pivot import find_pivot
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.reach_cost import ReachCost
 from planopt.planning.reach_nlp import build_reach_nlp
 
 
@@ -22,10 +23,11 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
     at = np.asarray(problem.robots[0].start_m)
     start = search.find_start(at, belief.posterior.measurements.positions_m)
     pivot = find_pivot(scene, start, None, problem.step_length_m, problem.constraints.clearance_m)
-    judge = Judge(problem, scene, belief, at, pivot)
+    reach_cost = ReachCost(problem, at, pivot)
+    judge = Judge(problem, scene.index, belief, at, reach_cost)
     nlp = build_reach_nlp(problem.planner.horizon, lines)
     cost = judge.objective(start.path_m)
-    return refine.Refiner(nlp, judge, start, cost), judge, start
+    return refine.Refiner(nlp, scene, judge, reach_cost, start, cost), judge, start
 
 
 @pytest.mark.parametrize("polygon", [WALL, CUP])

@@ -12,7 +12,8 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.planning.stage_kernel import CUSP_ROUNDING, stage_margins
+from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.planning.stage_kernel import stage_margins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))
 THRESHOLD, P_MIN = -85.0, 0.9
@@ -53,7 +54,7 @@ def model_of(name, count=12):
 def unrounded_margin(model, places):
     """The margin with next to no rounding, which a test below compares to exact kriging."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planopt.planning.stage_kernel.CUSP_ROUNDING", 1e-9)
+        patch.setattr("planopt.planning.stage_prediction.CUSP_ROUNDING", 1e-9)
         patch.setattr("planopt.planning.stage_kernel.MIN_DISTANCE_M", 0.0)
         return stage_margins(model, places, THRESHOLD, Z).value
 
@@ -161,7 +162,7 @@ def test_far_from_measurements_the_value_is_the_local_prediction(name):
 
 def test_without_rounding_it_is_the_local_prediction(monkeypatch):
     """With both roundings gone the value is the exact universal kriging of all measurements."""
-    monkeypatch.setattr("planopt.planning.stage_kernel.CUSP_ROUNDING", 0.0)
+    monkeypatch.setattr("planopt.planning.stage_prediction.CUSP_ROUNDING", 0.0)
     monkeypatch.setattr("planopt.planning.stage_kernel.MIN_DISTANCE_M", 0.0)
     for name, posterior in POSTERIORS.items():
         model = neighbour_model(posterior, CENTRES, 40)

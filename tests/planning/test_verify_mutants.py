@@ -485,8 +485,8 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     ),
     "hopeless at the last step, the wrong way round": (
         VERIFY,
-        "if best[-1] < 0.0:",
-        "if best[-1] >= 0.0:",
+        "if best[-1] < 0.0 or",
+        "if best[-1] >= 0.0 or",
     ),
     "no outage leads across": (VERIFY, "if driven <= saved", "if driven < 0.0 * saved"),
     "outage however long": (VERIFY, "OUTAGE_LEEWAY_STEPS *", "1e3 *"),
@@ -510,7 +510,7 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     ),
     "way to where the robot is": (
         VERIFY,
-        "        start_m,\n        np.asarray(problem.robots[0].goal_m),",
+        "        start_m,\n        np.asarray(problem.goal_m),",
         "        start_m,\n        start_m,",
     ),
     "flood through obstacles": (

@@ -17,7 +17,14 @@ from planopt.problems.load import load
 from planopt.problems.problem import ModelTruth, RasterTruth, SampledMeasurements
 from planopt.world.clearance import clearance_m, index_obstacles
 
-NAMES = ["munich_courier", "munich_hard", "open_field"]
+NAMES = [
+    "indoor_learn",
+    "munich_courier",
+    "munich_hard",
+    "open_field",
+    "outdoor_map",
+    "outdoor_track",
+]
 
 
 def test_library_lists_its_problems_by_name() -> None:
@@ -53,7 +60,7 @@ def test_munich_files_are_the_agreed_scenarios(
     assert len(problem.workspace.obstacles) == 742
 
 
-@pytest.mark.parametrize("name", NAMES[:2])
+@pytest.mark.parametrize("name", ["munich_courier", "munich_hard"])
 def test_munich_files_agree_with_their_map(name: str) -> None:
     """The map covers the bounds, its mast is the station, and both ends are truly connected."""
     problem = load(name)

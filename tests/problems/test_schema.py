@@ -10,7 +10,14 @@ from typing import Any
 import pytest
 
 from planopt.errors import InputError
-from planopt.problems.problem import ModelTruth, Problem, SampledMeasurements
+from planopt.problems.problem import (
+    LearningTerm,
+    ModelTruth,
+    Problem,
+    SampledMeasurements,
+    TrackingTerm,
+)
+from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.problems.schema import json_schema
 
 
@@ -45,8 +52,8 @@ BAD_VALUES: list[tuple[str, Any, str]] = [
     ("planner.horizon", 10_000, "is 10000, should be at least 1 and at most 500"),
     ("planner.horizon", 2.5, "is 2.5, should be a whole number"),
     ("planner.horizon", True, "is true, should be a whole number"),
-    ("planner.name", "magic", "is 'magic', should be 'auto' or 'lattice'"),
-    ("constraints.p_min", 1.5, "is 1.5, should be more than 0 and less than 1"),
+    ("planner.name", "magic", "is 'magic', should be 'auto', 'lattice'"),
+    ("constraints.p_min", 1.5, "is 1.5, should be at least 0 and less than 1"),
     ("constraints.p_min", math.nan, "is nan, should be a finite number"),
     ("constraints.clearance_m", math.inf, "is inf, should be a finite number"),
     ("constraints.goal_radius_m", "1", "is '1', should be a number"),
@@ -86,9 +93,16 @@ def test_number_that_python_cannot_print_is_still_one_error(tables: Tables, buil
         built(tables)
 
 
-@pytest.mark.parametrize("key", ["robots", "stations"])
-def test_second_robot_or_station_is_refused(tables: Tables, built: Build, key: str) -> None:
-    """Plans are for one robot and one station so far, and the error says so."""
+def test_second_robot_is_refused_for_the_task_reach(tables: Tables, built: Build) -> None:
+    """One robot reaches a goal."""
+    tables["robots"] *= 2
+    with pytest.raises(InputError, match="task reach is for exactly one robot"):
+        built(tables)
+
+
+def test_second_station_is_refused(tables: Tables, built: Build) -> None:
+    """Plans are with one station so far, and the error says so."""
+    key = "stations"
     tables[key] *= 2
     with pytest.raises(InputError, match="should have at most 1 item") as caught:
         built(tables)
@@ -165,7 +179,7 @@ def test_key_inside_a_truth_is_written_without_its_kind(tables: Tables, built: B
         (("constraint",), "did you mean constraints?"),
         (("channel", "truth", "shadow_std"), "did you mean shadow_std_db?"),
         (("problem", "version"), "known: description, name, schema, task"),
-        (("targets",), "known: channel, constraints"),
+        (("sensors",), "known: channel, constraints"),
     ],
 )
 def test_unknown_key_names_the_nearest_known_one(
@@ -212,7 +226,7 @@ def test_every_key_is_described() -> None:
         assert definition["additionalProperties"] is False, name
         for key, value in definition["properties"].items():
             assert "$ref" in value or value.get("description"), f"{name}.{key}"
-    assert schema["properties"]["robots"]["maxItems"] == 1
+    assert schema["properties"]["robots"]["maxItems"] == 20
     assert definitions["PlannerTable"]["properties"]["horizon"]["maximum"] == 500
     assert "schema" in definitions["ProblemTable"]["required"]
 
@@ -245,3 +259,97 @@ def test_multipath_that_is_not_one(tables: Tables, built: Build, truth: Tables, 
     with pytest.raises(InputError) as caught:
         built(tables)
     assert says in str(caught.value) and "channel.truth" in str(caught.value)
+
+
+def tracking(tables: Tables) -> Tables:
+    """The small problem as one that is to track a target."""
+    del tables["robots"][0]["goal_m"]
+    tables["problem"]["task"] = "track"
+    tables["targets"] = [{"start_m": [5.0, 5.0], "velocity_m_s": [0.1, 0.0]}]
+    tables["objective"] = {
+        "terms": [
+            {
+                "kind": "tracking",
+                "noise_curvature": 0.008,
+                "noise_floor_m2": 0.08,
+                "sweet_spot_m": 1.0,
+            },
+            {"kind": "path_loss_learning", "weight": 0.5, "criterion": "A"},
+        ]
+    }
+    return tables
+
+
+def test_terms_are_read_in_order(tables: Tables, built: Build) -> None:
+    """A problem that is to track has its terms, its target, and survives saving."""
+    problem = built(tracking(tables))
+    assert problem.task == "track"
+    assert problem.sense == "max"
+    assert problem.cost_to_go is None
+    assert problem.terms == (TrackingTerm(1.0, 0.008, 0.08, 1.0), LearningTerm(0.5, "A"))
+    assert problem.targets[0].velocity_m_s == (0.1, 0.0)
+    again = problem_from_dict(problem_to_dict(problem), file=problem.file)
+    assert again.objective == problem.objective
+    assert again.targets == problem.targets
+
+
+def drop_target(tables: Tables) -> None:
+    """No target."""
+    tables["targets"] = []
+
+
+def give_goal(tables: Tables) -> None:
+    """A goal."""
+    tables["robots"][0]["goal_m"] = [1.0, 1.0]
+
+
+def mapping_first(tables: Tables) -> None:
+    """Another task first."""
+    tables["objective"]["terms"].insert(0, {"kind": "mapping"})
+
+
+def way_beyond(tables: Tables) -> None:
+    """A way beyond the horizon."""
+    tables["objective"]["cost_to_go"] = "geodesic"
+
+
+def twice(tables: Tables) -> None:
+    """Two robots of one name."""
+    tables["robots"] *= 2
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (drop_target, "a term of kind tracking and an entry of targets go together"),
+        (give_goal, "task track has no robots.goal_m"),
+        (mapping_first, "begin with one of kind tracking"),
+        (way_beyond, "objective.cost_to_go is for task reach, not for track"),
+        (twice, "two robots have one name"),
+    ],
+)
+def test_tables_that_do_not_fit_the_task(
+    tables: Tables, built: Build, spoil: Callable[[Tables], None], words: str
+) -> None:
+    """What belongs to another task, or is missing for this one, is named."""
+    tracking(tables)
+    spoil(tables)
+    with pytest.raises(InputError, match=words):
+        built(tables)
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "words"),
+    [
+        ("constraints", "p_min", 0.0, "task reach needs constraints.p_min above 0"),
+        ("planner", "name", "random", "planner.name random is not for task reach"),
+        ("objective", "terms", [{"kind": "mapping"}], "task reach has no objective.terms"),
+    ],
+)
+def test_reach_refuses_what_is_for_other_tasks(
+    tables: Tables, built: Build, table: str, key: str, value: object, words: str
+) -> None:
+    """A problem that is to reach a goal keeps a bound and has no terms."""
+    tables.setdefault(table, {})[key] = value
+    with pytest.raises(InputError, match=words):
+        built(tables)

@@ -1,0 +1,238 @@
+"""One receding-horizon step for a sum of terms: global starts, polish, guard, proof, ladder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.prediction import Prediction
+from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.ground import Ground
+from planopt.planning.local_worth import is_stagewise, local_worth
+from planopt.planning.offenders import lines_with_offenders
+from planopt.planning.path_nlp import PathNlp, build_path_nlp
+from planopt.planning.path_polish import PathTask, polish_path
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.predictions import search_prediction
+from planopt.planning.shifted import shifted_path
+from planopt.planning.situation import Situation
+from planopt.planning.start_search import Start, StartSearch
+from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.problems.problem import Problem
+from planopt.world.separation import separating_lines
+
+LINES_PER_SEGMENT = 2
+"""Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
+
+LINE_REACH_STEPS = 2.0
+"""Pieces farther than this many longest steps from a segment get no line."""
+
+REPAIRS = 3
+"""How often a polish whose proof objects is repeated with the objection built in."""
+
+VALUE_IN_SOLVER = 10.0
+"""What the start's worth counts in the solver, whatever its unit: its tolerances are absolute."""
+
+MISSING_DB_COST = 100.0
+"""What a missing dB counts in the solver, where the bound cannot be kept."""
+
+
+class HorizonPlanner:
+    """Plans for one robot of a problem whose objective is a sum of terms.
+
+    Parameters
+    ----------
+    problem
+        With one robot; its planner settings say how.
+    ground
+        Its geometry.
+    thorough
+        Follow every start and take the best, instead of the first that is verified.
+    """
+
+    def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
+        self._thorough = thorough
+        self.problem = problem
+        self.ground = ground
+        self._search = StartSearch(problem, ground)
+        self._bounded = problem.constraints.p_min > 0.0
+        self._nlp: PathNlp | None = None
+        if problem.planner.name == "auto":
+            self._nlp = build_path_nlp(
+                problem.planner.horizon, LINES_PER_SEGMENT, is_stagewise(problem), self._bounded
+            )
+
+    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+        """Plan from where the robot is.
+
+        Parameters
+        ----------
+        situation
+            What is known.
+        judge
+            What candidates are judged by; its objective is the situation's worth.
+        warm
+            The plan that led here, one step old; only used if it was verified.
+        """
+        begun = perf_counter()
+        starts = self._search.find_starts(situation, shifted_path(warm))
+        chosen = self._climb(situation, judge, starts, warm)
+        return judge.plan_from(chosen, wall_s=perf_counter() - begun)
+
+    def _climb(
+        self, situation: Situation, judge: Judge, starts: list[Start], warm: Plan | None
+    ) -> Candidate:
+        """Go down the failure ladder until a candidate is verified; else the least bad one."""
+        tried: list[Candidate] = []
+        verified: list[Candidate] = []
+        for number, start in enumerate(starts):
+            unpolished = replace(
+                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY),
+                lattice_objective=starts[0].worth,
+            )
+            if self._nlp is None:
+                unpolished = replace(unpolished, rung=Rung.PLAN)
+            else:
+                rung = Rung.PLAN if number == 0 else Rung.COLD_RETRY
+                for candidate in self._polished(situation, judge, start, rung, self._nlp):
+                    if candidate.verdict is Verdict.VERIFIED:
+                        verified.append(candidate)
+                    tried.append(candidate)
+            if not any(c.objective >= unpolished.objective for c in verified):
+                unpolished = judge.judged(unpolished)
+                tried.append(unpolished)
+                if unpolished.verdict is Verdict.VERIFIED:
+                    verified.append(unpolished)
+            if verified and not self._thorough:
+                break
+        if verified:
+            return _with_effort(max(verified, key=lambda c: c.objective), tried)
+        fallback = self._without_start(judge, warm)
+        if fallback.verdict is Verdict.VERIFIED:
+            return _with_effort(fallback, tried)
+        # Nothing is verified. Connectivity may be given up, clearance and speed never.
+        sound = [candidate for candidate in tried if candidate.sound]
+        return _with_effort(sound[0] if sound else fallback, tried)
+
+    def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
+        """Take the last verified plan, shifted and checked again; else stop."""
+        horizon = self.problem.planner.horizon
+        path = shifted_path(warm)
+        if path is not None and len(path) == horizon:
+            shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
+            if shifted.verdict is Verdict.VERIFIED:
+                return shifted
+        standing = np.tile(judge.position_m, (horizon, 1))
+        return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+
+    def _polished(
+        self, situation: Situation, judge: Judge, start: Start, rung: Rung, nlp: PathNlp
+    ) -> list[Candidate]:
+        """Polish a start, repeating with what the verifier objects to built in."""
+        problem = self.problem
+        evaluate = local_worth(situation, start.path_m)
+        ends = np.vstack([situation.position_m, start.path_m])
+        task = PathTask(
+            start_m=situation.position_m,
+            path_m=start.path_m,
+            lines=separating_lines(
+                self.ground.pieces,
+                ends[:-1],
+                ends[1:],
+                nlp.lines,
+                LINE_REACH_STEPS * problem.step_length_m,
+            ),
+            clearance_m=problem.constraints.clearance_m,
+            step_length_m=problem.step_length_m,
+            bounds_m=problem.workspace.bounds_m,
+            evaluate=evaluate,
+            scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
+        )
+        if self._bounded:
+            task = self._with_bound(task, situation)
+        found: list[Candidate] = []
+        for _ in range(REPAIRS):
+            begun = perf_counter()
+            point = polish_path(nlp, task)
+            candidate = judge.judged(
+                replace(
+                    judge.candidate(point.path_m, rung, point.termination),
+                    lattice_objective=start.worth,
+                    solve_s=perf_counter() - begun,
+                    iterations=point.iterations,
+                    kkt_residual=point.kkt_residual,
+                    multipliers=point.multipliers,
+                )
+            )
+            if candidate.relaxes:
+                candidate = replace(candidate, rung=Rung.RELAXED)
+            found.append(candidate)
+            repaired = self._repaired(task, candidate, nlp)
+            if repaired is None:
+                return found
+            task = repaired
+        return found
+
+    def _with_bound(self, task: PathTask, situation: Situation) -> PathTask:
+        """Ask for the bound where the start keeps it, and for the least missing dB elsewhere.
+
+        Where the local model is too optimistic by e, it is asked for e more. A start that keeps the
+        bound with less than is wanted stays feasible.
+        """
+        margins = task.evaluate(task.path_m).margins
+        if margins is None:
+            raise AssertionError("a bounded problem has margins")
+        exact = self._margins_db(search_prediction(situation.posterior, task.path_m))
+        wanted = MARGIN_PAD_DB + np.maximum(margins.value - exact, 0.0)
+        return replace(
+            task,
+            bound_db=np.where(exact >= 0.0, np.minimum(wanted, margins.value), wanted),
+            slack_limit_db=np.where(exact >= 0.0, 0.0, np.inf),
+            slack_weight=MISSING_DB_COST,
+        )
+
+    def _repaired(self, task: PathTask, candidate: Candidate, nlp: PathNlp) -> PathTask | None:
+        """The task with the proof's objection built in; None if there is nothing to mend."""
+        if not candidate.sound:
+            if not np.isfinite(candidate.path_m).all():
+                return None
+            lines = lines_with_offenders(
+                self.ground.pieces,
+                task.lines,
+                np.vstack([task.start_m, task.path_m]),
+                np.vstack([task.start_m, candidate.path_m]),
+                task.clearance_m,
+                task.step_length_m,
+            )
+            return None if lines is None else replace(task, lines=lines)
+        if task.bound_db is None or task.slack_limit_db is None or candidate.power is None:
+            return None
+        margins = self._margins_db(candidate.power)[1:]
+        lacking = np.where(task.slack_limit_db == 0.0, -margins, 0.0)
+        if not (lacking > 0.0).any():
+            return None
+        more = np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
+        return replace(task, bound_db=task.bound_db + more)
+
+    def _margins_db(self, power: Prediction) -> NDArray[np.float64]:
+        return bound_margin_db(
+            power.mean_db,
+            power.deviation_db,
+            self.problem.stations[0].threshold_dbm,
+            self.problem.constraints.p_min,
+        )
+
+
+def _with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:
+    """Count the solver's time and iterations even where its points were not used."""
+    polished = [c for c in tried if c.termination is not Termination.LATTICE_ONLY]
+    return replace(
+        chosen,
+        solve_s=sum(c.solve_s for c in polished),
+        iterations=sum(c.iterations for c in polished),
+        termination=polished[-1].termination if polished else chosen.termination,
+    )

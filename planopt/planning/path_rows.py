@@ -1,0 +1,93 @@
+# pyright: basic
+"""Rows that every programme over a path has, and NumPy functions as CasADi callbacks.
+
+With L the longest step and (n, b) separating lines, fixed from the start path and applied to both
+ends of a segment, so that the whole segment is clear (design 4.3)::
+
+    |q_k - q_{k-1}|^2 <= L^2       k = 1..N            "speed"
+    n_kj . q_k     >= b_kj         k = 1..N, all j     "line_end"
+    n_kj . q_{k-1} >= b_kj         k = 2..N, all j     "line_start"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+
+class PathCallback(ca.Callback):
+    """A NumPy function of the flattened positions (2 N,) as a CasADi function.
+
+    Parameters
+    ----------
+    name
+        What CasADi calls it.
+    stages
+        N.
+    size
+        How many numbers it gives.
+    evaluate
+        From positions (2 N,) to these numbers, in any shape.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        stages: int,
+        size: int,
+        evaluate: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._stages = stages
+        self._size = size
+        self._evaluate = evaluate
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """One input."""
+        return 1
+
+    def get_n_out(self) -> int:
+        """One output."""
+        return 1
+
+    def get_sparsity_in(self, _index: int) -> Any:
+        """The positions, dense."""
+        return ca.Sparsity.dense(2 * self._stages, 1)
+
+    def get_sparsity_out(self, _index: int) -> Any:
+        """The numbers, dense."""
+        return ca.Sparsity.dense(self._size, 1)
+
+    def eval(self, arguments: Any) -> list[Any]:
+        """Ask the NumPy function."""
+        return [ca.DM(self._evaluate(np.asarray(arguments[0].nonzeros())).ravel())]
+
+
+def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:
+    """Stack the rows, in the order of the module's docstring.
+
+    Parameters
+    ----------
+    n, lines
+        N, and separating lines a segment.
+    q, start
+        CasADi expressions: positions (2 N,) and where the robot is (2,).
+    line
+        (3 N lines,) normals and offsets, by segment and line.
+    """
+    speed, line_end, line_start = [], [], []
+    for k in range(n):
+        here = q[2 * k : 2 * k + 2]
+        before = start if k == 0 else q[2 * k - 2 : 2 * k]
+        speed.append(ca.sumsqr(here - before))
+        for j in range(lines):
+            at = 3 * (k * lines + j)
+            line_end.append(line[at] * here[0] + line[at + 1] * here[1] - line[at + 2])
+            if k > 0:
+                line_start.append(line[at] * before[0] + line[at + 1] * before[1] - line[at + 2])
+    return ca.vertcat(*speed, *line_end, *line_start)

@@ -1,0 +1,128 @@
+"""What it is worth to end a step at a node: exact for terms that add up, a stand-in for others.
+
+Terms that couple the places of a path cannot be searched by dynamic programming. In their place
+stands what a place would be worth alone; the path that comes out is only a start.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.objectives.tracking import tracking_reward
+from planopt.planning.local_worth import is_stagewise
+from planopt.planning.node_field import NodeField
+from planopt.planning.reward_lattice import Window
+from planopt.planning.situation import Situation
+from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.problems.problem import (
+    LearningTerm,
+    MappingTerm,
+    MotionEnergyTerm,
+    Problem,
+    TrackingTerm,
+)
+
+MISSING_DB_SHARE = 10.0
+"""What a missing dB costs, in units of the largest reward of a step: no reward is worth it."""
+
+
+class StageRewards:
+    """Rewards of one situation, as the lattice search asks for them.
+
+    Parameters
+    ----------
+    situation
+        What is known.
+    field
+        Predictions at the nodes, refreshed.
+    """
+
+    def __init__(self, situation: Situation, field: NodeField) -> None:
+        self._situation = situation
+        self._field = field
+        problem = situation.problem
+        radio = problem.stations[0]
+        mean, deviation = field.mean_db, field.deviation_db
+        self._chance = connection_probability(mean, deviation, radio.threshold_dbm)
+        self._fixed = sum(
+            (
+                term.weight * _alone(term, situation, field)
+                for term in problem.terms
+                if isinstance(term, LearningTerm | MappingTerm)
+            ),
+            start=np.zeros_like(mean),
+        )
+        if problem.constraints.p_min > 0.0:
+            margin = bound_margin_db(
+                mean, deviation, radio.threshold_dbm, problem.constraints.p_min
+            )
+            missing = np.maximum(MARGIN_PAD_DB - margin, 0.0)
+            self._fixed = self._fixed - MISSING_DB_SHARE * self._largest() * missing
+        # Nodes that are not free, or out of reach, have no prediction.
+        self._fixed = np.where(np.isfinite(mean), self._fixed, -np.inf)
+
+    def __call__(self, stage: int, window: Window) -> NDArray[np.float64]:
+        """Reward of ending step `stage` (1..N) at each node of the window."""
+        reward = self._fixed[window].copy()
+        for term in self._situation.problem.terms:
+            if isinstance(term, TrackingTerm):
+                reward += term.weight * tracking_reward(
+                    self._chance[window],
+                    self._field.grid_m[window],
+                    stage - 1,
+                    self._situation.tracking(term),
+                )
+        # A node without prediction has the reward NaN.
+        return np.where(np.isnan(reward), -np.inf, reward)
+
+    def _largest(self) -> float:
+        """The largest reward of a step."""
+        largest = float(np.nanmax(np.abs(self._fixed), initial=0.0))
+        for term in self._situation.problem.terms:
+            if isinstance(term, TrackingTerm):
+                largest += term.weight / term.noise_floor_m2
+        return max(largest, 1e-9)
+
+
+def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What moves of these lengths are worth in themselves: their energy, negative.
+
+    Where terms couple places, standing still is not a move: measuring at one place twice is worth
+    less than the stand-in says.
+    """
+    value = np.zeros(len(lengths_m))
+    for term in problem.terms:
+        if isinstance(term, MotionEnergyTerm):
+            moving = np.where(lengths_m > 0.0, problem.planner.step_s, 0.0)
+            value -= term.weight * (term.per_metre_j_m * lengths_m + term.power_w * moving)
+    if not is_stagewise(problem):
+        value[lengths_m == 0.0] = -np.inf
+    return value
+
+
+def _alone(
+    term: LearningTerm | MappingTerm, at: Situation, field: NodeField
+) -> NDArray[np.float64]:
+    """What measuring at each node would be worth if it were the only one; (ny, nx)."""
+    variance = field.deviation_db**2
+    if isinstance(term, LearningTerm):
+        trend, covariance = field.trend, at.posterior.theta_covariance
+        spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
+        latent = np.maximum(variance - spread, 1e-12)
+        if term.criterion == "T":
+            return np.einsum("yxi,yxi->yx", trend, trend) / latent
+        return np.log1p(spread / latent)
+    match term.form:
+        case "two_layer":
+            if at.steering_m is None:
+                return np.zeros_like(variance)
+            return -np.linalg.norm(field.grid_m - at.steering_m, axis=2)
+        case "path":
+            return np.maximum(variance - term.variance_threshold_db2, 0.0)
+        case "information":
+            floor = max(at.posterior.parameters.multipath_std_db, 1e-6)
+            return np.log(field.deviation_db / floor)
+        case "average":
+            return variance

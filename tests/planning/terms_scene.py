@@ -1,0 +1,89 @@
+"""A small problem whose objective is a sum of terms, and situations in it."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planopt.channel.belief import Belief
+from planopt.planning.candidate import Judge
+from planopt.planning.ground import Ground, build_ground
+from planopt.planning.path_worth import PathWorth
+from planopt.planning.prepare import prepare
+from planopt.planning.region import workspace_region
+from planopt.planning.situation import Situation
+from planopt.problems.load import problem_from_tables
+from planopt.problems.problem import Problem
+
+TRACKING = {"kind": "tracking", "noise_curvature": 0.008, "noise_floor_m2": 0.08, "sweet_spot_m": 1}
+LEARNING = {"kind": "path_loss_learning", "criterion": "D"}
+ENERGY = {"kind": "motion_energy", "per_metre_j_m": 0.5, "power_w": 0.1}
+
+TABLES: dict[str, Any] = {
+    "problem": {"schema": 1, "name": "small"},
+    "world": {
+        "bounds_m": [0.0, 0.0, 40.0, 40.0],
+        "obstacles": [{"polygon": [[18.0, 12.0], [22.0, 12.0], [22.0, 28.0], [18.0, 28.0]]}],
+    },
+    "channel": {
+        "truth": {
+            "kind": "model",
+            "k_pl_db": -10.0,
+            "n_pl": 2.0,
+            "shadow_std_db": 4.0,
+            "decorrelation_m": 10.0,
+            "multipath_std_db": 1.5,
+            "cell_m": 0.5,
+        },
+        "measurements": {"count": 40, "spacing_m": 0.5},
+        "fit": {"method": "reml"},
+    },
+    "robots": [{"start_m": [10.0, 15.0], "speed_max_m_s": 2.0}],
+    "stations": [
+        {
+            "position_m": [4.0, 4.0],
+            "height_m": 2.0,
+            "transmit_power_dbm": 0.0,
+            "threshold_dbm": -40.0,
+        }
+    ],
+    "constraints": {"clearance_m": 0.5},
+    "planner": {"step_s": 1.0, "horizon": 5, "max_steps": 8},
+}
+
+
+def terms_problem(*terms: dict[str, Any], **planner: Any) -> Problem:
+    """The small problem with these terms; `p_min` and the planner's keys may be given."""
+    tables = copy.deepcopy(TABLES)
+    tables["objective"] = {"terms": [dict(term) for term in terms]}
+    kinds = {"tracking": "track", "path_loss_learning": "learn", "mapping": "map"}
+    tables["problem"]["task"] = kinds[terms[0]["kind"]]
+    if any(term["kind"] == "tracking" for term in terms):
+        tables["targets"] = [{"start_m": [14.0, 18.0], "velocity_m_s": [0.9, 0.2]}]
+    tables["constraints"]["p_min"] = planner.pop("p_min", 0.0)
+    tables["planner"].update(planner)
+    return problem_from_tables(tables, folder=Path(), file=None)
+
+
+def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
+    """What is known at the start of the problem."""
+    belief = prepare(problem, seed).belief
+    target = None
+    if problem.targets:
+        aim = problem.targets[0]
+        steps = np.arange(1, problem.planner.horizon + 1)[:, None] * problem.planner.step_s
+        target = np.asarray(aim.start_m) + steps * np.asarray(aim.velocity_m_s)
+    at = np.asarray(problem.robots[0].start_m)
+    region = workspace_region(problem)
+    return Situation(problem, belief.posterior, at, target, region, np.array([30.0, 30.0])), belief
+
+
+def judge_of(situation: Situation, belief: Belief) -> tuple[Judge, Ground]:
+    """The judge of a situation, and its ground."""
+    problem = situation.problem
+    ground = build_ground(problem, situation.position_m)
+    judge = Judge(problem, ground.index, belief, situation.position_m, PathWorth(situation))
+    return judge, ground

@@ -1,0 +1,163 @@
+"""Plans for sums of terms: verified, never worse than their starts, the ladder, the baselines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+from planopt.planning import path_polish
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.ipopt import NlpPoint
+from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.start_search import StartSearch
+
+INFORMATION = {"kind": "mapping", "form": "information"}
+
+
+def planned(problem, warm=None, seed=0, **options):
+    """A plan from the problem's start, and the situation it was made in."""
+    situation, belief = situation_of(problem, seed)
+    judge, ground = judge_of(situation, belief)
+    return HorizonPlanner(problem, ground, **options).plan(situation, judge, warm), situation, judge
+
+
+@pytest.mark.parametrize(
+    "terms", [(TRACKING,), (LEARNING,), (INFORMATION,), (TRACKING, LEARNING, ENERGY)]
+)
+@pytest.mark.parametrize("horizon", [1, 2, 8])
+def test_plan_is_verified_and_better_than_its_start(terms, horizon):
+    """Whatever the objective and the horizon."""
+    plan, _, judge = planned(terms_problem(*terms, horizon=horizon))
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.rung in (Rung.PLAN, Rung.LATTICE)
+    assert plan.objective >= plan.lattice_objective - 1e-9
+    assert plan.objective == pytest.approx(judge.objective(plan.positions_m[1:]))
+    assert len(plan.positions_m) == horizon + 1
+
+
+def test_no_straight_way_is_better():
+    """Nothing of a fan of straight ways beats the plan for learning."""
+    problem = terms_problem(LEARNING)
+    plan, situation, judge = planned(problem)
+    for heading in np.linspace(0.0, 2.0 * np.pi, 40):
+        step = 1.999 * np.array([np.cos(heading), np.sin(heading)])
+        way = situation.position_m + step * np.arange(1, 6)[:, None]
+        if judge.judged(judge.candidate(way, Rung.PLAN, Termination.CONVERGED)).sound:
+            assert judge.objective(way) <= plan.objective + 1e-9
+
+
+def test_lattice_planner_takes_the_best_start():
+    """Without polish the plan is the best start, and its worth the lattice's."""
+    plan, *_ = planned(terms_problem(TRACKING, name="lattice"))
+    assert (plan.rung, plan.iterations) == (Rung.PLAN, 0)
+    assert plan.objective == pytest.approx(plan.lattice_objective)
+    polished, *_ = planned(terms_problem(TRACKING))
+    assert polished.objective >= plan.objective
+
+
+def test_thorough_is_never_worse():
+    """All starts are followed, the best is taken."""
+    for seed in range(3):
+        quick, *_ = planned(terms_problem(INFORMATION), seed=seed)
+        thorough, *_ = planned(terms_problem(INFORMATION), seed=seed, thorough=True)
+        assert thorough.objective >= quick.objective - 1e-9
+
+
+@pytest.mark.parametrize("p_min", [0.5, 0.9])
+def test_bound_is_kept(p_min):
+    """Every step of a verified plan that relaxes nothing keeps the bound."""
+    plan, *_ = planned(terms_problem(TRACKING, p_min=p_min))
+    assert plan.verdict is Verdict.VERIFIED
+    if not plan.certificate.relaxed_steps:
+        assert plan.connectivity[1:].min() >= p_min - 1e-6
+
+
+def test_bound_that_cannot_be_kept_is_relaxed_with_proof():
+    """From a place that is cut off the plan says so, step by step."""
+    problem = terms_problem(TRACKING, p_min=0.9)
+    radio = replace(problem.stations[0], threshold_dbm=-20.0)
+    plan, *_ = planned(replace(problem, stations=(radio,)))
+    assert plan.certificate.relaxed_steps
+    assert max(plan.certificate.best_margin_db) < 0.0
+    # Met at no step at all: an answer, not a verified plan.
+    assert plan.verdict is Verdict.VIOLATED
+
+
+def failing(_solver, n, start, _parameters, _variables, rows):
+    """A solver that gives up with nothing."""
+    lost, rowless = np.full(len(start), np.nan), np.full(len(rows[0]), np.nan)
+    return NlpPoint(
+        lost[: 2 * n].reshape(n, 2), lost[2 * n :], rowless, lost, "Invalid_Number_Detected", 1
+    )
+
+
+def test_a_failed_polish_falls_back_to_the_lattice(monkeypatch):
+    """And the next one is not touched by it."""
+    problem = terms_problem(TRACKING)
+    before, *_ = planned(problem)
+    monkeypatch.setattr(path_polish, "call_nlp", failing)
+    plan, *_ = planned(problem)
+    assert (plan.rung, plan.verdict) == (Rung.LATTICE, Verdict.VERIFIED)
+    assert plan.termination is Termination.NUMERICAL_FAILURE
+    monkeypatch.undo()
+    after, *_ = planned(problem)
+    np.testing.assert_array_equal(after.positions_m, before.positions_m)
+
+
+def test_without_starts_the_last_plan_goes_on(monkeypatch):
+    """The shifted plan is checked again; without one the robot stands."""
+    problem = terms_problem(TRACKING)
+    first, *_ = planned(problem)
+    monkeypatch.setattr(StartSearch, "find_starts", lambda *_: [])
+    situation, belief = situation_of(problem)
+    situation = replace(situation, position_m=first.positions_m[1])
+    judge, ground = judge_of(situation, belief)
+    planner = HorizonPlanner(problem, ground)
+    shifted = planner.plan(situation, judge, first)
+    assert (shifted.rung, shifted.verdict) == (Rung.SHIFTED, Verdict.VERIFIED)
+    standing = planner.plan(situation, judge)
+    assert standing.rung is Rung.STOP
+    assert np.ptp(standing.positions_m, axis=0).max() == 0.0
+
+
+def test_mirrored_scene_gives_the_mirrored_plan():
+    """Nothing prefers left to right but ties and rounding."""
+    problem = terms_problem(TRACKING)
+    plan, situation, _ = planned(problem)
+
+    def mirror(places):
+        return np.asarray(places) * [-1.0, 1.0] + [40.0, 0.0]
+
+    measured = situation.posterior.measurements
+    parameters = replace(
+        situation.posterior.parameters,
+        station=replace(
+            situation.posterior.parameters.station,
+            position_m=tuple(mirror(situation.posterior.parameters.station.position_m)),
+        ),
+    )
+    from planopt.channel.posterior import condition
+
+    posterior = condition(parameters, replace(measured, positions_m=mirror(measured.positions_m)))
+    # The obstacle is symmetric about x = 20.
+    start = tuple(float(v) for v in mirror(problem.robots[0].start_m))
+    mirrored = replace(
+        problem,
+        robots=(replace(problem.robots[0], start_m=start),),
+        stations=(replace(problem.stations[0], site=parameters.station),),
+    )
+    there, belief = situation_of(problem)
+    there = replace(
+        there,
+        problem=mirrored,
+        posterior=posterior,
+        position_m=np.asarray(start),
+        target_m=mirror(there.target_m),
+    )
+    judge, ground = judge_of(there, replace(belief, posterior=posterior))
+    other = HorizonPlanner(mirrored, ground).plan(there, judge)
+    assert other.objective == pytest.approx(plan.objective, rel=1e-4)
+    np.testing.assert_allclose(mirror(other.positions_m), plan.positions_m, atol=0.05)

@@ -11,7 +11,8 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import neighbour_model, predict_locally
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition, predict
-from planopt.planning.stage_kernel import CUSP_ROUNDING, stage_margins
+from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.planning.stage_kernel import stage_margins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))
 THRESHOLD, P_MIN = -85.0, 0.9
@@ -156,8 +157,8 @@ def test_far_from_measurements_the_value_is_the_local_prediction(name):
 
 def test_without_rounding_it_is_the_local_prediction(monkeypatch):
     """With both roundings gone the value is the exact universal kriging of all measurements."""
-    monkeypatch.setattr("planopt.planning.stage_kernel.CUSP_ROUNDING", 0.0)
-    monkeypatch.setattr("planopt.planning.stage_kernel.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 0.0)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
     for name, posterior in POSTERIORS.items():
         model = neighbour_model(posterior, CENTRES, 40)
         power = predict(posterior, PLACES)

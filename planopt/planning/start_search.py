@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db
+from planopt.planning.coupled_starts import CoupledStarts
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.local_worth import is_stagewise
 from planopt.planning.node_field import NodeField
@@ -15,7 +16,6 @@ from planopt.planning.path_worth import PathWorth
 from planopt.planning.reward_lattice import best_ends, move_table, path_to, search_rewards
 from planopt.planning.situation import Situation
 from planopt.planning.stage_rewards import StageRewards, move_values
-from planopt.planning.straight_starts import straight_starts
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
 from planopt.world.lattice_moves import LONGEST_MOVE
@@ -31,6 +31,9 @@ THOROUGH_ENDS = 3
 
 ENDS_APART_STEPS = 2.0
 """How far apart such ends are along an axis, in longest steps (fast.md: 4 m)."""
+
+COUPLED_STARTS = 3
+"""The same where terms couple places, and values have more maxima."""
 
 CORRECTIONS = 6
 """How often the lattice is searched again after the nodes of its path got better values."""
@@ -81,6 +84,7 @@ class StartSearch:
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
         self._move_values = move_values(problem, ground.road_map.lengths_m)
+        self._coupled = None if is_stagewise(problem) else CoupledStarts(problem, ground)
 
     def find_starts(
         self, situation: Situation, shifted_m: NDArray[np.float64] | None
@@ -98,16 +102,17 @@ class StartSearch:
         reach = problem.step_length_m * problem.planner.horizon
         self._field.refresh(situation, reach)
         paths = self._lattice_paths(situation)
-        if not is_stagewise(problem):
-            paths += straight_starts(situation, self._ground.index, problem.planner.horizon)
         if shifted_m is not None and len(shifted_m) == problem.planner.horizon:
             paths.append(shifted_m)
+        if self._coupled is not None:
+            paths += self._coupled.find_ways(situation, paths)
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), self._missing_db(situation, path)) for path in paths]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
+        count = self._starts if self._coupled is None else max(self._starts, COUPLED_STARTS)
         kept: list[Start] = []
         for start in starts:
-            if len(kept) < self._starts and all(
+            if len(kept) < count and all(
                 np.abs(start.path_m - other.path_m).max() > EQUAL_M for other in kept
             ):
                 kept.append(start)

@@ -55,7 +55,7 @@ def unrounded_margin(model, places):
     """The margin with next to no rounding, which a test below compares to exact kriging."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("planopt.planning.stage_prediction.CUSP_ROUNDING", 1e-9)
-        patch.setattr("planopt.planning.stage_prediction.MIN_DISTANCE_M", 0.0)
+        patch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
         return stage_margins(model, places, THRESHOLD, Z).value
 
 
@@ -162,8 +162,8 @@ def test_far_from_measurements_the_value_is_the_local_prediction(name):
 
 def test_without_rounding_it_is_the_local_prediction(monkeypatch):
     """With both roundings gone the value is the exact universal kriging of all measurements."""
-    monkeypatch.setattr("planopt.planning.stage_prediction.CUSP_ROUNDING", 0.0)
-    monkeypatch.setattr("planopt.planning.stage_prediction.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 0.0)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
     for name, posterior in POSTERIORS.items():
         model = neighbour_model(posterior, CENTRES, 40)
         power = predict(posterior, PLACES)

@@ -97,7 +97,9 @@ class Judge:
         self, path_m: NDArray[np.float64], rung: Rung, termination: Termination
     ) -> Candidate:
         """Make a candidate of a path, not yet verified."""
-        worth = self.objective(path_m)
+        # A solver may give back places that are no numbers.
+        nothing = np.inf if self.problem.sense == "min" else -np.inf
+        worth = self.objective(path_m) if np.isfinite(path_m).all() else nothing
         return Candidate(path_m, worth, worth, rung, termination)
 
     def judged(self, candidate: Candidate) -> Candidate:

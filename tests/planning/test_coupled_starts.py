@@ -52,7 +52,8 @@ def test_known_ways_are_not_lost():
     found = search.find_ways(situation, [plan.positions_m[1:]])
     value = LocalRanking(situation, np.asarray(found))
     best = value(plan.positions_m[None, 1:])[0]
-    assert value(np.asarray(found))[0] >= best - 1e-9
+    # Ways are ranked on the measurements near all of them, not near this one alone.
+    assert value(np.asarray(found))[0] >= best - 1e-6
 
 
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])

@@ -12,11 +12,12 @@ from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.posterior import condition, predict
 from planopt.channel.truth import measure
 from planopt.planning import horizon_planner, path_polish
+from planopt.planning.given import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.ipopt import NlpPoint
 from planopt.planning.path_polish import polish_path
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.prepare import free_places, prepare
+from planopt.planning.prepare import prepare
 from planopt.planning.start_search import StartSearch
 
 INFORMATION = {"kind": "mapping", "form": "information"}

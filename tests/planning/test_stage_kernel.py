@@ -54,7 +54,7 @@ def model_of(name, count=12):
 def unrounded_margin(model, places):
     """The margin with next to no rounding, which a test below compares to exact kriging."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planopt.planning.stage_prediction.CUSP_ROUNDING", 1e-9)
+        patch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 1e-9)
         patch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
         return stage_margins(model, places, THRESHOLD, Z).value
 

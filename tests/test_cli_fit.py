@@ -197,6 +197,8 @@ def test_without_them_nothing_is_told(shared_log: Path, capsys) -> None:
         (["--forgetting", "nan", "--time", "t"], "key --forgetting"),
         (["--resolution=-1"], "key --resolution"),
         (["--position-error", "inf"], "key --position-error"),
+        (["--floor", "nan"], "key --floor"),
+        (["--station", "1e300,0"], "key station"),
         (["--time", "robot"], "'ann' is not a number"),
         (["--receiver", "name"], "column 'name' is missing"),
     ],

@@ -107,6 +107,19 @@ def test_a_bad_option_is_one_line(
     assert [path.name for path in log.parent.iterdir()] == ["log.csv"]
 
 
+def test_unknown_station_and_loss(log: Path, capsys) -> None:
+    """The fit that is mapped is that of `planopt fit` with the same options."""
+    options = ["--station", "unknown", "--station-method", "line", "--method", "convex"]
+    options += ["--loss", "huber", "--json"]
+    assert main(["fit", str(log), *options]) == 0
+    fitted = json.loads(capsys.readouterr().out)
+    out = log.parent / "map.npz"
+    assert main(["map", str(log), *options, "--cell", "20", "--out", str(out)]) == 0
+    assert json.loads(capsys.readouterr().out)["fit"] == fitted
+    assert main(["fit", str(log), *options[:-3], "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) != fitted
+
+
 def test_a_bad_row_is_named(log: Path, capsys) -> None:
     """A fault of a measurement is told by its line of the log."""
     with log.open("a") as file:

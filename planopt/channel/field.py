@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.fourier import even_spectrum, fast_even_length, transform_corner
+from planopt.channel.places import require_shadowing
 from planopt.errors import InputError
 
 CLIPPED_SHARE_TOLERANCE = 1e-4
@@ -66,8 +67,8 @@ def shadow_field_db(
     Raises
     ------
     InputError
-        The decorrelation distance is so long for the cells that the torus does not fit into
-        memory.
+        A deviation, distance or cell side is none, or the decorrelation distance is so long for
+        the cells that the torus does not fit into memory.
     """
     return shadow_field_pair_db(shape, cell_m, shadow_std_db, decorrelation_m, generator)[0]
 
@@ -84,6 +85,9 @@ def shadow_field_pair_db(
     They are the real and the imaginary part of one transform, the first the one that
     :func:`shadow_field_db` draws.
     """
+    require_shadowing(shadow_std_db, decorrelation_m)
+    if not (np.isfinite(cell_m) and cell_m > 0.0):
+        raise InputError(f"{cell_m!r} m is no cell side", key="cell_m")
     ny, nx = shape
     (rows, columns), eigenvalues, clipped_share = _embedding(shape, cell_m / decorrelation_m)
     amplitude = np.sqrt(np.maximum(eigenvalues, 0.0) / (rows * columns))

@@ -138,8 +138,9 @@ def fit_channel(
     ------
     InputError
         See :func:`planopt.channel.identifiability.examine`; or `forgetting_s` is not positive; or
-        there is no such loss, or the method has none to choose.
+        there is no such method or loss, or the method has none to choose.
     """
+    require_method(method, "method")
     require_loss(loss, method, "loss")
     if not forgetting_s > 0.0:
         raise InputError(
@@ -160,6 +161,13 @@ def fit_channel(
     else:
         estimate = _by_correlation(given, method, loss)
     return _dressed(estimate, given, method)
+
+
+def require_method(method: str, key: str) -> None:
+    """Refuse a method that does not exist; `key` is what it was given by."""
+    if method not in get_args(FitMethod):
+        remedy = f"use {', '.join(get_args(FitMethod))}"
+        raise InputError(f"{method!r} is no method", key=key, remedy=remedy)
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:

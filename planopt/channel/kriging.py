@@ -23,6 +23,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.nearby import NEIGHBOURS_BEYOND, nearby_terms
 from planopt.channel.neighbour_regression import regress_on_neighbours
 from planopt.channel.path_loss import regressors
+from planopt.channel.places import require_places
 from planopt.channel.position_error import path_loss_variance_db2
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.channel.vecchia import EARLIER_NEIGHBOURS
@@ -56,9 +57,15 @@ def predict(
     position_std_m
         ``(n,)`` deviation of either coordinate, where the robot that would measure is not sure of
         its own place (:mod:`planopt.channel.position_error`). None where it is.
+
+    Raises
+    ------
+    InputError
+        Another shape, or a coordinate that cannot be computed with.
     """
+    places = require_places(positions_m, at_least=0)
     return combine(
-        kriging_terms(posterior, positions_m, position_std_m),
+        kriging_terms(posterior, places, position_std_m),
         posterior.theta,
         posterior.theta_covariance,
     )

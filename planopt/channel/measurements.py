@@ -7,7 +7,11 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.places import MAX_COORDINATE_M
 from planopt.errors import InputError
+
+MAX_POWER_DB = 1e6
+"""No power is further from 0 dBm: far beyond, its squares overflow."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,8 @@ class Measurements:
     Raises
     ------
     InputError
-        Shapes do not agree, a number is not finite, or a resolution or deviation is negative.
+        Shapes do not agree, a number is not finite, a coordinate or a power is beyond
+        `MAX_COORDINATE_M` or `MAX_POWER_DB`, or a resolution or deviation is negative.
     """
 
     positions_m: NDArray[np.float64]
@@ -67,6 +72,12 @@ class Measurements:
             )
         if not (np.isfinite(self.positions_m).all() and np.isfinite(self.power_dbm).all()):
             raise InputError("a measurement is not finite", remedy="remove it or mark it censored")
+        for values, most in ((self.positions_m, MAX_COORDINATE_M), (self.power_dbm, MAX_POWER_DB)):
+            if (np.abs(values) > most).any():
+                raise InputError(
+                    f"a coordinate or power of {np.abs(values).max():g} is none",
+                    remedy="give coordinates in metres and powers in dBm",
+                )
         if not np.isfinite(self.time_s).all():
             raise InputError("the time of a measurement is not finite", remedy="remove it")
         for name in ("resolution_db", "position_std_m"):

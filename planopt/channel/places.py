@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 
+MAX_COORDINATE_M = 1e12
+"""No coordinate is larger: far beyond, squares of distances overflow."""
+
 
 def require_places(positions_m: NDArray[np.float64], at_least: int = 1) -> NDArray[np.float64]:
     """`positions_m` as floats, or an error that says what is wrong with them.
@@ -23,17 +26,24 @@ def require_places(positions_m: NDArray[np.float64], at_least: int = 1) -> NDArr
     Raises
     ------
     InputError
-        Another shape, fewer places, or a coordinate that is not finite.
+        Another shape, fewer places, or a coordinate that is not finite or beyond
+        `MAX_COORDINATE_M`.
     """
     places = np.asarray(positions_m, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or len(places) < at_least:
         raise InputError(
-            f"positions of shape {places.shape} are not a path",
+            f"positions of shape {places.shape} are no places",
             key="positions_m",
             remedy=f"give (h, 2) metres with h at least {at_least}",
         )
     if not np.isfinite(places).all():
         raise InputError("a position is not finite", key="positions_m")
+    if (np.abs(places) > MAX_COORDINATE_M).any():
+        raise InputError(
+            "a position is too far away",
+            key="positions_m",
+            remedy=f"give coordinates within {MAX_COORDINATE_M:g} m",
+        )
     return places
 
 
@@ -48,6 +58,20 @@ def require_finite(value: float, key: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{value!r} is not finite", key=key)
     return float(value)
+
+
+def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
+    """Refuse what is no shadowing.
+
+    Raises
+    ------
+    InputError
+        xi is negative, beta not above zero, or one of them not finite.
+    """
+    if not (math.isfinite(shadow_std_db) and shadow_std_db >= 0.0):
+        raise InputError(f"{shadow_std_db!r} dB is no deviation", key="shadow_std_db")
+    if not (math.isfinite(decorrelation_m) and decorrelation_m > 0.0):
+        raise InputError(f"{decorrelation_m!r} m is no distance", key="decorrelation_m")
 
 
 def require_count(count: int, key: str) -> int:

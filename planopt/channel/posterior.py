@@ -166,8 +166,9 @@ class ChannelPosterior:
         self, positions_m: NDArray[np.float64], threshold_dbm: float
     ) -> NDArray[np.float64]:
         """P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
+        threshold = require_finite(threshold_dbm, "threshold_dbm")
         prediction = predict(self, positions_m)
-        return connection_probability(prediction.mean_db, prediction.deviation_db, threshold_dbm)
+        return connection_probability(prediction.mean_db, prediction.deviation_db, threshold)
 
 
 def condition(

@@ -155,13 +155,24 @@ def _result(
             nugget,
             beta,
             (errors[0] / (2.0 * roots[0]), errors[1] / (2.0 * roots[1]), errors[2]),
-            tuple(at_bound(name, value, unit) for hit, name, value, unit in names if hit),
+            (
+                *(at_bound(name, value, unit) for hit, name, value, unit in names if hit),
+                *_not_told_apart(errors, ~bound),
+            ),
         ),
         at.coefficients,
         at.coefficient_covariance,
         at.log_likelihood,
         len(data.power_db),
     )
+
+
+def _not_told_apart(errors: tuple[float, float, float], free: NDArray[np.bool_]) -> tuple[str, ...]:
+    """The warning that parameters inside their range have no standard errors."""
+    if np.isfinite(np.asarray(errors)[free]).all():
+        return ()
+    names = [name for name, own in zip(("xi", "omega", "beta"), free, strict=True) if own]
+    return (f"the measurements do not tell {', '.join(names)} apart: they are not determined",)
 
 
 def _standard_errors(

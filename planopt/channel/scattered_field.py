@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import lower_factor, solve_lower
 from planopt.channel.kernel import pairwise_distance_m
+from planopt.channel.places import require_places, require_shadowing
 from planopt.errors import InputError
 
 MAX_PLACES = 8_000
@@ -48,9 +49,11 @@ def scattered_field_db(
     Raises
     ------
     InputError
-        There are more than `MAX_PLACES` different places.
+        A deviation, a distance or a place is none, or there are more than `MAX_PLACES` different
+        places.
     """
-    places, back = _distinct(positions_m)
+    require_shadowing(shadow_std_db, decorrelation_m)
+    places, back = _distinct(require_places(positions_m, at_least=0))
     if len(places) > MAX_PLACES:
         raise InputError(
             f"{len(places)} places are too many for an exact field",

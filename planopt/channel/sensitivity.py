@@ -20,7 +20,7 @@ from planopt.channel.factor import whiten
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
-from planopt.channel.places import require_finite, require_places
+from planopt.channel.places import require_places
 from planopt.channel.posterior import EXACT_LIMIT
 from planopt.errors import InputError
 
@@ -64,11 +64,8 @@ def mean_squared_error_db2(
     Raises
     ------
     InputError
-        A parameter is not finite or out of its range, positions are not ``(n, 2)`` and finite, or
-        there are more than `EXACT_LIMIT` measured ones.
+        Positions are not ``(n, 2)`` and finite, or there are more than `EXACT_LIMIT` measured ones.
     """
-    _require_model(true, "true")
-    _require_model(assumed, "assumed")
     measured = require_places(measured_m, at_least=0)
     if len(measured) > EXACT_LIMIT:
         raise InputError(
@@ -183,21 +180,3 @@ def _path_loss_db(
     """Mean power gamma' theta at `places_m` (n, 2)."""
     theta = np.array([parameters.k_pl_db, parameters.n_pl])
     return regressors(places_m, parameters.station) @ theta
-
-
-def _require_model(parameters: ChannelParameters, which: str) -> None:
-    """Refuse parameters that are no channel's."""
-    require_finite(parameters.k_pl_db, f"{which}.k_pl_db")
-    require_finite(parameters.n_pl, f"{which}.n_pl")
-    for name, zero_allowed in (
-        ("shadow_std_db", True),
-        ("decorrelation_m", False),
-        ("multipath_std_db", True),
-    ):
-        value = require_finite(getattr(parameters, name), f"{which}.{name}")
-        if value < 0.0 or (value == 0.0 and not zero_allowed):
-            raise InputError(
-                f"{value!r} is out of range",
-                key=f"{which}.{name}",
-                remedy="use a value above 0" if not zero_allowed else "use 0 or more",
-            )

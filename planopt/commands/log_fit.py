@@ -127,16 +127,11 @@ def read_and_fit(
     InputError
         An option or the log cannot be used; errors about a measurement name its line.
     """
-    from planopt.channel.fit import FitMethod, fit_channel, require_loss
+    from planopt.channel.fit import fit_channel, require_loss, require_method
     from planopt.channel.log_file import at_file_line, parse_station, read_power_log
     from planopt.channel.station_search import fit_channel_and_station
 
-    if method not in get_args(FitMethod):
-        raise InputError(
-            f"{method!r} is no method",
-            key="--method",
-            remedy=f"use {', '.join(get_args(FitMethod))}",
-        )
+    require_method(method, "--method")
     chosen = cast("FitMethod", method)
     require_loss(loss, chosen, "--loss")
     rho = cast("Loss", loss)
@@ -203,6 +198,8 @@ def _log_format(options: LogOptions) -> LogFormat:
     ):
         if not 0.0 <= value < math.inf:
             raise InputError(f"{value!r} cannot be used", key=key, remedy="give 0 or more")
+    if options.floor is not None and not math.isfinite(options.floor):
+        raise InputError(f"{options.floor!r} cannot be used", key="--floor", remedy="give dBm")
     return LogFormat(
         DEFAULT_COLUMNS if options.columns is None else parse_columns(options.columns),
         options.censored,

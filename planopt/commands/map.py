@@ -17,10 +17,12 @@ from planopt.commands.log_fit import (
     ForgettingOption,
     LogArgument,
     LogOptions,
+    LossOption,
     MethodOption,
     PositionErrorOption,
     ReceiverOption,
     ResolutionOption,
+    StationMethodOption,
     StationOption,
     TimeOption,
     read_and_fit,
@@ -62,6 +64,7 @@ def map_log(
         ),
     ] = None,
     method: MethodOption = "reml",
+    station_method: StationMethodOption = None,
     columns: ColumnsOption = None,
     censored: CensoredOption = None,
     floor: FloorOption = None,
@@ -70,6 +73,7 @@ def map_log(
     time: TimeOption = None,
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
+    loss: LossOption = "squares",
     picture: Annotated[
         Path | None,
         typer.Option("--picture", metavar="FILE", help="Draw it too; .png, .svg or .pdf."),
@@ -92,7 +96,7 @@ def map_log(
     box = None if bounds is None else parse_bounds(bounds)
     with _writable(out, picture):
         with progress("mapping"), one_blas_thread():
-            fitted = read_and_fit(log, station, method, options)
+            fitted = read_and_fit(log, station, method, options, loss, station_method)
             measurements, found = fitted.measurements, fitted.found
             box = measured_bounds_m(measurements) if box is None else box
             maps = posterior_map(

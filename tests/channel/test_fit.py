@@ -17,6 +17,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors
 from planopt.channel.reml import MAX_MEASUREMENTS
+from planopt.errors import InputError
 
 METHODS = ("seed", "capped", "convex", "nls", "reml")
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
@@ -191,6 +192,27 @@ def test_power_that_grows_with_distance_is_pointed_out():
     fit = fit_channel(measurements, CHANNEL.station)
     assert fit.parameters.n_pl < 0.0
     assert any("n_PL is negative" in text for text in fit.warnings)
+
+
+def test_what_cannot_be_told_apart_is_said():
+    """Shadowing that is forgotten at once is multipath: no errors, and words for why."""
+    rng = np.random.default_rng(1)
+    places = rng.uniform(0.0, 100.0, (60, 2))
+    power = -60.0 + rng.normal(0.0, 3.0, 60)
+    dated = Measurements(places, power, np.zeros(60, bool), time_s=np.arange(60.0))
+    fit = fit_channel(dated, Station((50.0, 50.0), 5.0), forgetting_s=1e-9)
+    assert math.isinf(fit.standard_errors["shadow_std_db"])
+    assert fit.status == "degenerate" and "apart" in " ".join(fit.warnings)
+
+
+def test_a_method_that_does_not_exist_is_refused():
+    """Not fitted by some other."""
+    rng = np.random.default_rng(0)
+    measurements = Measurements(
+        rng.uniform(1.0, 50.0, (9, 2)), rng.normal(size=9), np.zeros(9, bool)
+    )
+    with pytest.raises(InputError, match="seed, capped, convex, nls, reml"):
+        fit_channel(measurements, Station((0.0, 0.0)), "magic")
 
 
 def test_many_measurements_are_thinned():

@@ -36,6 +36,13 @@ def test_numbers_must_be_finite(bad):
         Measurements(np.array([[0.0, bad]]), np.zeros(1), np.array([False]))
 
 
+@pytest.mark.parametrize(("coordinate", "power"), [(1e160, -80.0), (1.0, -1e160)])
+def test_numbers_must_be_possible(coordinate, power):
+    """Squares of what passes do not overflow."""
+    with pytest.raises(InputError, match="is none"):
+        Measurements(np.array([[coordinate, 0.0]]), np.array([power]), np.array([False]))
+
+
 def test_join_keeps_order_and_flags():
     """First before second, everything together."""
     joined = join(some(3), some(2, start=10.0))

@@ -140,22 +140,6 @@ def test_many_places_by_blocks(monkeypatch):
     )
 
 
-@pytest.mark.parametrize(
-    ("changes", "key"),
-    [
-        ({"shadow_std_db": -1.0}, "assumed.shadow_std_db"),
-        ({"decorrelation_m": 0.0}, "assumed.decorrelation_m"),
-        ({"multipath_std_db": float("nan")}, "assumed.multipath_std_db"),
-        ({"n_pl": float("inf")}, "assumed.n_pl"),
-    ],
-)
-def test_bad_parameters(changes, key):
-    """The error names the parameter."""
-    with pytest.raises(InputError) as caught:
-        mean_squared_error_db2(TRUE, replace(TRUE, **changes), MEASURED, PLACES)
-    assert caught.value.key == key
-
-
 @pytest.mark.parametrize(("name", "error"), [("beta", 0.1), ("n_pl", -1.0), ("n_pl", np.nan)])
 def test_bad_perturbation(name, error):
     """An unknown name, or an error that leaves nothing."""

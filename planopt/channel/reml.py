@@ -50,6 +50,10 @@ START_MEASUREMENTS = 250
 """Starts are ranked, and followed first, on at most this many exact measurements."""
 
 
+MAX_RELATIVE_ERROR = 10.0
+"""A variance or distance whose standard error is more than this many times itself is not known."""
+
+
 @dataclass(frozen=True)
 class RemlFit:
     """A covariance with the mean that goes with it.
@@ -157,7 +161,7 @@ def _result(
             (errors[0] / (2.0 * roots[0]), errors[1] / (2.0 * roots[1]), errors[2]),
             (
                 *(at_bound(name, value, unit) for hit, name, value, unit in names if hit),
-                *_not_told_apart(errors, ~bound),
+                *_not_told_apart(errors, covariance, ~bound),
             ),
         ),
         at.coefficients,
@@ -167,11 +171,16 @@ def _result(
     )
 
 
-def _not_told_apart(errors: tuple[float, float, float], free: NDArray[np.bool_]) -> tuple[str, ...]:
-    """The warning that parameters inside their range have no standard errors."""
-    if np.isfinite(np.asarray(errors)[free]).all():
+def _not_told_apart(
+    errors: tuple[float, float, float],
+    covariance: tuple[float, float, float],
+    free: NDArray[np.bool_],
+) -> tuple[str, ...]:
+    """The warning that parameters inside their range have errors far larger than themselves."""
+    unknown = free & ~(np.asarray(errors) <= MAX_RELATIVE_ERROR * np.asarray(covariance))
+    if not unknown.any():
         return ()
-    names = [name for name, own in zip(("xi", "omega", "beta"), free, strict=True) if own]
+    names = [name for name, own in zip(("xi", "omega", "beta"), unknown, strict=True) if own]
     return (f"the measurements do not tell {', '.join(names)} apart: they are not determined",)
 
 

@@ -27,7 +27,7 @@ from planopt.objectives.tracking_derivatives import (
 from planopt.planning.path_value import EvaluatePath, Evaluation, PathValue
 from planopt.planning.situation import Situation
 from planopt.planning.stage_kernel import margins_of
-from planopt.planning.stage_prediction import stage_prediction
+from planopt.planning.stage_prediction import StagePredictor
 from planopt.problems.problem import (
     LearningTerm,
     MappingTerm,
@@ -66,8 +66,8 @@ def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePa
     """Worth and margins about a start path (N, 2), for a solver."""
     problem, posterior = situation.problem, situation.posterior
     stagewise = is_stagewise(problem)
-    stages = (
-        neighbour_model(posterior, path_m, problem.planner.neighbours)
+    predict_stages = (
+        StagePredictor(neighbour_model(posterior, path_m, problem.planner.neighbours))
         if needs_stages(problem)
         else None
     )
@@ -82,7 +82,7 @@ def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePa
     z = bound_quantile(problem.constraints.p_min) if bounded else 0.0
 
     def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
-        power = None if stages is None else stage_prediction(stages, places_m)
+        power = None if predict_stages is None else predict_stages(places_m)
         margins = None
         if bounded and power is not None:
             margins = margins_of(*power, threshold, z)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.tile_map import TileMap
-from planopt.planning.predictions import search_prediction
+from planopt.planning.situation import Situation
 from planopt.world.lattice import Lattice, node_positions
 
 
@@ -28,6 +27,8 @@ class NodeField:
         ``(ny, nx, 2)`` positions of the nodes.
     mean_db, deviation_db
         ``(ny, nx)``; NaN at nodes that are not free, or were never within reach.
+    window
+        Rows and columns of the nodes that the last refresh was for.
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -38,22 +39,28 @@ class NodeField:
             lattice.free,
         )
         self._exact = np.zeros(lattice.shape, dtype=bool)
-        self._posterior: ChannelPosterior | None = None
+        self._lattice = lattice
+        self._situation: Situation | None = None
         self.grid_m = node_positions(lattice)
         self.mean_db = self._map.mean_db
         self.deviation_db = self._map.deviation_db
+        self.window = slice(0, 0), slice(0, 0)
 
-    def refresh(
-        self, posterior: ChannelPosterior, position_m: NDArray[np.float64], reach_m: float
-    ) -> None:
-        """Follow the belief within `reach_m` of `position_m` (2,) along both axes."""
-        x, y = position_m
+    def refresh(self, situation: Situation, reach_m: float) -> None:
+        """Follow the belief within `reach_m` of the robot along both axes."""
+        low, high = situation.position_m - reach_m, situation.position_m + reach_m
         self._map.refresh(
-            posterior,
-            (float(x - reach_m), float(y - reach_m), float(x + reach_m), float(y + reach_m)),
+            situation.posterior, (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
         )
+        lattice = self._lattice
+        first = np.ceil((low - lattice.origin_m) / lattice.spacing_m)
+        last = np.floor((high - lattice.origin_m) / lattice.spacing_m)
+        columns, rows = (
+            slice(max(int(first[axis]), 0), max(int(last[axis]) + 1, 0)) for axis in (0, 1)
+        )
+        self.window = rows, columns
         self._exact[:] = False
-        self._posterior = posterior
+        self._situation = situation
 
     def places_m(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
         """Positions of `nodes` (n, 2), given as (iy, ix)."""
@@ -61,13 +68,13 @@ class NodeField:
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
         """Put better values at `nodes` (n, 2); true if any of them had not been corrected."""
-        if self._posterior is None:
+        if self._situation is None:
             raise AssertionError("refresh first")
         rows, columns = nodes[:, 0], nodes[:, 1]
         new = nodes[~self._exact[rows, columns]]
         if not len(new):
             return False
-        power = search_prediction(self._posterior, self.places_m(new))
+        power = self._situation.power(self.places_m(new))
         self.mean_db[new[:, 0], new[:, 1]] = power.mean_db
         self.deviation_db[new[:, 0], new[:, 1]] = power.deviation_db
         self._exact[new[:, 0], new[:, 1]] = True

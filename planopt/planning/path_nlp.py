@@ -26,6 +26,16 @@ from planopt.planning.ipopt import OPTIONS
 from planopt.planning.path_rows import PathCallback, path_rows
 from planopt.planning.path_value import ValueSource
 
+NEAR_START: dict[str, Any] = {
+    "ipopt.mu_init": 1e-3,
+    "ipopt.bound_push": 1e-3,
+    "ipopt.bound_frac": 1e-3,
+    "ipopt.slack_bound_push": 1e-3,
+    "ipopt.slack_bound_frac": 1e-3,
+}
+"""Starts are paths that keep all rows and lie near the best one: with IPOPT's own barrier, which
+first drives the iterates to the middle, one long solve in ten does not return (40 steps)."""
+
 
 @dataclass(frozen=True)
 class PathNlp:
@@ -122,12 +132,14 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         [callback(at) for callback in margins] if bounded else [ca.MX(0, 1)] * 3
     )
     f, g = objective(x, p, callbacks[0](at)), rows(x, p, margin)
-    options = dict(OPTIONS)
+    options = OPTIONS | NEAR_START
+    # The solver asks these two for derivatives only; values here would be computed for nothing.
+    no_f, no_g = ca.MX.nan(1), ca.MX.nan(plain + stages)
     options["grad_f"] = ca.Function(
-        "nlp_grad_f", [x, p], [f, gradient(p, callbacks[1](at))], ["x", "p"], ["f", "grad_f_x"]
+        "nlp_grad_f", [x, p], [no_f, gradient(p, callbacks[1](at))], ["x", "p"], ["f", "grad_f_x"]
     )
     options["jac_g"] = ca.Function(
-        "nlp_jac_g", [x, p], [g, jacobian(x, p, margin_gradient)], ["x", "p"], ["g", "jac_g_x"]
+        "nlp_jac_g", [x, p], [no_g, jacobian(x, p, margin_gradient)], ["x", "p"], ["g", "jac_g_x"]
     )
     options["hess_lag"] = ca.Function(
         "nlp_hess_l",

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import connection_probability
 from planopt.objectives.mapping import average_reduction, path_information, path_uncertainty
 from planopt.objectives.path_loss_learning import path_loss_gain
-from planopt.objectives.tracking import tracking_reward
-from planopt.planning.predictions import search_prediction
 from planopt.planning.situation import Situation
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.problems.problem import LearningTerm, MappingTerm, MotionEnergyTerm, Term, TrackingTerm
+from planopt.targets.sensor import sensing_information
 
 
 @dataclass(frozen=True)
@@ -53,12 +52,10 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
 
 def _tracking(term: TrackingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
     settings = at.tracking(term)
-    power = search_prediction(at.posterior, path_m)
+    power = at.power(path_m)
     chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
-    stages = range(len(path_m))
-    return float(
-        sum(tracking_reward(chance[k : k + 1], path_m[k : k + 1], k, settings)[0] for k in stages)
-    )
+    sensing = sensing_information(settings.sensor, path_m, settings.target_m)
+    return float(settings.weight @ (chance * sensing))
 
 
 def _mapping(term: MappingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:

@@ -37,10 +37,13 @@ class MoveTable:
     closed
         ``(21, ny + 2 REACH, nx + 2 REACH)``: 0 where a move from the node is open, else minus
         infinity; with a margin of closed nodes around the lattice.
+    hindered
+        ``(ny, nx)`` free nodes that some move from a free node does not lead to.
     """
 
     lattice: Lattice
     closed: NDArray[np.float64]
+    hindered: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -57,22 +60,29 @@ class LatticeValues:
         For each stage its window's values; the windows grow by `REACH` nodes to each side.
     windows
         The windows, in the lattice with its margin.
-    rewards
-        For each stage the reward of its window's nodes.
     """
 
     table: MoveTable
     move_value: NDArray[np.float64]
     values: tuple[NDArray[np.float64], ...]
     windows: tuple[Window, ...]
-    rewards: tuple[NDArray[np.float64], ...]
 
 
 def move_table(lattice: Lattice) -> MoveTable:
     """Tabulate the moves of a lattice."""
     inside = np.where(lattice.open_moves, 0.0, -np.inf)
     margin = ((0, 0), (REACH, REACH), (REACH, REACH))
-    return MoveTable(lattice, np.pad(inside, margin, constant_values=-np.inf))
+    closed = np.pad(inside, margin, constant_values=-np.inf)
+    free = np.pad(lattice.free, REACH)
+    ny, nx = lattice.shape
+    hindered = np.zeros(lattice.shape, dtype=np.bool_)
+    for move, (dx, dy) in enumerate(MOVES):
+        source = (
+            slice(REACH - dy, REACH - dy + ny),
+            slice(REACH - dx, REACH - dx + nx),
+        )
+        hindered |= free[source] & (closed[move][source] != 0.0)
+    return MoveTable(lattice, closed, hindered & lattice.free)
 
 
 def search_rewards(
@@ -98,42 +108,164 @@ def search_rewards(
     horizon
         N.
     reward
-        What it is worth to be at a node after a step.
+        What it is worth to be at a node after a step; minus infinity at nodes that are not free.
     """
-    ny, nx = table.lattice.shape
+    shape = table.lattice.shape
     low, high = first.min(axis=0), first.max(axis=0)
-    window = _window(low, high, 0, (ny, nx))
+    windows = [_window(low, high, k * REACH, shape) for k in range(horizon)]
+    frame = _Frame(table, move_value, windows)
+    window = windows[0]
     value = np.full(_shape(window), -np.inf)
     rows, columns = first[:, 0] + REACH - window[0].start, first[:, 1] + REACH - window[1].start
-    gained = reward(1, _inner(window))
-    value[rows, columns] = first_value + gained[rows, columns]
-    values, windows, rewards = [value], [window], [gained]
-    for k in range(2, horizon + 1):
-        grown = _window(low, high, (k - 1) * REACH, (ny, nx))
-        # The last stage's values where this stage's moves may come from.
-        before = np.full(tuple(n + 2 * REACH for n in _shape(grown)), -np.inf)
-        top = windows[-1][0].start - grown[0].start + REACH
-        left = windows[-1][1].start - grown[1].start + REACH
+    value[rows, columns] = first_value + reward(1, _inner(window))[rows, columns]
+    values = [value]
+    for k in range(1, horizon):
+        frame.put(windows[k - 1], values[-1])
+        values.append(frame.arriving(k) + reward(k + 1, _inner(windows[k])))
+    return LatticeValues(table, move_value, tuple(values), tuple(windows))
+
+
+class _Frame:
+    """The last stage's values, around all nodes that any stage looks at.
+
+    Where moves cost nothing and none is closed, the best of 21 sources is the largest value in a
+    disc: five maxima along rows and columns. Hindered nodes, and all nodes where moves cost
+    something, look at their sources one by one.
+
+    Parameters
+    ----------
+    table, move_value
+        As :func:`search_rewards`.
+    windows
+        Of all stages.
+    """
+
+    def __init__(
+        self, table: MoveTable, move_value: NDArray[np.float64], windows: list[Window]
+    ) -> None:
+        self._table = table
+        self._move_value = move_value
+        self._windows = windows
+        self._free_moves = not move_value.any()
+        self._top, self._left = windows[-1][0].start - REACH, windows[-1][1].start - REACH
         height, width = _shape(windows[-1])
-        before[top : top + height, left : left + width] = values[-1]
-        gained = reward(k, _inner(grown))
-        best = np.full(_shape(grown), -np.inf)
-        for move in range(len(MOVES)):
-            np.maximum(best, _arriving(table, before, grown, move, move_value), out=best)
-        values.append(best + gained)
-        windows.append(grown)
-        rewards.append(gained)
-    return LatticeValues(table, move_value, tuple(values), tuple(windows), tuple(rewards))
+        self._value = np.full((height + 2 * REACH, width + 2 * REACH), -np.inf)
+        if self._free_moves:
+            self._find_hindered()
+
+    def put(self, window: Window, value: NDArray[np.float64]) -> None:
+        """These are the last stage's values."""
+        self._value[self._at(window)] = value
+
+    def arriving(self, stage: int) -> NDArray[np.float64]:
+        """The best value that any move brings to each node of the window of `stage`."""
+        window = self._windows[stage]
+        rows, columns = self._at(window)
+        around = self._value[
+            rows.start - REACH : rows.stop + REACH, columns.start - REACH : columns.stop + REACH
+        ]
+        if not self._free_moves:
+            best = np.full(_shape(window), -np.inf)
+            for move in range(len(MOVES)):
+                np.maximum(best, self._arriving_by(around, window, move), out=best)
+            return best
+        best = _largest_in_disc(around)
+        count = self._hindered_by_stage[stage]
+        rows, columns = self._nodes
+        sources = self._value.ravel()[self._sources[:, :count]]
+        sources += self._closed[:, :count]
+        best[rows[:count] - window[0].start, columns[:count] - window[1].start] = sources.max(
+            axis=0, initial=-np.inf
+        )
+        return best
+
+    def _find_hindered(self) -> None:
+        """List the hindered nodes of all windows by the stage that first looks at them."""
+        widest = self._windows[-1]
+        rows, columns = np.nonzero(self._table.hindered[_inner(widest)])
+        rows, columns = rows + widest[0].start, columns + widest[1].start
+        stage = np.zeros(len(rows), dtype=np.intp)
+        for window in self._windows[:-1]:
+            stage += (rows < window[0].start) | (rows >= window[0].stop)
+            stage += (
+                (rows >= window[0].start)
+                & (rows < window[0].stop)
+                & ((columns < window[1].start) | (columns >= window[1].stop))
+            )
+        order = np.argsort(stage, kind="stable")
+        rows, columns = rows[order], columns[order]
+        self._hindered_by_stage = np.searchsorted(
+            stage[order], np.arange(len(self._windows)), side="right"
+        )
+        self._nodes = rows, columns
+        moves = np.arange(len(MOVES))[:, None]
+        from_row, from_column = rows - MOVES[:, 1:], columns - MOVES[:, :1]
+        self._closed = self._table.closed[moves, from_row, from_column]
+        self._sources = (from_row - self._top) * self._value.shape[1] + from_column - self._left
+
+    def _arriving_by(
+        self, around: NDArray[np.float64], window: Window, move: int
+    ) -> NDArray[np.float64]:
+        """Value with which `move` arrives at each node of the window."""
+        dx, dy = MOVES[move]
+        height, width = _shape(window)
+        source = around[REACH - dy : REACH - dy + height, REACH - dx : REACH - dx + width]
+        closed = self._table.closed[
+            move,
+            window[0].start - dy : window[0].stop - dy,
+            window[1].start - dx : window[1].stop - dx,
+        ]
+        return source + closed + self._move_value[move]
+
+    def _at(self, window: Window) -> Window:
+        """A window of the lattice with its margin, in the frame."""
+        rows, columns = window
+        return (
+            slice(rows.start - self._top, rows.stop - self._top),
+            slice(columns.start - self._left, columns.stop - self._left),
+        )
 
 
-def best_end(found: LatticeValues) -> tuple[int, int] | None:
-    """The node (iy, ix) of the highest value after the last step; None if there is no way."""
-    last = found.values[-1]
-    row, column = (int(i) for i in np.unravel_index(int(np.argmax(last)), last.shape))
-    if not np.isfinite(last[row, column]):
-        return None
-    window = found.windows[-1]
-    return row + window[0].start - REACH, column + window[1].start - REACH
+def _largest_in_disc(around: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest of the 21 values (dx, dy), dx^2 + dy^2 <= 5, about each node.
+
+    `around` (h + 4, w + 4) is two nodes wider to each side than the result (h, w).
+    """
+    height, width = around.shape[0] - 2 * REACH, around.shape[1] - 2 * REACH
+    three = np.maximum(around[:, 1 : width + 1], around[:, 2 : width + 2])
+    np.maximum(three, around[:, 3 : width + 3], out=three)
+    five = np.maximum(around[1:-1, :width], around[1:-1, 4 : width + 4])
+    np.maximum(five, three[1:-1], out=five)
+    best = np.maximum(three[:height], three[4 : height + 4])
+    for row in range(3):
+        np.maximum(best, five[row : row + height], out=best)
+    return best
+
+
+def best_ends(found: LatticeValues, count: int, apart: int) -> list[tuple[int, int]]:
+    """The nodes (iy, ix) of the highest values after the last step, best first.
+
+    Parameters
+    ----------
+    found
+        What the search found.
+    count
+        How many, fewer if there are no more.
+    apart
+        Nodes along either axis that each is more than away from every better one.
+    """
+    left = found.values[-1].copy()
+    top, beside = (part.start - REACH for part in found.windows[-1])
+    ends: list[tuple[int, int]] = []
+    while len(ends) < count:
+        row, column = (int(i) for i in np.unravel_index(int(np.argmax(left)), left.shape))
+        if not np.isfinite(left[row, column]):
+            break
+        ends.append((row + top, column + beside))
+        left[
+            max(row - apart, 0) : row + apart + 1, max(column - apart, 0) : column + apart + 1
+        ] = -np.inf
+    return ends
 
 
 def path_to(found: LatticeValues, end: tuple[int, int]) -> NDArray[np.intp]:
@@ -158,28 +290,6 @@ def _best_source(found: LatticeValues, stage: int, sources: NDArray[np.intp]) ->
     closed = found.table.closed[which, sources[which, 0] + REACH, sources[which, 1] + REACH]
     arriving[which] = value[rows[which], columns[which]] + closed + found.move_value[which]
     return int(np.argmax(arriving))
-
-
-def _arriving(
-    table: MoveTable,
-    before: NDArray[np.float64],
-    window: Window,
-    move: int,
-    move_value: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Value with which `move` arrives at each node of the window."""
-    dx, dy = MOVES[move]
-    height, width = _shape(window)
-    source = before[REACH - dy : REACH - dy + height, REACH - dx : REACH - dx + width]
-    closed = table.closed[
-        move,
-        window[0].start - dy : window[0].stop - dy,
-        window[1].start - dx : window[1].stop - dx,
-    ]
-    arriving = source + closed
-    if move_value[move]:
-        arriving += move_value[move]
-    return arriving
 
 
 def _window(

@@ -18,6 +18,7 @@ class Outcome(StrEnum):
     STALLED = "stalled"
     STEP_LIMIT = "step_limit"
     NO_PLAN = "no_plan"
+    COMPLETED = "completed"
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,11 @@
 
 From the measurements nearest to each stage (design 4.1) and with the uncertainty of theta counted.
 Two things differ from the exact posterior, both only here: the kernel's cusp at a measured position
-is rounded (``sqrt(d^2 + eps^2)``, eps a hundredth of the decorrelation distance), and fewer
-measurements are used. The verifier uses neither.
+is rounded (:mod:`planopt.objectives.rounded_kernel`), and fewer measurements are used. The verifier
+uses neither.
+
+A solver asks some twenty times a step. Kernel values and derivatives of all stages are therefore
+one array, which two products with matrices prepared once turn into everything else.
 """
 
 from __future__ import annotations
@@ -12,95 +15,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.neighbours import NeighbourModel
-from planopt.channel.path_loss import MIN_DISTANCE_M
-from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance
 from planopt.targets.rounding import Derivatives
+
+FIRST, SECOND = (0, 0, 1), (0, 1, 1)
+"""Which coordinates xx, xy and yy are by."""
+
+
+class StagePredictor:
+    """Predicts stage k from `model`'s k-th neighbour set, again and again.
+
+    With g = (1, gamma) path loss's regressors, phi the covariances with the m measurements and
+    A = trend, the variance ``xi^2 + omega^2 - phi' P phi + b' M b``, b = g - A' phi, is expanded to
+    ``xi^2 + omega^2 + g' M g - 2 g' M A' phi - phi' (P - A M A') phi``: one quadratic form, and
+    linear ones.
+
+    Parameters
+    ----------
+    model
+        Neighbour sets of the n stages. Not to be changed afterwards.
+    """
+
+    def __init__(self, model: NeighbourModel) -> None:
+        self._model = model
+        n, m = model.weights.shape
+        along = model.trend @ model.theta_covariance  # A M, (n, m, 2)
+        self._quadratic = model.precision - along @ model.trend.swapaxes(1, 2)
+        # Rows: weights of the mean, both columns of A M, and phi' times the quadratic form.
+        self._linear = np.empty((n, 4, m))
+        self._linear[:, 0] = model.weights - model.trend @ model.theta
+        self._linear[:, 1:3] = along.swapaxes(1, 2)
+        self._kernel = np.empty((n, 6, m))
+
+    def __call__(self, positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
+        """Mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""
+        model = self._model
+        parameters, m_theta = model.parameters, model.theta_covariance
+        kernel, linear = self._kernel, self._linear
+        near = rounded_kernel(positions_m[:, None] - model.positions_m, parameters, model.blur_m2)
+        kernel[:, 0] = near.value
+        kernel[:, 1:3] = near.gradient.swapaxes(1, 2)
+        kernel[:, 3:] = near.hessian.swapaxes(1, 2)
+        half = kernel[:, :3] @ self._quadratic
+        linear[:, 3] = half[:, 0]
+        # By kind of derivative and row of `linear`: value, x, y, xx, xy, yy.
+        products = kernel @ linear.swapaxes(1, 2)
+        crossed = half[:, 1:] @ kernel[:, 1:3].swapaxes(1, 2)
+        gamma = _joined(rounded_log_distance(positions_m, parameters.station))
+
+        mean = products[:, :, 0] + model.theta[1] * gamma
+        mean[:, 0] += model.theta[0]
+        u0, u1, q = products[:, :, 1], products[:, :, 2], products[:, :, 3]
+        g, gamma1, u1_1 = gamma[:, 0], gamma[:, 1:3], u1[:, 1:3]
+        pull = m_theta[0, 1] + m_theta[1, 1] * g - u1[:, 0]
+        # Half of the variance and of its derivatives.
+        s = gamma * pull[:, None] - q - u0 - g[:, None] * u1
+        s[:, 3:] -= crossed.reshape(-1, 4)[:, (0, 1, 3)]
+        s[:, 3:] -= gamma1[:, FIRST] * u1_1[:, SECOND] + gamma1[:, SECOND] * u1_1[:, FIRST]
+        s[:, 3:] += m_theta[1, 1] * gamma1[:, FIRST] * gamma1[:, SECOND]
+        variance = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 - q[:, 0]
+        variance += m_theta[0, 0] + g * (2.0 * m_theta[0, 1] + g * m_theta[1, 1])
+        variance -= 2.0 * (u0[:, 0] + g * u1[:, 0])
+
+        deviation = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+        s /= deviation[:, None]
+        d1 = s[:, 1:3]
+        d2 = s[:, 3:] - d1[:, FIRST] * d1[:, SECOND] / deviation[:, None]
+        return _split(mean), Derivatives(deviation, d1, d2)
 
 
 def stage_prediction(
     model: NeighbourModel, positions_m: NDArray[np.float64]
 ) -> tuple[Derivatives, Derivatives]:
-    """Mean and deviation of stage k at ``positions_m[k]``, from ``model``'s k-th neighbour set.
-
-    Parameters
-    ----------
-    model
-        Neighbour sets of the n stages.
-    positions_m
-        ``(n, 2)``.
-    """
-    parameters = model.parameters
-    variance = parameters.shadow_std_db**2
-    beta = parameters.decorrelation_m
-    dx = positions_m[:, None, 0] - model.positions_m[:, :, 0]
-    dy = positions_m[:, None, 1] - model.positions_m[:, :, 1]
-    r = np.sqrt(dx * dx + dy * dy + model.blur_m2 + (CUSP_ROUNDING * beta) ** 2)
-    phi = variance * np.exp(-r / beta)
-    slope = -phi / (beta * r)
-    bend = phi / (beta * r) ** 2 + phi / (beta * r**3)
-    # Stacked: phi, phi_x, phi_y, phi_xx, phi_xy, phi_yy, each (n, m).
-    derivatives = np.stack(
-        [
-            phi,
-            slope * dx,
-            slope * dy,
-            bend * dx * dx + slope,
-            bend * dx * dy,
-            bend * dy * dy + slope,
-        ],
-        axis=2,
-    )
-    solved = model.precision @ derivatives[:, :, :3]
-    residual_weights = model.weights - model.trend @ model.theta
-    left = np.concatenate([residual_weights[:, :, None], solved[:, :, :1], model.trend], axis=2)
-    products = left.transpose(0, 2, 1) @ derivatives  # (n, 4, 6)
-
-    gamma = _path_loss_derivatives(model, positions_m)  # (n, 6): of -10 log10 d
-    mean = model.theta[1] * gamma + products[:, 0]
-    mean[:, 0] += model.theta[0]
-    # b = gamma - A' phi and its derivatives, (n, 2, 6).
-    b = -products[:, 2:4]
-    b[:, 0, 0] += 1.0
-    b[:, 1] += gamma
-    mb = model.theta_covariance @ b[:, :, :3]
-    s = np.empty_like(mean)
-    s[:, 0] = variance + parameters.multipath_std_db**2 - products[:, 1, 0]
-    s[:, 0] += (b[:, :, 0] * mb[:, :, 0]).sum(1)
-    s[:, 1:3] = -2.0 * products[:, 1, 1:3]
-    s[:, 1:3] += 2.0 * np.einsum("ni,nij->nj", mb[:, :, 0], b[:, :, 1:3])
-    cross = derivatives[:, :, 1:3].transpose(0, 2, 1) @ solved[:, :, 1:3]
-    cross_b = b[:, :, 1:3].transpose(0, 2, 1) @ mb[:, :, 1:3]
-    s[:, 3:] = -2.0 * products[:, 1, 3:]
-    s[:, 3:] += 2.0 * np.einsum("ni,nij->nj", mb[:, :, 0], b[:, :, 3:])
-    first, second = (0, 0, 1), (0, 1, 1)
-    s[:, 3:] += 2.0 * (cross_b - cross)[:, first, second]
-
-    deviation = np.sqrt(np.maximum(s[:, 0], np.finfo(float).tiny))
-    d1 = s[:, 1:3] / (2.0 * deviation[:, None])
-    d2 = s[:, 3:] / (2.0 * deviation[:, None]) - d1[:, first] * d1[:, second] / deviation[:, None]
-    return (
-        Derivatives(mean[:, 0], mean[:, 1:3], mean[:, 3:]),
-        Derivatives(deviation, d1, d2),
-    )
+    """:class:`StagePredictor` for a single evaluation at ``positions_m`` (n, 2)."""
+    return StagePredictor(model)(positions_m)
 
 
-def _path_loss_derivatives(
-    model: NeighbourModel, positions_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Value, gradient and Hessian of -10 log10 d, d rounded below at the least distance; (n, 6)."""
-    station = model.parameters.station
-    x = positions_m[:, 0] - station.position_m[0]
-    y = positions_m[:, 1] - station.position_m[1]
-    square = x * x + y * y + station.height_m**2 + MIN_DISTANCE_M**2
-    scale = -10.0 / np.log(10.0)
-    return np.stack(
-        [
-            0.5 * scale * np.log(square),
-            scale * x / square,
-            scale * y / square,
-            scale * (1.0 / square - 2.0 * x * x / square**2),
-            scale * (-2.0 * x * y / square**2),
-            scale * (1.0 / square - 2.0 * y * y / square**2),
-        ],
-        axis=1,
-    )
+def _joined(parts: Derivatives) -> NDArray[np.float64]:
+    """Value, gradient and Hessian in one array, (n, 6)."""
+    return np.concatenate([parts.value[:, None], parts.gradient, parts.hessian], axis=1)
+
+
+def _split(parts: NDArray[np.float64]) -> Derivatives:
+    return Derivatives(parts[:, 0], parts[:, 1:3], parts[:, 3:])

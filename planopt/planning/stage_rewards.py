@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.objectives.tracking import tracking_reward
 from planopt.planning.local_worth import is_stagewise
 from planopt.planning.node_field import NodeField
 from planopt.planning.reward_lattice import Window
@@ -23,9 +22,14 @@ from planopt.problems.problem import (
     Problem,
     TrackingTerm,
 )
+from planopt.targets.sensor import sensing_information
+
+Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Rows and columns of single nodes."""
 
 MISSING_DB_SHARE = 10.0
-"""What a missing dB costs, in units of the largest reward of a step: no reward is worth it."""
+"""What a missing dB costs, in units of the largest reward of a step. A step that misses at all
+costs as much as all steps can gain: no reward is worth it."""
 
 
 class StageRewards:
@@ -36,50 +40,69 @@ class StageRewards:
     situation
         What is known.
     field
-        Predictions at the nodes, refreshed.
+        Predictions at the nodes, refreshed for the situation.
     """
 
     def __init__(self, situation: Situation, field: NodeField) -> None:
         self._situation = situation
         self._field = field
-        problem = situation.problem
+        shape = field.mean_db.shape
+        self._alone: NDArray[np.float64] | None = None
+        for term in situation.problem.terms:
+            if isinstance(term, LearningTerm | MappingTerm):
+                alone = term.weight * _alone(term, situation, field)
+                self._alone = alone if self._alone is None else self._alone + alone
+        self._largest = self._largest_reward()
+        # Nodes that are not free, or out of reach, are left at these.
+        self._chance, self._fixed = np.zeros(shape), np.full(shape, -np.inf)
+        self._look_at(field.window)
+
+    def __call__(self, stage: int, window: Window) -> NDArray[np.float64]:
+        """Reward of ending step `stage` (1..N) at each node of the window."""
+        return self._rewards(window, stage - 1)
+
+    def along(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Reward of ending step k at the k-th of `nodes` (N, 2), given as (iy, ix); ``(N,)``."""
+        return self._rewards((nodes[:, 0], nodes[:, 1]), np.arange(len(nodes)))
+
+    def corrected(self, nodes: NDArray[np.intp]) -> None:
+        """Take notice of new predictions in the field, at `nodes` (n, 2)."""
+        self._look_at((nodes[:, 0], nodes[:, 1]))
+
+    def _rewards(self, where: Window | Nodes, stage: int | NDArray[np.intp]) -> NDArray[np.float64]:
+        reward = self._fixed[where].copy()
+        for term in self._situation.problem.terms:
+            if isinstance(term, TrackingTerm):
+                settings = self._situation.tracking(term)
+                sensing = sensing_information(
+                    settings.sensor, self._field.grid_m[where], settings.target_m[stage]
+                )
+                sensing *= self._chance[where]
+                sensing *= term.weight * settings.weight[stage]
+                reward += sensing
+        return reward
+
+    def _look_at(self, where: Window | Nodes) -> None:
+        """Turn predictions into what does not depend on the stage."""
+        problem = self._situation.problem
         radio = problem.stations[0]
-        mean, deviation = field.mean_db, field.deviation_db
-        self._chance = connection_probability(mean, deviation, radio.threshold_dbm)
-        self._fixed = sum(
-            (
-                term.weight * _alone(term, situation, field)
-                for term in problem.terms
-                if isinstance(term, LearningTerm | MappingTerm)
-            ),
-            start=np.zeros_like(mean),
-        )
+        mean, deviation = self._field.mean_db[where], self._field.deviation_db[where]
+        known = np.isfinite(mean)
+        chance = connection_probability(mean, deviation, radio.threshold_dbm)
+        self._chance[where] = np.where(known, chance, 0.0)
+        fixed = np.zeros_like(mean) if self._alone is None else self._alone[where]
         if problem.constraints.p_min > 0.0:
             margin = bound_margin_db(
                 mean, deviation, radio.threshold_dbm, problem.constraints.p_min
             )
             missing = np.maximum(MARGIN_PAD_DB - margin, 0.0)
-            self._fixed = self._fixed - MISSING_DB_SHARE * self._largest() * missing
-        # Nodes that are not free, or out of reach, have no prediction.
-        self._fixed = np.where(np.isfinite(mean), self._fixed, -np.inf)
+            cost = MISSING_DB_SHARE * missing + problem.planner.horizon * (missing > 0.0)
+            fixed = fixed - self._largest * cost
+        self._fixed[where] = np.where(known, fixed, -np.inf)
 
-    def __call__(self, stage: int, window: Window) -> NDArray[np.float64]:
-        """Reward of ending step `stage` (1..N) at each node of the window."""
-        reward = self._fixed[window].copy()
-        for term in self._situation.problem.terms:
-            if isinstance(term, TrackingTerm):
-                reward += term.weight * tracking_reward(
-                    self._chance[window],
-                    self._field.grid_m[window],
-                    stage - 1,
-                    self._situation.tracking(term),
-                )
-        # A node without prediction has the reward NaN.
-        return np.where(np.isnan(reward), -np.inf, reward)
-
-    def _largest(self) -> float:
+    def _largest_reward(self) -> float:
         """The largest reward of a step."""
-        largest = float(np.nanmax(np.abs(self._fixed), initial=0.0))
+        largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
         for term in self._situation.problem.terms:
             if isinstance(term, TrackingTerm):
                 largest += term.weight / term.noise_floor_m2

@@ -8,22 +8,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db
+from planopt.planning.coupled_starts import CoupledStarts
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.local_worth import is_stagewise
 from planopt.planning.node_field import NodeField
 from planopt.planning.path_worth import PathWorth
-from planopt.planning.predictions import search_prediction
-from planopt.planning.reward_lattice import best_end, move_table, path_to, search_rewards
+from planopt.planning.reward_lattice import best_ends, move_table, path_to, search_rewards
 from planopt.planning.situation import Situation
 from planopt.planning.stage_rewards import StageRewards, move_values
-from planopt.planning.straight_starts import straight_starts
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
+from planopt.world.lattice_moves import LONGEST_MOVE
 
 STARTS = 2
 """Starts that are handed on, best first."""
 
+THOROUGH_STARTS = 4
+"""The same where all are followed."""
+
+THOROUGH_ENDS = 3
+"""Ends of lattice paths that are then followed, the best of each part of the reachable places."""
+
+ENDS_APART_STEPS = 2.0
+"""How far apart such ends are along an axis, in longest steps (fast.md: 4 m)."""
+
+COUPLED_STARTS = 3
+"""The same where terms couple places, and values have more maxima."""
+
 CORRECTIONS = 6
 """How often the lattice is searched again after the nodes of its path got better values."""
+
+SETTLED_SHARE = 1e-3
+"""It is not searched again for losing a smaller share of the path's worth: the polish decides."""
 
 EQUAL_M = 1e-6
 """Paths that are nowhere farther apart than this are one."""
@@ -57,13 +73,18 @@ class StartSearch:
         With one robot and a sum of terms.
     ground
         Its geometry.
+    thorough
+        Find starts of several parts of the reachable places, not only the best.
     """
 
-    def __init__(self, problem: Problem, ground: Ground) -> None:
+    def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
+        self._ends, self._starts = (THOROUGH_ENDS, THOROUGH_STARTS) if thorough else (1, STARTS)
         self._problem = problem
         self._ground = ground
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
+        self._move_values = move_values(problem, ground.road_map.lengths_m)
+        self._coupled = None if is_stagewise(problem) else CoupledStarts(problem, ground)
 
     def find_starts(
         self, situation: Situation, shifted_m: NDArray[np.float64] | None
@@ -79,64 +100,70 @@ class StartSearch:
         """
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
-        self._field.refresh(situation.posterior, situation.position_m, reach)
-        paths: list[NDArray[np.float64]] = []
-        lattice = self._lattice_path(situation)
-        if lattice is not None:
-            paths.append(lattice)
-        if not is_stagewise(problem):
-            paths += straight_starts(situation, self._ground.index, problem.planner.horizon)
+        self._field.refresh(situation, reach)
+        paths = self._lattice_paths(situation)
         if shifted_m is not None and len(shifted_m) == problem.planner.horizon:
             paths.append(shifted_m)
+        if self._coupled is not None:
+            paths += self._coupled.find_ways(situation, paths)
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), self._missing_db(situation, path)) for path in paths]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
+        count = self._starts if self._coupled is None else COUPLED_STARTS
         kept: list[Start] = []
         for start in starts:
-            if len(kept) < STARTS and all(
+            if len(kept) < count and all(
                 np.abs(start.path_m - other.path_m).max() > EQUAL_M for other in kept
             ):
                 kept.append(start)
         return kept
 
-    def _lattice_path(self, situation: Situation) -> NDArray[np.float64] | None:
-        """The best path on the lattice, with good values where it rests on them."""
+    def _lattice_paths(self, situation: Situation) -> list[NDArray[np.float64]]:
+        """The best paths on the lattice; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
         if not len(nodes):
-            return None
+            return []
         road_map = self._ground.road_map
         first = np.stack([road_map.rows[nodes], road_map.columns[nodes]], axis=1)
-        path = self._search(situation, first, lengths)
-        if self._problem.constraints.p_min > 0.0:
-            for _ in range(CORRECTIONS):
-                if path is None or not self._field.correct(path):
-                    break
-                path = self._search(situation, first, lengths)
-        return None if path is None else self._field.places_m(path)
+        first_value = move_values(self._problem, lengths)
+        rewards = StageRewards(situation, self._field)
+        paths: list[NDArray[np.intp]] = []
+        for _ in range(CORRECTIONS + 1):
+            found = search_rewards(
+                self._table,
+                first,
+                first_value,
+                self._move_values,
+                self._problem.planner.horizon,
+                rewards,
+            )
+            apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
+            paths = [path_to(found, end) for end in best_ends(found, self._ends, apart)]
+            if not paths or not self._loses(rewards, paths[0]):
+                break
+        return [self._field.places_m(path) for path in paths]
 
-    def _search(
-        self, situation: Situation, first: NDArray[np.intp], lengths_m: NDArray[np.float64]
-    ) -> NDArray[np.intp] | None:
-        """Nodes (N, 2) of the best path by the field as it is; None if there is no way."""
-        found = search_rewards(
-            self._table,
-            first,
-            move_values(self._problem, lengths_m),
-            move_values(self._problem, self._ground.road_map.lengths_m),
-            self._problem.planner.horizon,
-            StageRewards(situation, self._field),
-        )
-        end = best_end(found)
-        return None if end is None else path_to(found, end)
+    def _loses(self, rewards: StageRewards, path: NDArray[np.intp]) -> bool:
+        """Whether the path is worth less once its nodes have good values.
+
+        They get them where the bound rests on them.
+        """
+        if self._problem.constraints.p_min == 0.0:
+            return False
+        before = float(rewards.along(path).sum())
+        if not self._field.correct(path):
+            return False
+        rewards.corrected(path)
+        return float(rewards.along(path).sum()) < before - SETTLED_SHARE * abs(before)
 
     def _missing_db(self, situation: Situation, path_m: NDArray[np.float64]) -> float:
         if self._problem.constraints.p_min == 0.0:
             return 0.0
-        power = search_prediction(situation.posterior, path_m)
+        power = situation.power(path_m)
         margins = bound_margin_db(
             power.mean_db,
             power.deviation_db,
             self._problem.stations[0].threshold_dbm,
             self._problem.constraints.p_min,
         )
-        return float(np.maximum(-margins, 0.0).sum())
+        return float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())

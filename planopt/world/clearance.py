@@ -97,9 +97,15 @@ def swept_clearance_m(index: ObstacleIndex, path_m: NDArray[np.float64]) -> NDAr
     (n - 1,) array
         As in :func:`clearance_m`, for the whole segment.
     """
-    starts, ends = path_m[:-1], path_m[1:]
-    finite = np.asarray(np.isfinite(starts + ends).all(axis=1))
-    return _spread(_nearest_m(index, segment_lines(starts[finite], ends[finite])), finite)
+    return segment_clearance_m(index, path_m[:-1], path_m[1:])
+
+
+def segment_clearance_m(
+    index: ObstacleIndex, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The same for the straight ways between the rows of two (n, 2) arrays; (n,)."""
+    finite = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
+    return _spread(_nearest_m(index, segment_lines(starts_m[finite], ends_m[finite])), finite)
 
 
 def inside_bounds(workspace: Workspace, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.planning import path_polish
+from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.posterior import condition, predict
+from planopt.channel.truth import measure
+from planopt.planning import horizon_planner, path_polish
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.ipopt import NlpPoint
+from planopt.planning.path_polish import polish_path
 from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.prepare import free_places, prepare
 from planopt.planning.start_search import StartSearch
 
 INFORMATION = {"kind": "mapping", "form": "information"}
@@ -139,8 +144,6 @@ def test_mirrored_scene_gives_the_mirrored_plan():
             position_m=tuple(mirror(situation.posterior.parameters.station.position_m)),
         ),
     )
-    from planopt.channel.posterior import condition
-
     posterior = condition(parameters, replace(measured, positions_m=mirror(measured.positions_m)))
     # The obstacle is symmetric about x = 20.
     start = tuple(float(v) for v in mirror(problem.robots[0].start_m))
@@ -161,3 +164,42 @@ def test_mirrored_scene_gives_the_mirrored_plan():
     other = HorizonPlanner(mirrored, ground).plan(there, judge)
     assert other.objective == pytest.approx(plan.objective, rel=1e-4)
     np.testing.assert_allclose(mirror(other.positions_m), plan.positions_m, atol=0.05)
+
+
+def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
+    """Strong, far-reaching shadowing and few neighbours: errors of tenths of a dB are mended."""
+    problem = terms_problem(TRACKING, p_min=0.8, horizon=8, neighbours=8)
+    situation, belief = situation_of(problem)
+    truth = prepare(problem, 0).truth
+    measured = measure(truth, free_places(problem, 300, np.random.default_rng(3)))
+    parameters = replace(
+        situation.posterior.parameters,
+        shadow_std_db=9.0,
+        decorrelation_m=70.0,
+        multipath_std_db=4.0,
+    )
+    returned = []
+
+    def remembered(nlp, task):
+        point = polish_path(nlp, task)
+        returned.append((task, point))
+        return point
+
+    monkeypatch.setattr(horizon_planner, "polish_path", remembered)
+    errors = []
+    for threshold in (-39.5, -38.5, -38.0):
+        radio = replace(problem.stations[0], threshold_dbm=threshold)
+        strict = replace(problem, stations=(radio,))
+        posterior = condition(parameters, measured)
+        there = replace(situation, problem=strict, posterior=posterior)
+        judge, ground = judge_of(there, replace(belief, posterior=posterior))
+        returned.clear()
+        plan = HorizonPlanner(strict, ground).plan(there, judge)
+        assert plan.verdict is Verdict.VERIFIED
+        assert not plan.certificate.relaxed_steps
+        assert plan.connectivity[1:].min() >= 0.8 - 1e-6
+        for task, point in returned:
+            power = predict(posterior, point.path_m)
+            exact = bound_margin_db(power.mean_db, power.deviation_db, threshold, 0.8)
+            errors.append(np.abs(task.evaluate(point.path_m).margins.value - exact).max())
+    assert max(errors) > 0.3

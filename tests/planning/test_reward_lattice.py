@@ -9,7 +9,13 @@ import pytest
 from scenes import CUP, WALL, small_problem
 
 from planopt.planning.ground import build_ground, first_moves
-from planopt.planning.reward_lattice import best_end, move_table, path_to, search_rewards
+from planopt.planning.reward_lattice import (
+    REACH,
+    best_ends,
+    move_table,
+    path_to,
+    search_rewards,
+)
 from planopt.world.lattice import MOVES
 
 
@@ -19,6 +25,7 @@ def searched(polygon, horizon, start=(10.3, 10.2), seed=0, move_value=None):
     ground = build_ground(problem, np.asarray(problem.robots[0].start_m))
     lattice = ground.road_map.lattice
     rewards = np.random.default_rng(seed).normal(size=(horizon, *lattice.shape))
+    rewards[:, ~lattice.free] = -np.inf
     nodes, _ = first_moves(ground, problem, np.asarray(start))
     first = np.stack([ground.road_map.rows[nodes], ground.road_map.columns[nodes]], axis=1)
     worth = np.zeros(len(MOVES)) if move_value is None else move_value
@@ -46,14 +53,19 @@ def value_by_nodes(rewards, ground, nodes, move_value):
 
 @pytest.mark.parametrize("polygon", [WALL, CUP])
 @pytest.mark.parametrize("horizon", [1, 2, 7, 25])
-def test_value_is_that_of_a_search_by_nodes(polygon, horizon):
-    """Every node's value, the best one, and a path that adds up to it."""
-    move_value = -0.1 * np.random.default_rng(5).random(len(MOVES))
+@pytest.mark.parametrize("cost", [0.0, 0.1])
+def test_value_is_that_of_a_search_by_nodes(polygon, horizon, cost):
+    """Every node's value, the best one, and a path that adds up to it; moves cost or not."""
+    move_value = -cost * np.random.default_rng(5).random(len(MOVES))
     found, rewards, ground, nodes = searched(polygon, horizon, move_value=move_value)
     expected = value_by_nodes(rewards, ground, nodes, move_value)
-    end = best_end(found)
-    assert end is not None
-    assert found.values[-1].max() == pytest.approx(expected.max(), abs=1e-12)
+    (end,) = best_ends(found, 1, 0)
+    by_node = np.full(ground.road_map.lattice.shape, -np.inf)
+    by_node[ground.road_map.rows, ground.road_map.columns] = expected
+    rows, columns = (slice(part.start - REACH, part.stop - REACH) for part in found.windows[-1])
+    np.testing.assert_allclose(found.values[-1], by_node[rows, columns], atol=1e-12)
+    by_node[rows, columns] = -np.inf
+    assert not np.isfinite(by_node).any()
     path = path_to(found, end)
     gained = rewards[np.arange(horizon), path[:, 0], path[:, 1]].sum()
     moves = np.diff(path, axis=0)[:, ::-1]
@@ -89,7 +101,22 @@ def test_value_is_that_of_enumeration():
 def test_rewards_that_forbid_everything_leave_no_end():
     """No finite value, no end."""
     found, rewards, _, _ = searched(WALL, 4)
-    assert best_end(found) is not None
+    assert len(best_ends(found, 1, 0)) == 1
     assert rewards.shape[0] == 4
     nothing, *_ = searched(WALL, 4, move_value=np.full(len(MOVES), -np.inf))
-    assert best_end(nothing) is None
+    assert best_ends(nothing, 1, 0) == []
+
+
+def test_ends_are_the_best_that_are_far_enough_from_better_ones():
+    """Compared node by node; all nodes where none need be apart."""
+    found, *_ = searched(WALL, 6)
+    value = found.values[-1]
+    top, left = (part.start - REACH for part in found.windows[-1])
+    expected = []
+    for index in np.argsort(-value, axis=None):
+        row, column = np.unravel_index(index, value.shape)
+        if all(max(abs(row - r), abs(column - c)) > 3 for r, c in expected):
+            expected.append((row, column))
+    ends = best_ends(found, 4, 3)
+    assert ends == [(row + top, column + left) for row, column in expected[:4]]
+    assert len(best_ends(found, value.size, 0)) == np.isfinite(value).sum()

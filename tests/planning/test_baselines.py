@@ -1,0 +1,219 @@
+"""One step, random, lawnmower: what they promise, and that all of it is verified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+from planopt.errors import InputError
+from planopt.planning.lawnmower import LawnmowerPlanner, lawn_tour, stops_along
+from planopt.planning.one_step import OneStepPlanner
+from planopt.planning.plan import Rung, Verdict
+from planopt.planning.planners import planner_for
+from planopt.planning.random_walk import RandomPlanner
+
+INFORMATION = {"kind": "mapping", "form": "information"}
+PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
+
+
+def scene(*terms, **planner):
+    """Problem, situation, judge and ground."""
+    problem = terms_problem(*terms, **planner)
+    situation, belief = situation_of(problem)
+    judge, ground = judge_of(situation, belief)
+    return problem, situation, judge, ground
+
+
+def moved(situation, judge, position_m):
+    """The same with the robot elsewhere."""
+    return replace(situation, position_m=position_m), replace(judge, position_m=position_m)
+
+
+@pytest.mark.parametrize("name", ["auto", "lattice", "one_step", "random", "lawnmower"])
+@pytest.mark.parametrize("horizon", [1, 5])
+def test_every_planner_gives_verified_plans(name, horizon):
+    """Of the right length, and worth what the judge says."""
+    problem, situation, judge, ground = scene(LEARNING, name=name, horizon=horizon)
+    plan = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, judge)
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.positions_m.shape == (horizon + 1, 2)
+    assert plan.objective == pytest.approx(judge.objective(plan.positions_m[1:]))
+
+
+def test_there_is_no_scp_planner_for_terms():
+    """It says so in the problem file's words."""
+    problem, _, _, ground = scene(LEARNING, name="scp")
+    with pytest.raises(InputError, match="scp"):
+        planner_for(problem, ground, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (TRACKING,),
+        ({"kind": "mapping", "form": "two_layer"},),
+        *[({**LEARNING, "criterion": kind},) for kind in "TDA"],
+        (INFORMATION,),
+        (PATH,),
+        (TRACKING, LEARNING, ENERGY),
+    ],
+)
+def test_one_step_ahead_is_the_dense_search(terms):
+    """The horizon planner finds what a dense search of the places within a step finds."""
+    problem, situation, judge, ground = scene(*terms, horizon=1)
+    dense = OneStepPlanner(problem, ground).plan(situation, judge).objective
+    auto = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, judge).objective
+    assert auto >= dense - 1e-4 * abs(dense)
+    assert auto <= dense + 0.02 * abs(dense)
+
+
+@pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,), (PATH,)])
+@pytest.mark.parametrize("seed", range(3))
+def test_never_below_the_greedy_rollout(terms, seed):
+    """Nor below what the same planner finds on the lattice alone."""
+    problem = terms_problem(*terms)
+    situation, belief = situation_of(problem, seed)
+    judge, ground = judge_of(situation, belief)
+    auto, lattice, greedy = (
+        planner_for(
+            replace(problem, planner=replace(problem.planner, name=name)),
+            ground,
+            np.random.default_rng(0),
+        )
+        .plan(situation, judge)
+        .objective
+        for name in ("auto", "lattice", "one_step")
+    )
+    assert auto >= lattice - 1e-9
+    assert auto >= greedy - 1e-9
+
+
+def test_dense_search_is_the_best_of_its_places():
+    """Of 20,000 random places within the step, no unmeasured one is much better."""
+    problem, situation, judge, ground = scene(LEARNING, horizon=1)
+    plan = OneStepPlanner(problem, ground).plan(situation, judge)
+    rng = np.random.default_rng(0)
+    angle, radius = rng.uniform(0, 2 * np.pi, 400), 2.0 * np.sqrt(rng.uniform(0, 1, 400))
+    places = situation.position_m + radius[:, None] * np.column_stack(
+        [np.cos(angle), np.sin(angle)]
+    )
+    best = max(judge.objective(place[None]) for place in places)
+    assert plan.objective >= 0.99 * best
+
+
+def test_greedy_steps_do_not_come_back_to_a_place():
+    """Measured places, and those of the plan itself, are left out; for tracking they are not."""
+    problem, situation, judge, ground = scene(INFORMATION, horizon=6)
+    plan = OneStepPlanner(problem, ground).plan(situation, judge)
+    path = plan.positions_m[1:]
+    apart = np.linalg.norm(path[:, None] - path, axis=2)[np.triu_indices(len(path), 1)]
+    assert apart.min() >= problem.channel.measure_spacing_m
+    still = {**TRACKING, "sweet_spot_m": 0.0}
+    problem, situation, judge, ground = scene(still, horizon=3)
+    here = replace(situation, target_m=np.tile(situation.position_m, (3, 1)))
+    plan = OneStepPlanner(problem, ground).plan(here, judge)
+    np.testing.assert_allclose(plan.positions_m, np.tile(situation.position_m, (4, 1)))
+
+
+def test_a_robot_that_is_shut_in_stands():
+    """No baseline finds a step that is free; standing is what is left."""
+    problem, situation, judge, ground = scene(LEARNING)
+    inside = np.array([20.0, 20.0])
+    situation, judge = moved(situation, judge, inside)
+    for planner in (
+        OneStepPlanner(problem, ground),
+        RandomPlanner(problem, ground, np.random.default_rng(0)),
+        LawnmowerPlanner(problem, ground),
+    ):
+        plan = planner.plan(situation, judge)
+        assert np.ptp(plan.positions_m, axis=0).max() == 0.0
+        assert plan.rung is Rung.STOP
+
+
+def test_random_steps_are_full_and_uniform():
+    """In all directions alike, the same for the same seed."""
+    problem, situation, judge, ground = scene(LEARNING, horizon=1)
+    situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
+    planner = RandomPlanner(problem, ground, np.random.default_rng(3))
+    steps = np.array([np.diff(planner.plan(situation, judge).positions_m, axis=0)[0]
+                      for _ in range(200)])
+    np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 2.0, atol=1e-5)
+    quadrant = np.bincount((steps[:, 0] > 0) + 2 * (steps[:, 1] > 0), minlength=4)
+    # Four standard deviations of 200 draws in four equal parts.
+    assert (np.abs(quadrant - 50) < 4.0 * np.sqrt(200 * 0.25 * 0.75)).all()
+    again = RandomPlanner(problem, ground, np.random.default_rng(3)).plan(situation, judge)
+    np.testing.assert_array_equal(again.positions_m[1] - again.positions_m[0], steps[0])
+
+
+def test_persistent_walk_keeps_its_direction():
+    """Within a plan and from one plan to the next; a new one after standing still."""
+    problem, situation, judge, ground = scene(LEARNING, horizon=4)
+    situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
+    planner = RandomPlanner(problem, ground, np.random.default_rng(5), persistent=True)
+    for seed in range(20):
+        planner = RandomPlanner(problem, ground, np.random.default_rng(seed), persistent=True)
+        plan = planner.plan(situation, judge)
+        steps = np.diff(plan.positions_m, axis=0)
+        if np.ptp(steps, axis=0).max() < 1e-9 and plan.positions_m[:, 0].min() > 4.0:
+            break
+    later, judge = moved(situation, judge, plan.positions_m[1])
+    following = planner.plan(later, judge, plan)
+    np.testing.assert_allclose(np.diff(following.positions_m, axis=0)[0], steps[0], atol=1e-9)
+    stood = replace(plan, positions_m=np.tile(plan.positions_m[0], (5, 1)))
+    assert planner.plan(later, judge, stood).verdict is Verdict.VERIFIED
+
+
+def test_lawnmower_comes_near_every_free_place():
+    """Followed to its end, every lattice node is within a lane of it; then the robot stands."""
+    problem, situation, judge, ground = scene(LEARNING, horizon=5)
+    planner = LawnmowerPlanner(problem, ground)
+    driven = [situation.position_m]
+    for _ in range(700):
+        situation, judge = moved(situation, judge, driven[-1])
+        plan = planner.plan(situation, judge)
+        assert plan.verdict is Verdict.VERIFIED
+        driven.append(plan.positions_m[1])
+        if np.ptp(plan.positions_m, axis=0).max() == 0.0:
+            break
+    else:
+        pytest.fail("the tour does not end")
+    nodes, lane = ground.road_map.nodes_m, 2.0 * ground.road_map.lattice.spacing_m
+    near = np.linalg.norm(nodes[:, None] - np.asarray(driven), axis=2).min(axis=1)
+    assert near.max() <= lane
+    # To and fro: hardly longer than the area asks for.
+    length = np.linalg.norm(np.diff(driven, axis=0), axis=1).sum()
+    assert length < 1.4 * len(nodes) * lane / 2.0
+
+
+def test_lawnmower_goes_on_after_a_detour():
+    """From a place off its tour it begins anew, from the nearer side."""
+    problem, situation, judge, ground = scene(LEARNING, horizon=2)
+    planner = LawnmowerPlanner(problem, ground)
+    planner.plan(situation, judge)
+    situation, judge = moved(situation, judge, np.array([30.0, 33.3]))
+    plan = planner.plan(situation, judge)
+    assert plan.verdict is Verdict.VERIFIED
+    assert np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1).min() > 0.0
+
+
+def test_tour_moves_from_node_to_node():
+    """Every move of it is one of the graph's."""
+    *_, ground = scene(LEARNING)
+    road_map = ground.road_map
+    tour = lawn_tour(road_map, 5)
+    for here, there in zip(tour[:-1], tour[1:], strict=True):
+        start, end = road_map.edge_start[here : here + 2]
+        assert there in road_map.edge_to[start:end]
+
+
+def test_stops_are_at_turns_and_evenly_between():
+    """Collinear corners are no turns; steps are as long as they may be, evenly."""
+    corners = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [5.0, 0.0], [5.0, 1.0]])
+    stops = stops_along(corners, 2.0)
+    np.testing.assert_allclose(
+        stops, [[0, 0], [5 / 3, 0], [10 / 3, 0], [5, 0], [5, 1]], atol=1e-12
+    )
+    np.testing.assert_array_equal(stops_along(corners[:2], 2.0), corners[:1])

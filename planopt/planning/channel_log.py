@@ -34,6 +34,13 @@ def theta_variance_db(posterior: ChannelPosterior) -> float:
     return float(10.0 * np.log10(spread / float(posterior.theta @ posterior.theta)))
 
 
+def channel_row(
+    posterior: ChannelPosterior, truth: Truth, places_m: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """A row of the log: RMS, ANMSE and path loss variance, all in dB."""
+    return *channel_errors_db(posterior, truth, places_m), theta_variance_db(posterior)
+
+
 def channel_log(rows: Sequence[tuple[float, float, float]]) -> ChannelLog:
     """The log of rows of RMS, ANMSE and path loss variance."""
     rms, anmse, theta = np.asarray(rows, dtype=np.float64).T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.truth import Truth
+from planopt.planning.aim import Aim
 from planopt.planning.plan import Plan
 from planopt.planning.run import Run
 from planopt.problems.problem import Problem
@@ -65,8 +67,9 @@ class TeamRun:
         As run (overrides applied).
     truth
         What was driven in, for pictures.
-    runs, plans, beliefs
-        By robot: its log, its released plans, and what it believed at the end.
+    runs, plans, aims, beliefs
+        By robot: its log, its released plans, what each was made for, and what it believed at the
+        end.
     first_measurements
         How many of a belief's measurements were there before the run.
     target
@@ -80,6 +83,7 @@ class TeamRun:
     truth: Truth
     runs: tuple[Run, ...]
     plans: tuple[tuple[Plan, ...], ...]
+    aims: tuple[tuple[Aim, ...], ...]
     beliefs: tuple[Belief, ...]
     first_measurements: int
     target: TargetLog | None
@@ -88,24 +92,30 @@ class TeamRun:
     @property
     def metrics(self) -> dict[str, float]:
         """What the run is judged by, of all robots together (design, section 3)."""
-        found: dict[str, float] = {}
-        if self.target is not None:
-            found["time_averaged_trace_p"] = float(self.target.station_variance_m2[1:].mean())
-            found["final_trace_p"] = float(self.target.station_variance_m2[-1])
-            found["delivered"] = float(self.target.delivered.mean())
-        found["rms_db"] = float(self.channel.rms_db[-1])
-        found["anmse_db"] = float(self.channel.anmse_db[-1])
-        found["trace_m_db"] = float(self.channel.theta_variance_db[-1])
-        each = [run.metrics for run in self.runs]
-        found["path_m"] = float(sum(m.path_m for m in each))
-        found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
-        found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
-        found["predicted_min_connectivity"] = float(
-            min(m.predicted_min_connectivity for m in each)
-        )
-        return found
+        return team_metrics(self.runs, self.target, self.channel)
 
     @property
     def verified_rate(self) -> float:
         """Share of all released steps whose plan was verified."""
         return float(np.mean([run.verified_rate for run in self.runs]))
+
+
+def team_metrics(
+    runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
+) -> dict[str, float]:
+    """What a run is judged by, of all robots together, by name (design, section 3)."""
+    found: dict[str, float] = {}
+    if target is not None:
+        found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
+        found["final_trace_p"] = float(target.station_variance_m2[-1])
+        found["delivered"] = float(target.delivered.mean())
+    found["rms_db"] = float(channel.rms_db[-1])
+    found["anmse_db"] = float(channel.anmse_db[-1])
+    found["trace_m_db"] = float(channel.theta_variance_db[-1])
+    each = [run.metrics for run in runs]
+    found["path_m"] = float(sum(m.path_m for m in each))
+    found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
+    found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
+    found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
+    found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
+    return found

@@ -16,7 +16,7 @@ from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import NOTE_PT, head, legend_below
 from planopt.report.team_map import (
     draw_expected_target,
-    draw_first_measurements,
+    draw_measured,
     draw_plans,
     draw_target,
     draw_team_ground,
@@ -56,7 +56,7 @@ def draw_team_run(run: TeamRun) -> Figure:
     entries = draw_team_ground(figure, maps, problem, run.beliefs[0], np.concatenate(shown))
     before = run.beliefs[0].posterior.measurements.positions_m[: run.first_measurements]
     for number, panel in enumerate(maps):
-        drawn = draw_first_measurements(panel, before)
+        drawn = draw_measured(panel, before, "measured before")
         drawn += draw_tracks(panel, problem, tracks)
         if plans:
             drawn += draw_plans(panel, problem, plans, 1)
@@ -105,7 +105,7 @@ def draw_team_plan(
     figure, maps, others = _sheet(problem, [*(1.0 for _ in drawers), 0.3 + 0.11 * len(words)])
     entries = draw_team_ground(figure, maps, problem, belief, np.concatenate(shown))
     for number, panel in enumerate(maps):
-        drawn = draw_first_measurements(panel, belief.posterior.measurements.positions_m)
+        drawn = draw_measured(panel, belief.posterior.measurements.positions_m, "measured")
         drawn += draw_plans(panel, problem, plans, 0)
         if target_m is not None:
             drawn += draw_expected_target(panel, target_m)
@@ -142,8 +142,8 @@ def _sheet(problem: Problem, shares: Sequence[float]) -> tuple[Figure, list[Pane
         below = cells[0, 1]
     else:
         curves_in = 0.6 + 1.5 * sum(shares)
-        figure = new_figure(13.0, 7.0 + curves_in)
-        cells = GridSpec(2, count, figure=figure, height_ratios=[5.6, curves_in])
+        figure = new_figure(13.0, 6.5 + curves_in)
+        cells = GridSpec(2, count, figure=figure, height_ratios=[5.0, curves_in])
         spots = [cells[0, column] for column in range(count)]
         below = cells[1, :]
     rows = GridSpecFromSubplotSpec(len(shares), 1, below, height_ratios=list(shares))

@@ -30,7 +30,6 @@ from planopt.report.style import (
     DEVIATION_MAP,
     POWER_MAP,
     PROBABILITY_MAP,
-    VERMILLION,
     WHITE,
 )
 from planopt.report.team_looks import robot_colour, robot_marker
@@ -39,6 +38,9 @@ from planopt.world.raster import Raster
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
+
+EDGE_ROOM = 0.02
+"""Around the whole workspace, as a share of its longer side."""
 
 Layer = Literal["connectivity", "power", "deviation"]
 
@@ -60,10 +62,17 @@ def team_window(problem: Problem, places_m: NDArray[np.float64]) -> Bounds:
     Where the whole channel matters, the whole workspace.
     """
     if layers_of(problem) != ("connectivity",):
-        return problem.workspace.bounds_m
+        return _whole(problem)
     stations = [radio.site.position_m for radio in problem.stations]
     window = window_about(problem, np.vstack([places_m, np.array(stations)]))
-    return window if is_small(problem, window) else problem.workspace.bounds_m
+    return window if is_small(problem, window) else _whole(problem)
+
+
+def _whole(problem: Problem) -> Bounds:
+    """The workspace with room for markers on its edge."""
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    room = EDGE_ROOM * max(x_max - x_min, y_max - y_min)
+    return (x_min - room, y_min - room, x_max + room, y_max + room)
 
 
 def draw_team_ground(
@@ -127,11 +136,11 @@ def _draw_chance(
         p_min if bounded else None,
     )
     if bounded:
-        draw_level(panel, chance, p_min, VERMILLION)
+        draw_level(panel, chance, p_min, BLACK)
 
 
-def draw_first_measurements(panel: Panel, places_m: NDArray[np.float64]) -> list[Artist]:
-    """Mark where was measured before the run."""
+def draw_measured(panel: Panel, places_m: NDArray[np.float64], label: str) -> list[Artist]:
+    """Mark where was measured, if anywhere."""
     if not len(places_m):
         return []
     return [
@@ -142,7 +151,7 @@ def draw_first_measurements(panel: Panel, places_m: NDArray[np.float64]) -> list
             edgecolors=WHITE,
             linewidths=0.5,
             zorder=LAYER_Z + 0.2,
-            label="measured before",
+            label=label,
         )
     ]
 

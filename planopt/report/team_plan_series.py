@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planopt.planning.plan import Plan
 from planopt.problems.problem import Problem, TrackingTerm
 from planopt.report.panel import Panel
-from planopt.report.style import BAND_WORDS, BAND_Z, BLACK, THRESHOLD, dress, legend_above, spaced
+from planopt.report.style import BAND_WORDS, BAND_Z, BLACK, dress, legend_above, spaced
 from planopt.report.team_looks import robot_colour, robot_marker
 from planopt.report.team_series import TIME
 
@@ -64,7 +64,7 @@ def _draw_power(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> None:
         _draw_curve(panel, plan, number, plan.mean_dbm)
     if problem.task == "track" or problem.constraints.p_min > 0.0:
         threshold = problem.stations[0].threshold_dbm
-        panel.axhline(threshold, color=THRESHOLD, linestyle="dashed", label="threshold")
+        panel.axhline(threshold, color=BLACK, linestyle="dashed", label="threshold")
     dress(panel, "predicted power", TIME, "power [dBm]")
     legend_above(panel)
 
@@ -76,7 +76,7 @@ def _draw_connectivity(panel: Panel, problem: Problem, plans: Sequence[Plan]) ->
     p_min = problem.constraints.p_min
     lowest = min(float(plan.connectivity.min()) for plan in plans)
     if p_min > 0.0:
-        panel.axhline(p_min, color=THRESHOLD, linestyle="dashed", label=f"p_min = {p_min:g}")
+        panel.axhline(p_min, color=BLACK, linestyle="dashed", label=f"p_min = {p_min:g}")
         legend_above(panel)
         lowest = min(lowest, p_min)
     dress(panel, "predicted connectivity", TIME, "P(connected) [1]")

@@ -14,8 +14,6 @@ from planopt.report.run_series import RUNG_LOOKS
 from planopt.report.style import (
     BLACK,
     PREDICTED,
-    THRESHOLD,
-    VERMILLION,
     WHITE,
     dress,
     legend_above,
@@ -28,10 +26,13 @@ Drawer = Callable[[Panel, TeamRun], None]
 
 TIME = "time [s]"
 
+LEAST_SPAN_DB = 1.0
+"""An axis of errors spans this at least: smaller changes are not to look like large ones."""
+
 
 def series_of(run: TeamRun) -> tuple[tuple[Drawer, float], ...]:
     """The panels that a run has something to show in, each with its share of the height."""
-    strip = 0.32 + 0.16 * len(run.runs)
+    strip = 0.18 + 0.13 * len(run.runs)
     connection: tuple[tuple[Drawer, float], ...] = (
         (_draw_connectivity, 1.0),
         (_draw_connection, strip),
@@ -90,6 +91,9 @@ def _draw_theta_variance(panel: Panel, run: TeamRun) -> None:
 def _draw_map_error(panel: Panel, run: TeamRun) -> None:
     panel.plot(run.runs[0].log.t_s, run.channel.rms_db, color=PREDICTED, marker="o", markersize=3.5)
     dress(panel, "error of the predicted map", TIME, "RMS error [dB]")
+    low, high = float(run.channel.rms_db.min()), float(run.channel.rms_db.max())
+    room = max(0.05 * (high - low), (LEAST_SPAN_DB - (high - low)) / 2.0)
+    panel.set_ylim(low - room, high + room)
 
 
 def _draw_connectivity(panel: Panel, run: TeamRun) -> None:
@@ -106,7 +110,7 @@ def _draw_connectivity(panel: Panel, run: TeamRun) -> None:
         )
     p_min = run.problem.constraints.p_min
     if p_min > 0.0:
-        panel.axhline(p_min, color=THRESHOLD, linestyle="dashed", label=f"p_min = {p_min:g}")
+        panel.axhline(p_min, color=BLACK, linestyle="dashed", label=f"p_min = {p_min:g}")
     dress(panel, "predicted one step ahead", TIME, "P(connected) [1]")
     # The axis follows the values, but not into the last digits of values that are all near 1.
     lowest = min([p_min or 1.0, *(float(np.nanmin(one.log.connectivity)) for one in run.runs)])
@@ -158,7 +162,7 @@ def _draw_rungs(panel: Panel, run: TeamRun) -> None:
             *np.array(unproven).T,
             s=80.0,
             facecolors="none",
-            edgecolors=VERMILLION,
+            edgecolors=BLACK,
             linewidths=1.3,
             label=f"not verified ({len(unproven)})",
         )

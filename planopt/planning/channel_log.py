@@ -18,7 +18,7 @@ def channel_errors_db(
 ) -> tuple[float, float]:
     """RMS error in dB and ANMSE in dB of the predicted power at `places_m` (n, 2).
 
-    ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB units (seed, section III-A2).
+    ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB (seed, section III-A2).
     """
     power = true_power_dbm(truth, places_m)
     error = search_prediction(posterior, places_m).mean_db - power

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.planning.plan import Plan
 from planopt.planning.csv_rows import read_number, read_rows
+from planopt.planning.plan import Plan
 from planopt.planning.run import StepLog
 from planopt.planning.solution_json import REMEDY, finite_list
 

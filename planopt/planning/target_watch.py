@@ -46,7 +46,7 @@ class TargetWatch:
     station: InformationState
 
     def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
-        """Where robot number `robot` expects the target after each of the next steps; (steps, 2)."""
+        """Where robot number `robot` expects the target after each step from now; (steps, 2)."""
         state = self.robots[robot]
         return predict_target(self.model, state.mean, state.covariance, steps).positions_m
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -91,9 +92,7 @@ def read_team(file: Path, data: Mapping[str, Any]) -> SavedTeam:
     table = read_steps(file.parent / STEPS_FILE)
     require_rows(file, table, record.robots)
     ends = np.cumsum([0, *(len(robot.t_s) for robot in record.robots)]).tolist()
-    steps = tuple(
-        table.take(slice(begin, end)) for begin, end in zip(ends[:-1], ends[1:], strict=True)
-    )
+    steps = tuple(table.take(slice(begin, end)) for begin, end in pairwise(ends))
     if isinstance(record, TeamPlanRecord):
         beliefs = (read_belief(file.parent / BELIEF_FILE),)
         return SavedTeam(file, data, record, problem, steps, beliefs, {})

@@ -71,7 +71,7 @@ def _draw_target_variance(panel: Panel, run: TeamRun) -> None:
                 zorder=3.0,
                 label=label,
             )
-    dress(panel, "the station's uncertainty of the target", TIME, "trace P [m²]")
+    dress(panel, "uncertainty of the target", TIME, "trace P [m²]")
     panel.set_yscale("log")
     plain_log_ticks(panel.yaxis)
     legend_above(panel)

@@ -33,7 +33,7 @@ def compare(
         typer.Option(
             "--costs-to-go",
             metavar="A,B",
-            help="geodesic, connected: both unless given; task reach.",
+            help="geodesic, connected (both); task reach.",
         ),
     ] = None,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds, from 0 on.")] = 30,

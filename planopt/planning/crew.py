@@ -80,7 +80,7 @@ class Member:
 
 
 def build_crew(problem: Problem, seeds: TeamSeeds) -> tuple[Member, ...]:
-    """Every robot of `problem`, in its order.
+    """Every robot of `problem`, in its order; planners that draw use the streams of `seeds`.
 
     Raises
     ------

@@ -82,8 +82,9 @@ def read_team(file: Path, data: Mapping[str, Any]) -> SavedTeam:
     InputError
         A file is missing, truncated or not what it should be; with file, key or row.
     """
+    # What else must be there depends on the problem.
+    problem = problem_from_dict(cast("dict[str, Any]", data["problem_file"]), file=file)
     record = record_of(file, data, TeamPlanRecord if file.name == PLAN_FILE else TeamRunRecord)
-    problem = problem_from_dict(record.problem_file, file=file)
     if len(record.robots) != len(problem.robots):
         raise damaged(
             file, "robots", f"{len(record.robots)} robots, the problem has {len(problem.robots)}"
@@ -128,7 +129,7 @@ def _require_complete_run(
 def _read_tables(
     file: Path, problem: Problem, rows: int
 ) -> dict[str, dict[str, NDArray[np.float64]]]:
-    columns = {KNOWLEDGE_FILE: KNOWLEDGE_COLUMNS}
+    columns: dict[str, tuple[str, ...]] = {KNOWLEDGE_FILE: KNOWLEDGE_COLUMNS}
     if problem.targets and any(isinstance(term, TrackingTerm) for term in problem.terms):
         columns[TARGET_FILE] = target_columns(problem)
     tables = {name: read_table(file.parent / name, wanted) for name, wanted in columns.items()}

@@ -10,12 +10,16 @@ from planopt.studies.comparison import Comparison, Row
 MISSING = "-"
 
 
+VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
+"""Columns of every task; the first is of no metric."""
+
 GOAL_COLUMNS = (
     ("time to goal [s]", "goal_time_s"),
     ("connected [%]", "true_connected_share"),
     ("longest outage [m]", "longest_outage_m"),
     ("least P", "predicted_min_connectivity"),
-    ("polish gain [%]", "polish_gain"),
+    VERIFIED,
+    POLISH,
 )
 """Metrics shown where there is a goal, and their headings; the first with its interval."""
 
@@ -41,7 +45,6 @@ def comparison_text(comparison: Comparison) -> str:
         "runs",
         "stalled",
         *(heading for heading, _ in shown),
-        "verified [%]",
         "step p50 [ms]",
         "step p95 [ms]",
     ]
@@ -60,8 +63,9 @@ def comparison_text(comparison: Comparison) -> str:
 
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """Heading and name of every metric of a sum of terms."""
-    metrics = dict.fromkeys(row.metric for row in rows)
-    return [(f"{metric_name(m).words} [{metric_name(m).unit}]", m) for m in metrics]
+    metrics = [m for m in dict.fromkeys(row.metric for row in rows) if m != "polish_gain"]
+    own = [(f"{metric_name(m).words} [{metric_name(m).unit}]", m) for m in metrics]
+    return [*own, VERIFIED, POLISH]
 
 
 def _cells(
@@ -75,8 +79,12 @@ def _cells(
         str(horizon),
         str(one.seeds),
         str(one.stalled),
-        *(_mean(rows, metric, interval=metric == shown[0]) for metric in shown),
-        f"{100.0 * one.verified_rate:.1f}",
+        *(
+            _mean(rows, metric, interval=metric == shown[0])
+            if metric
+            else f"{100.0 * one.verified_rate:.1f}"
+            for metric in shown
+        ),
         f"{1e3 * one.p50_step_s:.1f}",
         f"{1e3 * one.p95_step_s:.1f}",
     ]

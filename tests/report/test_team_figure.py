@@ -7,6 +7,7 @@ import pytest
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 from teams import team_problem, team_run
 
+from planopt.commands.pictures import picture_team_plan, picture_team_run
 from planopt.planning.plan import Verdict
 from planopt.report.team_figure import draw_team_plan, draw_team_run
 
@@ -61,6 +62,20 @@ def test_target_and_its_estimates(simulation):
     lost = collection_of(curve, "none arrived").get_offsets()
     np.testing.assert_allclose(lost, [[4.0, run.target.station_variance_m2[2]]])
     assert len(collection_of(curve, "packets arrived").get_offsets()) == 5
+
+
+def test_a_small_team_has_a_window(simulation):
+    """Where robots, target and station are near each other, the map is a square about them."""
+    run = team_run(simulation, "track")
+    radio = run.problem.stations[0]
+    near = replace(radio, site=replace(radio.site, position_m=(15.0, 20.0)))
+    figure = drawn(draw_team_run(replace(run, problem=replace(run.problem, stations=(near,)))))
+    (left, right), (low, top) = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
+    assert right - left == pytest.approx(top - low)
+    assert right - left < 60.0
+    assert left < 10.0 < 22.0 < right
+    assert low < 10.0 < 28.0 < top
+    assert len(figure.axes[0].child_axes) == 1
 
 
 def test_connections_by_robot(simulation):
@@ -157,3 +172,13 @@ def test_plans_without_bound_or_target(simulation, belief, plan):
     problem = team_problem(simulation.problem, "map", 1, 0.0)
     labels = labels_of(drawn(draw_team_plan(problem, [plan], belief, None)))
     assert labels == {"x [m]", "y [m]", "time [s]", "power [dBm]", "deviation [dB]"}
+
+
+def test_pictures_are_written(simulation, belief, plan, tmp_path):
+    """A picture of a run and one of plans, under the names that single robots' have."""
+    run = team_run(simulation, "map", 1)
+    picture_team_run(run, tmp_path)
+    picture_team_plan(run.problem, [plan], belief, None, tmp_path)
+    written = sorted(tmp_path.iterdir())
+    assert [file.name for file in written] == ["plan.png", "run.png"]
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in written)

@@ -34,8 +34,8 @@ learn_figure = draw_team_run(learned[5][0])
 
 # %%
 # In each of three worlds the uncertainty of the line falls by more than 10 dB, the error of the map
-# by half a decibel at most: most of that error is shadowing and multipath, which no line has. In one
-# of them the error grows a little at horizon 1.
+# by half a decibel at most: most of that error is shadowing and multipath, which no line has. In
+# one of them the error grows a little at horizon 1.
 for h, runs in learned.items():
     trace = [f"{run.channel.theta_variance_db[[0, -1]].round(1)}" for run in runs]
     error = [f"{run.channel.rms_db[[0, -1]].round(2)}" for run in runs]
@@ -52,9 +52,9 @@ map_figure = draw_team_run(mapped[5][0])
 
 # %%
 # Does it help to look five steps ahead? The mean of the last errors, and the difference seed by
-# seed: 0.2 and 0.3 dB less in two worlds for the map, 0.1 dB less or nothing in three for path loss,
-# whose uncertainty is not always smaller. So few seeds show no more than a direction; ``planopt
-# compare`` drives many and states intervals.
+# seed: 0.2 and 0.3 dB less in two worlds for the map, 0.1 dB less or nothing in three for path
+# loss, whose uncertainty is not always smaller. So few seeds show no more than a direction;
+# ``planopt compare`` drives many and states intervals.
 for name, found in (("learn", learned), ("map", mapped)):
     last = {h: np.array([run.channel.rms_db[-1] for run in runs]) for h, runs in found.items()}
     means = ", ".join(f"horizon {h}: {values.mean():.2f} dB" for h, values in last.items())

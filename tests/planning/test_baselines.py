@@ -138,8 +138,9 @@ def test_random_steps_are_full_and_uniform():
     problem, situation, judge, ground = scene(LEARNING, horizon=1)
     situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
     planner = RandomPlanner(problem, ground, np.random.default_rng(3))
-    steps = np.array([np.diff(planner.plan(situation, judge).positions_m, axis=0)[0]
-                      for _ in range(200)])
+    steps = np.array(
+        [np.diff(planner.plan(situation, judge).positions_m, axis=0)[0] for _ in range(200)]
+    )
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 2.0, atol=1e-5)
     quadrant = np.bincount((steps[:, 0] > 0) + 2 * (steps[:, 1] > 0), minlength=4)
     # Four standard deviations of 200 draws in four equal parts.
@@ -213,7 +214,5 @@ def test_stops_are_at_turns_and_evenly_between():
     """Collinear corners are no turns; steps are as long as they may be, evenly."""
     corners = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [5.0, 0.0], [5.0, 1.0]])
     stops = stops_along(corners, 2.0)
-    np.testing.assert_allclose(
-        stops, [[0, 0], [5 / 3, 0], [10 / 3, 0], [5, 0], [5, 1]], atol=1e-12
-    )
+    np.testing.assert_allclose(stops, [[0, 0], [5 / 3, 0], [10 / 3, 0], [5, 0], [5, 1]], atol=1e-12)
     np.testing.assert_array_equal(stops_along(corners[:2], 2.0), corners[:1])

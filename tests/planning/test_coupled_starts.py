@@ -65,9 +65,7 @@ def test_order_of_measurements_changes_nothing(terms):
     shuffled = replace(
         situation, posterior=condition(before.parameters, before.measurements.take(order))
     )
-    np.testing.assert_allclose(
-        plan_for(shuffled, belief).positions_m, plan.positions_m, atol=1e-3
-    )
+    np.testing.assert_allclose(plan_for(shuffled, belief).positions_m, plan.positions_m, atol=1e-3)
 
 
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
@@ -117,9 +115,7 @@ def test_kilometres_for_metres_give_the_scaled_plan(terms):
         ),
         robots=(replace(robot, speed_max_m_s=1e3 * robot.speed_max_m_s),),
         stations=(replace(problem.stations[0], site=longer(site)),),
-        constraints=replace(
-            problem.constraints, clearance_m=1e3 * problem.constraints.clearance_m
-        ),
+        constraints=replace(problem.constraints, clearance_m=1e3 * problem.constraints.clearance_m),
     )
     measured = situation.posterior.measurements
     posterior = condition(

@@ -47,10 +47,13 @@ if TYPE_CHECKING:
     from planopt.channel.traffic import Traffic
     from planopt.channel.truth import Truth, measure, model_truth, raster_truth, true_power_dbm
     from planopt.errors import InputError, NoPlanError, OutputError, PlanoptError
+    from planopt.planning.any_task import simulate, solve
     from planopt.planning.check import check
-    from planopt.planning.closed_loop import simulate
     from planopt.planning.plan import Termination, Verdict
-    from planopt.planning.solve import solve
+    from planopt.planning.simulation import Simulation
+    from planopt.planning.solution import Solution
+    from planopt.planning.team_run import TeamRun
+    from planopt.planning.team_solution import TeamSolution
     from planopt.problems.library import list_problems
     from planopt.problems.load import load
     from planopt.problems.problem import Problem
@@ -83,7 +86,11 @@ __all__ = [
     "Problem",
     "Rician",
     "SharedShadowing",
+    "Simulation",
+    "Solution",
     "Station",
+    "TeamRun",
+    "TeamSolution",
     "Termination",
     "Traffic",
     "Truth",
@@ -157,7 +164,11 @@ _MODULES = {
     "Problem": "planopt.problems.problem",
     "Rician": "planopt.channel.multipath_models",
     "SharedShadowing": "planopt.channel.several_stations",
+    "Simulation": "planopt.planning.simulation",
+    "Solution": "planopt.planning.solution",
     "Station": "planopt.channel.parameters",
+    "TeamRun": "planopt.planning.team_run",
+    "TeamSolution": "planopt.planning.team_solution",
     "Termination": "planopt.planning.plan",
     "Traffic": "planopt.channel.traffic",
     "Truth": "planopt.channel.truth",
@@ -198,8 +209,8 @@ _MODULES = {
     "scattered_field_db": "planopt.channel.scattered_field",
     "sensitivity_curves": "planopt.channel.sensitivity",
     "shadow_field_db": "planopt.channel.field",
-    "simulate": "planopt.planning.closed_loop",
-    "solve": "planopt.planning.solve",
+    "simulate": "planopt.planning.any_task",
+    "solve": "planopt.planning.any_task",
     "strongest_station": "planopt.channel.several_stations",
     "true_power_dbm": "planopt.channel.truth",
 }

@@ -29,8 +29,13 @@ def compare(
         str | None, typer.Option("--planners", metavar="A,B", help="auto, lattice.")
     ] = None,
     costs_to_go: Annotated[
-        str, typer.Option("--costs-to-go", metavar="A,B", help="geodesic, connected.")
-    ] = "geodesic,connected",
+        str | None,
+        typer.Option(
+            "--costs-to-go",
+            metavar="A,B",
+            help="geodesic, connected (both); task reach.",
+        ),
+    ] = None,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds, from 0 on.")] = 30,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes.")] = 1,
     backend: Annotated[
@@ -42,7 +47,7 @@ def compare(
     """Compare settings. Exit code 0 verified throughout, 3 not throughout, 4 a run not ended."""
     from planopt.problems.load import load
     from planopt.problems.overrides import with_overrides
-    from planopt.studies.compare import BACKENDS, compare_horizons
+    from planopt.studies.compare import BACKENDS, compare_horizons, default_costs_to_go
 
     if backend not in BACKENDS:
         raise InputError(
@@ -51,17 +56,18 @@ def compare(
     asked = load(problem)
     steps = listed(horizons, "--horizons", int)
     names = (asked.planner.name,) if planners is None else listed(planners, "--planners", str)
-    ways = listed(costs_to_go, "--costs-to-go", str)
+    ways = None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str)
     # Settings that are not allowed are found before the first run.
     for n in steps:
         with_overrides(asked, horizon=n)
     for name in names:
         with_overrides(asked, planner=name)
-    for way in ways:
+    for way in ways or ():
         with_overrides(asked, cost_to_go=way)
     with results_folder(out) as folder:
         try:
-            total = len(steps) * len(names) * len(ways) * seeds
+            costs = default_costs_to_go(asked) if ways is None else ways
+            total = len(steps) * len(names) * len(costs) * seeds
             with progress("driving, runs:", total) as advance:
                 comparison = compare_horizons(
                     asked,
@@ -90,10 +96,10 @@ def compare(
 
 
 def exit_code(comparison: Comparison) -> int:
-    """0 all reached and every released step verified, 3 some not verified, 4 some not reached."""
-    from planopt.planning.run import Outcome
+    """0 all arrived and every released step verified, 3 some not verified, 4 some not arrived."""
+    from planopt.studies.compare import ARRIVED
 
-    if any(run.outcome is not Outcome.REACHED for run in comparison.runs):
+    if any(run.outcome not in ARRIVED for run in comparison.runs):
         return NO_PLAN
     return 0 if all(run.verified_rate == 1.0 for run in comparison.runs) else 3
 
@@ -102,8 +108,10 @@ def comparison_json(
     problem: Problem, comparison: Comparison | None, message: str
 ) -> dict[str, Any]:
     """The JSON keys of ``compare`` (design, section 3); no rows if there provably is no plan."""
+    from planopt.planning.run import Run
     from planopt.planning.run_json import run_summary
     from planopt.planning.solution_json import finite
+    from planopt.planning.team_run_json import team_summary_json
 
     if comparison is None:
         return {
@@ -122,7 +130,10 @@ def comparison_json(
         "problem": problem.name,
         "outcome": "compared",
         "rows": rows,
-        "runs": [run_summary(run) for run in comparison.runs],
+        "runs": [
+            run_summary(run) if isinstance(run, Run) else team_summary_json(run)
+            for run in comparison.runs
+        ],
         "wall_s": finite(comparison.wall_s),
         "message": message,
     }

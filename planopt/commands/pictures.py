@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
 from planopt.channel.fit import ChannelFit
 from planopt.channel.held_out_report import HeldOutReport
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior_map import PosteriorMap
+from planopt.planning.plan import Plan
 from planopt.planning.simulation import Simulation
 from planopt.planning.solution import Solution
+from planopt.planning.team_run import TeamRun
+from planopt.problems.problem import Problem
 from planopt.report.belief_map import draw_belief
 from planopt.report.calibration_figure import draw_calibration
 from planopt.report.comparison_figure import draw_comparison
@@ -19,6 +27,7 @@ from planopt.report.plan_figure import draw_plan
 from planopt.report.run_figure import draw_run
 from planopt.report.run_series import draw_run_series
 from planopt.report.saving import save_figure
+from planopt.report.team_figure import draw_team_plan, draw_team_run
 from planopt.studies.comparison import Comparison
 
 
@@ -33,6 +42,22 @@ def picture_simulation(simulation: Simulation, folder: Path) -> None:
     save_figure(draw_run(simulation), folder / "run.png")
     save_figure(draw_run_series(simulation), folder / "series.png")
     save_figure(draw_belief(simulation.problem, simulation.belief), folder / "belief.png")
+
+
+def picture_team_run(run: TeamRun, folder: Path) -> None:
+    """The ways driven on the belief at their end, with the time series beside."""
+    save_figure(draw_team_run(run), folder / "run.png")
+
+
+def picture_team_plan(
+    problem: Problem,
+    plans: Sequence[Plan],
+    belief: Belief,
+    target_m: NDArray[np.float64] | None,
+    folder: Path,
+) -> None:
+    """The plan of every robot; arguments as of :func:`draw_team_plan`."""
+    save_figure(draw_team_plan(problem, plans, belief, target_m), folder / "plan.png")
 
 
 def picture_comparison(comparison: Comparison, folder: Path) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from planopt.commands.output import NO_PLAN, progress, results_folder, show, shown_number
 from planopt.commands.planning import Asked, planning_command
+from planopt.commands.team import simulate_asked
 
 if TYPE_CHECKING:
     from planopt.planning.simulation import Simulation
@@ -13,13 +14,15 @@ if TYPE_CHECKING:
 
 @planning_command
 def simulate(asked: Asked) -> int:
-    """Drive to the goal. Exit code 0 verified throughout, 3 not throughout, 4 not reached."""
+    """Drive in the true channel. Exit code 0 all verified, 3 not all, 4 goal not reached."""
     from planopt.errors import NoPlanError
     from planopt.planning.closed_loop import simulate as drive
     from planopt.planning.run_json import no_run_json, simulation_json
     from planopt.planning.saved import RUN_FILE, save_record, save_simulation, withdraw
     from planopt.planning.simulation import exit_code
 
+    if asked.problem.task != "reach":
+        return simulate_asked(asked)
     problem, seed = asked.problem, asked.seed
     with results_folder(asked.out) as folder:
         try:

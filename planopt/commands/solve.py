@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from planopt.commands.output import NO_PLAN, progress, results_folder, show, shown_number
 from planopt.commands.planning import Asked, planning_command
+from planopt.commands.team import solve_asked
 
 if TYPE_CHECKING:
     from planopt.planning.solution import Solution
@@ -20,6 +21,8 @@ def solve(asked: Asked) -> int:
     from planopt.planning.solution_json import no_plan_json, solution_json
     from planopt.planning.solve import solve as find_plan
 
+    if asked.problem.task != "reach":
+        return solve_asked(asked)
     problem, seed = asked.problem, asked.seed
     with results_folder(asked.out) as folder:
         try:

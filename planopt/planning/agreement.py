@@ -20,6 +20,7 @@ FIT = 1e-3
 
 PREDICTED_NAMES = frozenset(
     (
+        "anmse_db",
         "best_margin_db",
         "connectivity",
         "deviation_db",
@@ -27,6 +28,8 @@ PREDICTED_NAMES = frozenset(
         "predicted_db",
         "predicted_min_connectivity",
         "relaxation_db",
+        "rms_db",
+        "trace_m_db",
     )
 )
 FITTED_NAMES = frozenset(("parameters", "standard_errors", "theta", "theta_covariance"))

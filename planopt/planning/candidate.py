@@ -155,4 +155,5 @@ class Judge:
             iterations=chosen.iterations,
             multipliers=chosen.multipliers,
             message=plan_message(chosen.certificate, positions),
+            sense=self.problem.sense,
         )

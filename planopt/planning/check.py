@@ -20,9 +20,11 @@ from planopt.planning.check_belief import given_again
 from planopt.planning.check_labels import label_reasons
 from planopt.planning.check_plan import check_plan
 from planopt.planning.check_run import check_run
+from planopt.planning.check_team import check_team, not_judged
 from planopt.planning.library_remarks import library_remarks
 from planopt.planning.plan import Certificate, Verdict
-from planopt.planning.read_saved import Saved, read_saved
+from planopt.planning.read_saved import Saved, read_object, saved_from
+from planopt.planning.read_team import SavedTeam, is_team, read_team
 from planopt.planning.run_json import no_run_json
 from planopt.planning.saved import PLAN_FILE
 from planopt.planning.solution_json import NoPlanRecord, PlanRecord, no_plan_json
@@ -71,14 +73,15 @@ def check(path: Path | str) -> CheckResult:
     InputError
         A file is missing, truncated or not what it should be; with file, key or row.
     """
-    saved = read_saved(Path(path))
+    file, data = read_object(Path(path))
+    if is_team(data):
+        return _check_team(read_team(file, data))
+    saved = saved_from(file, data)
     problem, record, name = saved.problem, saved.record, saved.file.name
     remarks = library_remarks(name, problem)
     if isinstance(record, NoPlanRecord) or saved.steps is None or saved.belief is None:
         return CheckResult(Verdict.NONE, (), tuple(_no_plan_reasons(saved)), tuple(remarks))
     reasons = label_reasons(name, record)
-    if problem.task != "reach":
-        reasons.append(f"{name}, key problem_file.problem.task: {problem.task} cannot be judged")
     if reasons:
         return CheckResult(Verdict.VIOLATED, (), tuple(reasons), tuple(remarks))
     given, more = given_again(problem, record.seed)
@@ -91,6 +94,20 @@ def check(path: Path | str) -> CheckResult:
         certificates, reasons = check_run(
             problem, saved.data, record, saved.steps, saved.belief, given
         )
+    verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
+
+
+def _check_team(saved: SavedTeam) -> CheckResult:
+    """Judge what was saved of a problem whose objective is a sum of terms."""
+    problem, name = saved.problem, saved.file.name
+    remarks = library_remarks(name, problem)
+    reasons = label_reasons(name, saved.record)
+    if reasons:
+        return CheckResult(Verdict.VIOLATED, (), tuple(reasons), tuple(remarks))
+    given, more = given_again(problem, saved.record.seed)
+    remarks += [*more, *not_judged(saved, given)]
+    certificates, reasons = check_team(saved, given)
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
 

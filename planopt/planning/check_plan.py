@@ -15,7 +15,7 @@ from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.provenance import UNSOLVED, provenance_faults
-from planopt.planning.rebuilt import Effort, rebuilt_plan
+from planopt.planning.rebuilt import Effort, rebuilt_reach_plan
 from planopt.planning.saved import PLAN_FILE
 from planopt.planning.solution_json import PlanRecord, plan_json
 from planopt.planning.steps_file import STEPS_FILE, Steps, steps_of_plan
@@ -53,7 +53,7 @@ def check_plan(
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
     start = np.asarray(problem.robots[0].start_m)
     judgement = judge(problem, index, posterior, start, path, record.certificate.kkt_residual)
-    plan = rebuilt_plan(
+    plan = rebuilt_reach_plan(
         problem,
         path,
         judgement,
@@ -71,17 +71,25 @@ def check_plan(
     reasons += [
         f"{PLAN_FILE}, key {key}: {fault}" for key, fault in provenance_faults(problem, plan, None)
     ]
-    reasons += _effort_faults(plan)
+    reasons += effort_faults(plan, "")
     reasons += steps_reasons(steps, steps_of_plan(plan))
     reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
     return [judgement.certificate], reasons
 
 
-def _effort_faults(plan: Plan) -> list[str]:
-    """Wall times cannot be computed again, but solving is part of planning and takes time."""
-    where = f"{PLAN_FILE}, key solve_s: {plan.solve_s:g}"
+def effort_faults(plan: Plan, where: str) -> list[str]:
+    """Wall times cannot be computed again, but solving is part of planning and takes time.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    where
+        What to put before the key.
+    """
+    text = f"{PLAN_FILE}, key {where}solve_s: {plan.solve_s:g}"
     if plan.solve_s > plan.wall_s:
-        return [f"{where}, but wall_s is {plan.wall_s:g}"]
+        return [f"{text}, but wall_s is {plan.wall_s:g}"]
     if plan.solve_s == 0.0 and plan.termination not in UNSOLVED:
-        return [f"{where}, but the termination is {plan.termination.value}"]
+        return [f"{text}, but the termination is {plan.termination.value}"]
     return []

@@ -19,10 +19,9 @@ from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.metrics import metrics_of
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.provenance import provenance_faults
-from planopt.planning.rebuilt import Effort, rebuilt_plan
+from planopt.planning.rebuilt import Effort, rebuilt_reach_plan
 from planopt.planning.run import Outcome, Run
 from planopt.planning.run_json import (
-    ReleasedRecord,
     RunRecord,
     StepTimesRecord,
     released_plans_json,
@@ -68,8 +67,9 @@ def check_run(
         posterior = grown_posterior(belief, posterior, count)
         path = np.stack([released.x_m, released.y_m], axis=1)
         judgement = judge(problem, index, posterior, track[step - 1], path, released.kkt_residual)
-        plan = rebuilt_plan(problem, path, judgement, released, Effort())
-        reasons += _plan_reasons(problem, index, step, released, plan, plans)
+        plan = rebuilt_reach_plan(problem, path, judgement, released, Effort())
+        where = f"{RUN_FILE}, key plans[{step - 1}]"
+        reasons += plan_reasons(problem, index, where, step, plan, plans[-1] if plans else None)
         if np.abs(path[:2] - track[step - 1 : step + 1]).max() > EXACT:
             reasons.append(
                 f"step {step} of {STEPS_FILE} is not the first step of its plan, {RUN_FILE}, key "
@@ -102,32 +102,42 @@ def check_run(
     }
     reasons += faults
     reasons += in_words(RUN_FILE, disagreements(data, found))
-    reasons += _step_time_faults(record.step_s, len(plans))
+    reasons += step_time_faults(record.step_s, len(plans))
     reasons += steps_reasons(steps, steps_of_run(run.robot, log))
     reasons += belief_reasons(problem, belief, posterior, given, taken, record.seed)
     return [plan.certificate for plan in plans], reasons
 
 
-def _plan_reasons(
+def plan_reasons(
     problem: Problem,
     index: ObstacleIndex,
+    where: str,
     step: int,
-    released: ReleasedRecord,
     plan: Plan,
-    before: Sequence[Plan],
+    previous: Plan | None,
 ) -> list[str]:
-    """What is wrong with one released plan."""
+    """What is wrong with one released plan.
+
+    Parameters
+    ----------
+    problem, index
+        What was asked, and its obstacles.
+    where
+        File and key of the plan.
+    step
+        Of which step it is.
+    plan, previous
+        The plan, and the one before it.
+    """
     objections = list(plan.certificate.reasons)
     if objections:
         objections[:0] = obstacles_met(problem, index, plan.positions_m)
     steps = len(plan.positions_m) - 1
     if steps != problem.planner.horizon:
         objections.append(f"has {steps} steps, planner.horizon is {problem.planner.horizon}")
-    where = f"{RUN_FILE}, key plans[{step - 1}]"
-    faults = provenance_faults(problem, plan, before[-1] if before else None)
     return [
         *(f"{where}, the plan for step {step}: {objection}" for objection in objections),
-        *(f"{where}.{key}: {fault}" for key, fault in faults),
+        *(f"{where}.{key}: {fault}" for key, fault in provenance_faults(problem, plan, previous)),
     ]
 
 
@@ -160,7 +170,7 @@ def _ended(
     return *ended, []
 
 
-def _step_time_faults(times: StepTimesRecord, steps: int) -> list[str]:
+def step_time_faults(times: StepTimesRecord, steps: int) -> list[str]:
     """Quantiles of wall times cannot be computed again, but they have an order."""
     given = [value for value in (times.p50, times.p95, times.max) if value is not None]
     if len(given) != (3 if steps else 0):

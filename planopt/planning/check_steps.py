@@ -17,8 +17,8 @@ def steps_reasons(said: Steps, found: Steps) -> list[str]:
         alike = list(_column_differences(name, said, found))
         for row, difference in alike[:SHOWN_ALIKE]:
             reasons.append(
-                f"{STEPS_FILE}, row {row + 2}, step {row}: {name} is {difference.said}, found "
-                f"{difference.found}"
+                f"{STEPS_FILE}, row {row + 2}, step {said.steps[row]}: {name} is "
+                f"{difference.said}, found {difference.found}"
             )
         if len(alike) > SHOWN_ALIKE:
             reasons.append(f"{STEPS_FILE}: {name} differs in {len(alike) - SHOWN_ALIKE} more rows")

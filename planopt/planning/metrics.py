@@ -16,6 +16,10 @@ POSSIBLE = {
     "true_connected_share": (0.0, 1.0),
     "longest_outage_m": (0.0, np.inf),
     "predicted_min_connectivity": (0.0, 1.0),
+    "time_averaged_trace_p": (0.0, np.inf),
+    "final_trace_p": (0.0, np.inf),
+    "delivered": (0.0, 1.0),
+    "rms_db": (0.0, np.inf),
 }
 """Least and largest value that a metric can have; one that is not here can have any."""
 

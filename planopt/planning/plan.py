@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,9 +123,10 @@ class Plan:
         ``(N + 1,)`` predicted power, its deviation and P(connected) at those places, from the
         exact posterior (today's deviation: theory 4.1).
     objective
-        Cost in seconds, cost to go included (sense: min).
+        What the plan is worth: a cost in seconds, cost to go included, where a goal is to be
+        reached (sense: min), else the weighted sum of the terms (sense: max).
     lattice_objective
-        The same cost of the lattice path that the polish started from.
+        The same of the lattice path that the polish started from.
     termination, verdict, rung, certificate
         See their types.
     wall_s, solve_s, iterations
@@ -135,6 +137,8 @@ class Plan:
         In words, for people: why there is no better plan; empty if all is well.
     pivot
         The way beyond the horizon that the objective charges; None if it charges none.
+    sense
+        Whether less or more of the objective is better.
     """
 
     robot: str
@@ -157,10 +161,17 @@ class Plan:
     )
     message: str = ""
     pivot: Pivot | None = None
+    sense: Literal["min", "max"] = "min"
+
+    @property
+    def gain(self) -> float:
+        """How much better than the lattice path the plan is, in the objective's unit."""
+        saved = self.lattice_objective - self.objective
+        return saved if self.sense == "min" else -saved
 
     @property
     def polish_gain(self) -> float:
-        """The part of the lattice path's cost that the polish saved."""
+        """How much better than the lattice path, as a share of that path's objective."""
         if self.lattice_objective == 0.0:
             return 0.0
-        return (self.lattice_objective - self.objective) / self.lattice_objective
+        return self.gain / abs(self.lattice_objective)

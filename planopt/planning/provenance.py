@@ -19,6 +19,12 @@ UNSOLVED = {
 }
 """Terminations of plans for which no solver ran, and the rungs that these come from."""
 
+UNPOLISHED_PLANNERS = ("lattice", "one_step", "random", "lawnmower")
+"""Planners that no solver helps."""
+
+BASELINES = ("one_step", "random", "lawnmower")
+"""Planners that compare a plan with no lattice path."""
+
 POLISHED = (Rung.PLAN, Rung.COLD_RETRY, Rung.RELAXED)
 """Rungs whose paths a solver may have found."""
 
@@ -38,7 +44,7 @@ def provenance_faults(problem: Problem, plan: Plan, previous: Plan | None) -> li
     return [
         *_rung_faults(problem, plan, previous),
         *_termination_faults(problem, plan),
-        *_objective_faults(problem, plan),
+        *(_reach_faults if problem.task == "reach" else _objective_faults)(problem, plan),
     ]
 
 
@@ -51,10 +57,11 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
         faults.append("the path is not the rest of a verified plan before it")
     if rung is Rung.RELAXED and not plan.certificate.relaxed_steps:
         faults.append("every step meets constraints.p_min")
-    if rung is Rung.LATTICE and plan.certificate.relaxed_steps:
+    # The bound of another task may be given up where the way to a goal would be searched for.
+    if rung is Rung.LATTICE and problem.task == "reach" and plan.certificate.relaxed_steps:
         faults.append("a step does not meet constraints.p_min")
-    if rung in (Rung.LATTICE, Rung.COLD_RETRY) and problem.planner.name == "lattice":
-        faults.append("planner.name is lattice, which has no such rung")
+    if rung in (Rung.LATTICE, Rung.COLD_RETRY) and _is_unpolished(problem):
+        faults.append(f"planner.name is {problem.planner.name}, which has no such rung")
     return [("rung", f"{rung.value}, but {fault}") for fault in faults]
 
 
@@ -71,8 +78,9 @@ def _termination_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
         faults: list[tuple[str, str]] = []
         if rung not in UNSOLVED[termination]:
             faults.append(("termination", f"{termination.value}, but the rung is {rung.value}"))
-        if rung is Rung.PLAN and problem.planner.name != "lattice":
-            faults.append(("termination", f"{termination.value}, but planner.name is not lattice"))
+        if rung is Rung.PLAN and not _is_unpolished(problem):
+            fault = f"{termination.value}, but planner.name is {problem.planner.name}"
+            faults.append(("termination", fault))
         for key, value in (
             ("kkt_residual", residual),
             ("solve_s", plan.solve_s or None),
@@ -81,14 +89,25 @@ def _termination_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
             if value is not None:
                 faults.append((key, f"{value:g}, but the termination is {termination.value}"))
         return faults
-    if problem.planner.name == "lattice":
-        return [("termination", f"{termination.value}, but planner.name is lattice")]
+    if _is_unpolished(problem):
+        fault = f"{termination.value}, but planner.name is {problem.planner.name}"
+        return [("termination", fault)]
     if residual is not None and rung not in POLISHED:
         return [("kkt_residual", f"{residual:g}, but no solver found a path of rung {rung.value}")]
     return []
 
 
+def _is_unpolished(problem: Problem) -> bool:
+    return problem.planner.name in UNPOLISHED_PLANNERS
+
+
 def _objective_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
+    """Of a sum of terms: what was found without the lattice is compared with itself."""
+    alone = plan.rung in (Rung.SHIFTED, Rung.STOP) or problem.planner.name in BASELINES
+    return _unpolished_faults(plan) if alone else []
+
+
+def _reach_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
     faults: list[tuple[str, str]] = []
     pivot = plan.pivot
     if pivot is None and plan.rung not in (Rung.SHIFTED, Rung.STOP):
@@ -102,14 +121,19 @@ def _objective_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
                     f"{pivot.cost_m:.9g}, but the goal is {straight:.9g} m away from the pivot",
                 )
             )
-    unpolished = plan.termination in UNSOLVED or plan.rung not in POLISHED
-    differs = abs(plan.lattice_objective - plan.objective) > EXACT * max(1.0, abs(plan.objective))
-    if unpolished and differs:
-        faults.append(
-            (
-                "lattice_objective",
-                f"{plan.lattice_objective:.9g}, but nothing was polished and the objective is "
-                f"{plan.objective:.9g}",
-            )
-        )
+    if plan.termination in UNSOLVED or plan.rung not in POLISHED:
+        faults += _unpolished_faults(plan)
     return faults
+
+
+def _unpolished_faults(plan: Plan) -> list[tuple[str, str]]:
+    """Where nothing was polished, the two objectives are one."""
+    if abs(plan.lattice_objective - plan.objective) <= EXACT * max(1.0, abs(plan.objective)):
+        return []
+    return [
+        (
+            "lattice_objective",
+            f"{plan.lattice_objective:.9g}, but nothing was polished and the objective is "
+            f"{plan.objective:.9g}",
+        )
+    ]

@@ -7,7 +7,7 @@ What cannot be read is an error. What can be read and is not true is for
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -16,9 +16,9 @@ from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
 from planopt.planning.belief_file import BELIEF_FILE, SavedBelief, read_belief
-from planopt.planning.run_json import RunRecord
+from planopt.planning.run_json import PlannedRecord, RunRecord
 from planopt.planning.saved import PLAN_FILE, RUN_FILE
-from planopt.planning.solution_json import REMEDY, NoPlanRecord, PlanRecord
+from planopt.planning.solution_json import REMEDY, NoPlanRecord, PlanRecord, RobotRecord
 from planopt.planning.steps_file import STEPS_FILE, Steps, read_steps
 from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem
@@ -66,29 +66,37 @@ def read_saved(path: Path) -> Saved:
     InputError
         A file is missing, truncated or not what it should be; with file, key or row.
     """
+    return saved_from(*read_object(path))
+
+
+def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
+    """The JSON file of a saved plan or run, and what it says.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is no JSON object.
+    """
     file = _json_file(path)
-    data = _read_json(file)
+    return file, _read_json(file)
+
+
+def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
+    """As :func:`read_saved`, of a JSON file that has been read."""
     if data.get("robots") == []:
-        record = _record(file, data, NoPlanRecord)
+        record = record_of(file, data, NoPlanRecord)
     else:
-        record = _record(file, data, PlanRecord if file.name == PLAN_FILE else RunRecord)
+        record = record_of(file, data, PlanRecord if file.name == PLAN_FILE else RunRecord)
     problem = problem_from_dict(record.problem_file, file=file)
     if isinstance(record, NoPlanRecord):
         return Saved(file, data, record, problem, None, None)
-    for robot in record.robots:
-        if not len(robot.t_s) == len(robot.x_m) == len(robot.y_m) == len(robot.connectivity):
-            raise _damaged(file, "robots[0]", "t_s, x_m, y_m and connectivity differ in length")
+    require_even(file, record.robots)
     steps = read_steps(file.parent / STEPS_FILE)
-    rows, wanted = len(steps.positions_m), len(record.robots[0].t_s)
-    if rows != wanted:
-        raise InputError(
-            f"has {rows} places where {file.name} has {wanted}",
-            file=file.parent / STEPS_FILE,
-            remedy=REMEDY,
-        )
+    require_rows(file, steps, record.robots)
     belief = read_belief(file.parent / BELIEF_FILE)
     if isinstance(record, RunRecord):
-        _require_complete_run(file, record, belief)
+        steps_driven = len(record.robots[0].t_s) - 1
+        require_complete_robot(file, "plans", steps_driven, record.plans, belief)
     return Saved(file, data, record, problem, steps, belief)
 
 
@@ -120,7 +128,7 @@ def _read_json(file: Path) -> Mapping[str, Any]:
         if len(table) < len(pairs):
             names = [name for name, _ in pairs]
             twice = next(name for name in names if names.count(name) > 1)
-            raise _damaged(file, twice, "stands there twice")
+            raise damaged(file, twice, "stands there twice")
         return table
 
     try:
@@ -134,28 +142,61 @@ def _read_json(file: Path) -> Mapping[str, Any]:
     return cast("Mapping[str, Any]", data)
 
 
-def _record(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _AnyRecord:
+def record_of(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _AnyRecord:
+    """What `file` says, typed.
+
+    Raises
+    ------
+    InputError
+        A key is missing or of the wrong kind.
+    """
     try:
         return model.model_validate(data)
     except ValidationError as error:
         raise input_error(error, model, file=file) from None
 
 
-def _require_complete_run(file: Path, record: RunRecord, belief: SavedBelief) -> None:
-    """Every step has its plan and its belief."""
-    steps = len(record.robots[0].t_s) - 1
-    if len(record.plans) != steps:
-        raise _damaged(file, "plans", f"{len(record.plans)} plans for {steps} steps")
+def require_even(file: Path, robots: Sequence[RobotRecord]) -> None:
+    """Every robot's columns are of one length."""
+    for number, robot in enumerate(robots):
+        if not len(robot.t_s) == len(robot.x_m) == len(robot.y_m) == len(robot.connectivity):
+            raise damaged(
+                file, f"robots[{number}]", "t_s, x_m, y_m and connectivity differ in length"
+            )
+
+
+def require_rows(file: Path, steps: Steps, robots: Sequence[RobotRecord]) -> None:
+    """The table has a row for every place."""
+    rows, wanted = len(steps.positions_m), sum(len(robot.t_s) for robot in robots)
+    if rows != wanted:
+        raise InputError(
+            f"has {rows} places where {file.name} has {wanted}",
+            file=file.parent / STEPS_FILE,
+            remedy=REMEDY,
+        )
+
+
+def require_complete_robot(
+    file: Path,
+    key: str,
+    steps: int,
+    plans: Sequence[PlannedRecord],
+    belief: SavedBelief,
+) -> None:
+    """Every step of a robot has its plan, at `key` of the file, and its belief."""
+    if len(plans) != steps:
+        raise damaged(file, key, f"{len(plans)} plans for {steps} steps")
     if len(belief.known_before_step) != steps:
-        raise _damaged(
+        raise damaged(
             belief.file,
             "known_before_step",
             f"{len(belief.known_before_step)} counts for {steps} steps",
         )
-    for number, plan in enumerate(record.plans):
+    for number, plan in enumerate(plans):
         if len(plan.x_m) != len(plan.y_m):
-            raise _damaged(file, f"plans[{number}]", "x_m and y_m differ in length")
+            raise damaged(file, f"{key}[{number}]", "x_m and y_m differ in length")
 
 
-def _damaged(file: Path, key: str, message: str) -> InputError:
+def damaged(file: Path, key: str, message: str) -> InputError:
+    """The error that a saved file contradicts itself at `key`."""
     return InputError(message, file=file, key=key, remedy=REMEDY)

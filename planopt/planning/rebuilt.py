@@ -11,8 +11,9 @@ from planopt.channel.connectivity import connection_probability
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Pivot, Plan, Rung, Termination
 from planopt.planning.reach_cost import ReachCost
-from planopt.planning.run_json import ReleasedRecord
+from planopt.planning.run_json import PlannedRecord, ReleasedRecord
 from planopt.planning.solution_json import PlanRecord
+from planopt.planning.team_solution_json import RobotPlanRecord
 from planopt.planning.verify import Judgement
 from planopt.problems.problem import Problem
 
@@ -32,14 +33,14 @@ class Effort:
     iterations: int = 0
 
 
-def rebuilt_plan(
+def rebuilt_reach_plan(
     problem: Problem,
     path_m: NDArray[np.float64],
     judgement: Judgement,
     record: PlanRecord | ReleasedRecord,
     effort: Effort,
 ) -> Plan:
-    """The plan of a path (N + 1, 2), the robot's own place first.
+    """The plan to a goal, by a path (N + 1, 2) with the robot's own place first.
 
     Parameters
     ----------
@@ -54,13 +55,37 @@ def rebuilt_plan(
     effort
         Taken as it is.
     """
-    power = judgement.power
-    if power is None:
-        raise AssertionError("places in files are finite")
     pivot = None
     if record.pivot is not None:
         place = np.array([record.pivot.x_m, record.pivot.y_m])
         pivot = Pivot(place, record.pivot.cost_m)
+    cost_s = ReachCost(problem, path_m[0], pivot)(path_m[1:])
+    return rebuilt_plan(problem, path_m, judgement, record, effort, cost_s, pivot)
+
+
+def rebuilt_plan(
+    problem: Problem,
+    path_m: NDArray[np.float64],
+    judgement: Judgement,
+    record: PlanRecord | PlannedRecord | RobotPlanRecord,
+    effort: Effort,
+    objective: float,
+    pivot: Pivot | None = None,
+) -> Plan:
+    """The plan of any task; parameters as in :func:`rebuilt_reach_plan`.
+
+    Parameters
+    ----------
+    problem, path_m, judgement, record, effort
+        As there; the problem has one robot.
+    objective
+        What the path is worth.
+    pivot
+        The way beyond the horizon that this charges.
+    """
+    power = judgement.power
+    if power is None:
+        raise AssertionError("places in files are finite")
     return Plan(
         robot=problem.robots[0].name,
         t_s=problem.planner.step_s * np.arange(len(path_m), dtype=np.float64),
@@ -70,7 +95,7 @@ def rebuilt_plan(
         connectivity=connection_probability(
             power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm
         ),
-        objective=ReachCost(problem, path_m[0], pivot)(path_m[1:]),
+        objective=objective,
         lattice_objective=record.lattice_objective,
         termination=Termination(record.termination),
         verdict=judgement.verdict,
@@ -81,4 +106,5 @@ def rebuilt_plan(
         iterations=effort.iterations,
         message=plan_message(judgement.certificate, path_m),
         pivot=pivot,
+        sense=problem.sense,
     )

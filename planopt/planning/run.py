@@ -18,6 +18,7 @@ class Outcome(StrEnum):
     STALLED = "stalled"
     STEP_LIMIT = "step_limit"
     NO_PLAN = "no_plan"
+    COMPLETED = "completed"
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class StepLog:
     step_s
         Wall time that planning this step took; row 0 is 0.
     polish_gain_s
-        Lattice objective minus released objective; row 0 is 0.
+        How much better than the lattice path the released one is, in the objective's unit (seconds
+        for a cost); row 0 is 0.
     relaxation_db
         By how much the bound was relaxed at this step (0: not).
     """

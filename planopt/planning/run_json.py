@@ -30,8 +30,8 @@ from planopt.planning.solution_json import (
 from planopt.problems.problem import Problem
 
 
-class ReleasedRecord(Record):
-    """One released plan of a run: its places, now included, and what only the planner knows."""
+class PlannedRecord(Record):
+    """A plan of a run: its places, now included, and what only the planner knows."""
 
     x_m: list[Number] = Field(min_length=2)
     y_m: list[Number]
@@ -39,8 +39,13 @@ class ReleasedRecord(Record):
     verdict: str
     rung: str
     lattice_objective: float
-    pivot: PivotRecord | None
     kkt_residual: NotNegative | None
+
+
+class ReleasedRecord(PlannedRecord):
+    """One released plan of a run to a goal."""
+
+    pivot: PivotRecord | None
 
 
 class StepTimesRecord(Record):
@@ -69,7 +74,7 @@ def simulation_json(simulation: Simulation) -> dict[str, Any]:
 
 def run_json(problem: Problem, run: Run) -> dict[str, Any]:
     """As :func:`simulation_json`, of a run and its problem."""
-    return {"problem": problem.name, **run_summary(run), "robots": [_robot(run)]}
+    return {"problem": problem.name, **run_summary(run), "robots": [robot_json(run)]}
 
 
 def run_summary(run: Run) -> dict[str, Any]:
@@ -84,13 +89,13 @@ def run_summary(run: Run) -> dict[str, Any]:
         "metrics": {name: finite(value) for name, value in asdict(run.metrics).items()},
         "rungs": run.rungs,
         "verified_rate": finite(run.verified_rate),
-        "step_s": _step_times(run.log.step_s[1:]),
+        "step_s": step_times_json(run.log.step_s[1:]),
     }
 
 
 def released_plans_json(plans: Iterable[Plan]) -> list[dict[str, Any]]:
     """Released plans in order, with what judging them again needs."""
-    return [_plan(plan) for plan in plans]
+    return [{**released_plan_json(plan), "pivot": pivot_json(plan.pivot)} for plan in plans]
 
 
 def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
@@ -106,12 +111,12 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "metrics": {field.name: None for field in fields(Metrics)},
         "rungs": {},
         "verified_rate": None,
-        "step_s": _step_times(np.zeros(0)),
+        "step_s": step_times_json(np.zeros(0)),
         "robots": [],
     }
 
 
-def _step_times(seconds: NDArray[np.float64]) -> dict[str, float | None]:
+def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:
     """Median, 95 % quantile and largest planning time of a step; null without steps."""
     if seconds.size == 0:
         return {"p50": None, "p95": None, "max": None}
@@ -119,7 +124,8 @@ def _step_times(seconds: NDArray[np.float64]) -> dict[str, float | None]:
     return {"p50": finite(p50), "p95": finite(p95), "max": finite(largest)}
 
 
-def _robot(run: Run) -> dict[str, Any]:
+def robot_json(run: Run) -> dict[str, Any]:
+    """A robot's way."""
     log = run.log
     return {
         "name": run.robot,
@@ -130,13 +136,13 @@ def _robot(run: Run) -> dict[str, Any]:
     }
 
 
-def _plan(plan: Plan) -> dict[str, Any]:
+def released_plan_json(plan: Plan) -> dict[str, Any]:
+    """A released plan, but for what its objective charges beyond the horizon."""
     return {
         "x_m": finite_list(plan.positions_m[:, 0]),
         "y_m": finite_list(plan.positions_m[:, 1]),
         "objective": finite(plan.objective),
         "lattice_objective": finite(plan.lattice_objective),
-        "pivot": pivot_json(plan.pivot),
         "termination": plan.termination.value,
         "verdict": plan.verdict.value,
         "rung": plan.rung.value,

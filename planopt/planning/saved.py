@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.belief import Belief
 from planopt.errors import OutputError
 from planopt.files import write_text
 from planopt.planning.belief_file import BELIEF_FILE, write_belief
@@ -59,7 +60,10 @@ def save_simulation(simulation: Simulation, folder: Path) -> None:
     withdraw(folder)
     run = simulation.run
     write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log)))
-    write_belief(folder / BELIEF_FILE, simulation.belief, known_before_steps(simulation))
+    known = known_before_steps(
+        simulation.belief, simulation.first_measurements, run.log.positions_m
+    )
+    write_belief(folder / BELIEF_FILE, simulation.belief, known)
     data = {**simulation_json(simulation), "plans": released_plans_json(simulation.plans)}
     save_record(data, simulation.problem, folder / RUN_FILE)
 
@@ -69,16 +73,27 @@ def save_record(data: dict[str, Any], problem: Problem, path: Path) -> None:
     write_text(path, strict_text({**data, "problem_file": problem_to_dict(problem)}))
 
 
-def known_before_steps(simulation: Simulation) -> NDArray[np.int64]:
+def known_before_steps(
+    belief: Belief, first: int, track_m: NDArray[np.float64]
+) -> NDArray[np.int64]:
     """How many measurements each step was planned on; ``(steps,)``.
 
     Measurements of the run are taken at the places driven to, in order, each place at most once
     a visit; so going along both finds the step of each.
+
+    Parameters
+    ----------
+    belief
+        At the end of the run.
+    first
+        How many of its measurements were there before the run.
+    track_m
+        ``(steps + 1, 2)`` the places, the start first.
     """
-    taken = simulation.belief.posterior.measurements.positions_m
-    count = simulation.first_measurements
+    taken = belief.posterior.measurements.positions_m
+    count = first
     known: list[int] = []
-    for place in simulation.run.log.positions_m[1:]:
+    for place in track_m[1:]:
         known.append(count)
         if count < len(taken) and np.array_equal(taken[count], place):
             count += 1

@@ -55,7 +55,7 @@ def step_log(
         true_dbm=true_dbm,
         connected=true_dbm >= problem.stations[0].threshold_dbm,
         step_s=column(0.0, [p.wall_s for p in plans]),
-        polish_gain_s=column(0.0, [p.lattice_objective - p.objective for p in plans]),
+        polish_gain_s=column(0.0, [p.gain for p in plans]),
         relaxation_db=column(0.0, relaxation),
         rung=(Rung.PLAN, *(p.rung for p in plans)),
         verdict=(Verdict.VERIFIED, *(p.verdict for p in plans)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.planning.csv_rows import read_number, read_rows
 from planopt.planning.plan import Plan
 from planopt.planning.run import StepLog
-from planopt.planning.solution_json import LARGEST, REMEDY, finite_list
+from planopt.planning.solution_json import REMEDY, finite_list
 
 STEPS_FILE = "steps.csv"
 
@@ -30,8 +32,8 @@ class Steps:
 
     Attributes
     ----------
-    robots
-        Whose rows they are, row by row.
+    robots, steps
+        Whose rows they are, and the number of each robot's step, row by row.
     numbers
         `NUMBER_COLUMNS` by name, NaN where a cell is empty; ``(n,)`` each.
     labels
@@ -39,13 +41,39 @@ class Steps:
     """
 
     robots: tuple[str, ...]
+    steps: tuple[int, ...]
     numbers: dict[str, NDArray[np.float64]]
     labels: dict[str, tuple[str, ...]]
+
+    def take(self, rows: slice) -> Steps:
+        """The table of some of the rows."""
+        return Steps(
+            self.robots[rows],
+            self.steps[rows],
+            {name: column[rows] for name, column in self.numbers.items()},
+            {name: column[rows] for name, column in self.labels.items()},
+        )
 
     @property
     def positions_m(self) -> NDArray[np.float64]:
         """``(n, 2)``."""
         return np.stack([self.numbers["x_m"], self.numbers["y_m"]], axis=1)
+
+
+def joined_steps(tables: Sequence[Steps]) -> Steps:
+    """One table of several robots', one below the other."""
+    return Steps(
+        tuple(robot for table in tables for robot in table.robots),
+        tuple(step for table in tables for step in table.steps),
+        {
+            name: np.concatenate([table.numbers[name] for table in tables])
+            for name in NUMBER_COLUMNS
+        },
+        {
+            name: tuple(cell for table in tables for cell in table.labels[name])
+            for name in LABEL_COLUMNS
+        },
+    )
 
 
 def steps_of_plan(plan: Plan) -> Steps:
@@ -86,6 +114,7 @@ def _steps(
 ) -> Steps:
     return Steps(
         (robot,) * len(columns[0]),
+        tuple(range(len(columns[0]))),
         dict(zip(NUMBER_COLUMNS, columns, strict=True)),
         {name: tuple(cells) for name, cells in zip(LABEL_COLUMNS, labels, strict=True)},
     )
@@ -98,9 +127,9 @@ def steps_text(steps: Steps) -> str:
     writer.writerow(COLUMNS)
     columns = [finite_list(steps.numbers[name]) for name in NUMBER_COLUMNS]
     rows = zip(*columns, *(steps.labels[name] for name in LABEL_COLUMNS), strict=True)
-    for step, row in enumerate(rows):
+    for robot, step, row in zip(steps.robots, steps.steps, rows, strict=True):
         cells = ("" if cell is None else cell for cell in row)
-        writer.writerow([steps.robots[step], step, *cells])
+        writer.writerow([robot, step, *cells])
     return text.getvalue()
 
 
@@ -113,56 +142,34 @@ def read_steps(path: Path) -> Steps:
         It is missing, not text, lacks a column or has a cell that is no number; with row and
         column.
     """
-    try:
-        text = path.read_bytes().decode("utf-8")
-        rows = list(csv.reader(io.StringIO(text), strict=True))
-    except (OSError, ValueError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"cannot be read: {reason}", file=path, remedy=REMEDY) from None
-    if not rows or tuple(rows[0]) != COLUMNS:
-        raise InputError(f"the header is not {','.join(COLUMNS)}", file=path, row=1, remedy=REMEDY)
     robots: list[str] = []
+    steps: list[int] = []
     numbers: dict[str, list[float]] = {name: [] for name in NUMBER_COLUMNS}
     labels: dict[str, list[str]] = {name: [] for name in LABEL_COLUMNS}
-    for line, cells in enumerate(rows[1:], start=2):
-        if len(cells) != len(COLUMNS):
+    for line, row in read_rows(path, COLUMNS):
+        step = len(steps) and steps[-1] + 1
+        # The next robot's rows begin anew.
+        if robots and row["robot"] != robots[-1] and row["step"] == "0":
+            step = 0
+        if row["step"] != str(step):
             raise InputError(
-                f"{len(cells)} cells where {len(COLUMNS)} should be",
-                file=path,
-                row=line,
-                remedy=REMEDY,
-            )
-        row = dict(zip(COLUMNS, cells, strict=True))
-        if row["step"] != str(line - 2):
-            raise InputError(
-                f"step {row['step']!r} where {line - 2} should be",
+                f"step {row['step']!r} where {step} should be",
                 file=path,
                 key="step",
                 row=line,
                 remedy=REMEDY,
             )
+        steps.append(step)
         robots.append(row["robot"])
         for name in NUMBER_COLUMNS:
-            numbers[name].append(_number(row[name], name, path, line))
+            numbers[name].append(
+                read_number(row[name], name, path, line, may_miss=name not in REQUIRED_NUMBERS)
+            )
         for name in LABEL_COLUMNS:
             labels[name].append(row[name])
     return Steps(
         tuple(robots),
+        tuple(steps),
         {name: np.array(column) for name, column in numbers.items()},
         {name: tuple(column) for name, column in labels.items()},
     )
-
-
-def _number(cell: str, name: str, path: Path, line: int) -> float:
-    """A finite number, or NaN for an empty cell of a column that may have some."""
-    if not cell and name not in REQUIRED_NUMBERS:
-        return np.nan
-    try:
-        number = float(cell)
-    except ValueError:
-        number = np.nan
-    if not abs(number) <= LARGEST:
-        raise InputError(
-            f"{cell!r} is not a finite number", file=path, key=name, row=line, remedy=REMEDY
-        )
-    return number

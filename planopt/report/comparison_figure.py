@@ -11,7 +11,7 @@ from planopt.report.comparison_looks import Look, Setting, looks_of
 from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import dress, head, legend_below, plain_log_ticks
-from planopt.studies.comparison import Comparison, Row
+from planopt.studies.comparison import Comparison, Row, metric_values
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -72,7 +72,7 @@ def _draw_metric(
 ) -> None:
     """Draw a metric: single runs, mean and interval where there is one."""
     name = metric_name(metric)
-    values = [name.scale * getattr(run.metrics, metric, math.nan) for run in comparison.runs]
+    values = [name.scale * metric_values(run).get(metric, math.nan) for run in comparison.runs]
     for run, value in zip(comparison.runs, values, strict=True):
         look = looks[run.cost_to_go, run.planner]
         panel.plot(

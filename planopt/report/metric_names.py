@@ -35,6 +35,12 @@ METRIC_NAMES = {
     "true_connected_share": MetricName("connected in truth", "%", 100.0, 1),
     "longest_outage_m": MetricName("longest outage", "m", 1.0, 1),
     "predicted_min_connectivity": MetricName("least predicted P(connected)", "1", 1.0, 3),
+    "time_averaged_trace_p": MetricName("time-averaged tr P", "m2", 1.0, 3),
+    "final_trace_p": MetricName("final tr P", "m2", 1.0, 3),
+    "delivered": MetricName("delivered", "%", 100.0, 1),
+    "rms_db": MetricName("RMS error", "dB", 1.0, 2),
+    "anmse_db": MetricName("ANMSE", "dB", 1.0, 2),
+    "trace_m_db": MetricName("tr M", "dB", 1.0, 2),
     "polish_gain": MetricName("gain of the polish", "%", 100.0, 2),
 }
 

@@ -9,7 +9,6 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
-from planopt.planning.plan import Plan
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
 from planopt.report.grid import Bounds, predicted_rasters
@@ -50,9 +49,9 @@ INSET_BELOW = 0.6
 """A window wider than this share of the workspace needs no inset."""
 
 
-def _window(problem: Problem, plan: Plan) -> Bounds:
-    """A square around the plan."""
-    low, high = plan.positions_m.min(axis=0), plan.positions_m.max(axis=0)
+def window_about(problem: Problem, places_m: NDArray[np.float64]) -> Bounds:
+    """A square around places (n, 2)."""
+    low, high = places_m.min(axis=0), places_m.max(axis=0)
     side = max(
         float((high - low).max()) * (1.0 + 2.0 * WINDOW_MARGIN),
         MIN_WINDOW_STEPS * problem.step_length_m,
@@ -61,13 +60,19 @@ def _window(problem: Problem, plan: Plan) -> Bounds:
     return (x - side / 2.0, y - side / 2.0, x + side / 2.0, y + side / 2.0)
 
 
+def is_small(problem: Problem, window: Bounds) -> bool:
+    """Whether a window shows so little of the workspace that an inset has to say where it is."""
+    x_min, _, x_max, _ = problem.workspace.bounds_m
+    return window[2] - window[0] < INSET_BELOW * (x_max - x_min)
+
+
 def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Artist]:
     """Draw the map in a window around the plan; the artists, for the legend."""
     from matplotlib.lines import Line2D
 
     problem, plan = solution.problem, solution.plan
     p_min = problem.constraints.p_min
-    window = _window(problem, plan)
+    window = window_about(problem, plan.positions_m)
     mean, deviation = predicted_rasters(solution.belief.posterior, problem.workspace, window)
     chance = connection_probability(
         mean.values, deviation.values, problem.stations[0].threshold_dbm
@@ -96,9 +101,8 @@ def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Arti
     places = draw_places(panel, problem)
     panel.set_xlim(window[0], window[2])
     panel.set_ylim(window[1], window[3])
-    x_min, _, x_max, _ = problem.workspace.bounds_m
-    if window[2] - window[0] < INSET_BELOW * (x_max - x_min):
-        _draw_inset(panel, problem, plan, window)
+    if is_small(problem, window):
+        draw_inset(panel, problem, plan.positions_m, window)
     level = Line2D([], [], color=VERMILLION, linewidth=1.2, label=f"P(connected) = {p_min:g}")
     return [path, margin, level, *places]
 
@@ -132,9 +136,11 @@ def _rings(area: shapely.Geometry) -> list[NDArray[np.float64]]:
     return [ring_xy(line) for line in shapely.get_parts(shapely.boundary(area))]
 
 
-def _draw_inset(panel: Panel, problem: Problem, plan: Plan, window: Bounds) -> None:
-    """Draw the whole workspace small, in the corner of the map that is farthest from the plan."""
-    shares = (plan.positions_m - np.array(window[:2])) / (window[2] - window[0])
+def draw_inset(
+    panel: Panel, problem: Problem, places_m: NDArray[np.float64], window: Bounds
+) -> None:
+    """Draw the whole workspace small, in the corner of the map that is farthest from the places."""
+    shares = (places_m - np.array(window[:2])) / (window[2] - window[0])
     corners = [(0.01, 0.01), (0.99 - INSET, 0.01), (0.01, 0.99 - INSET), (0.99 - INSET,) * 2]
     distances = [
         np.linalg.norm(shares - np.array(corner) - INSET / 2.0, axis=1).min() for corner in corners

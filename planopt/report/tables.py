@@ -10,6 +10,20 @@ from planopt.studies.comparison import Comparison, Row
 MISSING = "-"
 
 
+VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
+"""Columns of every task; the first is of no metric."""
+
+GOAL_COLUMNS = (
+    ("time to goal [s]", "goal_time_s"),
+    ("connected [%]", "true_connected_share"),
+    ("longest outage [m]", "longest_outage_m"),
+    ("least P", "predicted_min_connectivity"),
+    VERIFIED,
+    POLISH,
+)
+"""Metrics shown where there is a goal, and their headings; the first with its interval."""
+
+
 def comparison_text(comparison: Comparison) -> str:
     """Table of a comparison, aligned, one line a setting in the order of the rows.
 
@@ -22,30 +36,41 @@ def comparison_text(comparison: Comparison) -> str:
     for row in comparison.rows:
         setting = (row.cost_to_go, row.planner, row.horizon)
         settings.setdefault(setting, {})[row.metric] = row
+    to_goal = comparison.problem.task == "reach"
+    shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
     header = [
         "cost to go",
         "planner",
         "horizon",
         "runs",
         "stalled",
-        "time to goal [s]",
-        "connected [%]",
-        "longest outage [m]",
-        "least P",
-        "verified [%]",
-        "polish gain [%]",
+        *(heading for heading, _ in shown),
         "step p50 [ms]",
         "step p95 [ms]",
     ]
-    lines = [_cells(*setting, rows) for setting, rows in settings.items()]
+    lines = [
+        _cells(*setting, rows, [metric for _, metric in shown])
+        for setting, rows in settings.items()
+    ]
     title = (
         f"{comparison.problem.name}: {len(comparison.runs)} runs in {comparison.wall_s:.1f} s; "
-        "means over runs, 95 % interval in brackets; time to goal over the runs that arrived"
+        "means over runs, 95 % interval in brackets"
     )
+    if to_goal:
+        title += "; time to goal over the runs that arrived"
     return "\n".join([title, "", *_aligned([header, *lines])])
 
 
-def _cells(cost_to_go: str | None, planner: str, horizon: int, rows: dict[str, Row]) -> list[str]:
+def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """Heading and name of every metric of a sum of terms."""
+    metrics = [m for m in dict.fromkeys(row.metric for row in rows) if m != "polish_gain"]
+    own = [(f"{metric_name(m).words} [{metric_name(m).unit}]", m) for m in metrics]
+    return [*own, VERIFIED, POLISH]
+
+
+def _cells(
+    cost_to_go: str | None, planner: str, horizon: int, rows: dict[str, Row], shown: Sequence[str]
+) -> list[str]:
     """One line of the table; what is not of one metric is the same in every row."""
     one = next(iter(rows.values()))
     return [
@@ -54,12 +79,12 @@ def _cells(cost_to_go: str | None, planner: str, horizon: int, rows: dict[str, R
         str(horizon),
         str(one.seeds),
         str(one.stalled),
-        _mean(rows, "goal_time_s", interval=True),
-        _mean(rows, "true_connected_share"),
-        _mean(rows, "longest_outage_m"),
-        _mean(rows, "predicted_min_connectivity"),
-        f"{100.0 * one.verified_rate:.1f}",
-        _mean(rows, "polish_gain"),
+        *(
+            _mean(rows, metric, interval=metric == shown[0])
+            if metric
+            else f"{100.0 * one.verified_rate:.1f}"
+            for metric in shown
+        ),
         f"{1e3 * one.p50_step_s:.1f}",
         f"{1e3 * one.p95_step_s:.1f}",
     ]

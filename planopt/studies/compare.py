@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from time import perf_counter
 from typing import cast
 
@@ -16,14 +16,19 @@ from planopt.errors import InputError
 from planopt.planning.closed_loop import simulate
 from planopt.planning.metrics import POSSIBLE
 from planopt.planning.prepare import prepare
-from planopt.planning.run import Metrics, Outcome, Run
+from planopt.planning.run import Outcome, Run
 from planopt.planning.scene import build_scene
+from planopt.planning.team_loop import simulate_team
+from planopt.planning.team_summary import team_summary
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
-from planopt.studies.comparison import Comparison, Row
+from planopt.studies.comparison import Comparison, Driven, Row, metric_values
 
 CONFIDENCE = 0.95
 ANY = (-np.inf, np.inf)
+ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
+"""Outcomes of runs that did what the problem asks."""
+
 BACKENDS = ("loky",)
 """What joblib may run tasks on."""
 
@@ -34,7 +39,7 @@ class Setting:
 
     horizon: int
     planner: str
-    cost_to_go: str
+    cost_to_go: str | None
 
 
 def compare_horizons(
@@ -42,11 +47,11 @@ def compare_horizons(
     horizons: Sequence[int],
     *,
     planners: Sequence[str] = ("auto",),
-    costs_to_go: Sequence[str] = ("geodesic", "connected"),
+    costs_to_go: Sequence[str] | None = None,
     seeds: int | Iterable[int] = 30,
     workers: int = 1,
     backend: str = "loky",
-    on_run: Callable[[Run], None] | None = None,
+    on_run: Callable[[Driven], None] | None = None,
 ) -> Comparison:
     """Run every setting on every seed and tabulate.
 
@@ -55,7 +60,8 @@ def compare_horizons(
     problem
         What to run; horizon, planner and cost to go are overridden.
     horizons, planners, costs_to_go
-        The settings are their product; the first is the reference of paired ratios.
+        The settings are their product; the first is the reference of paired ratios. Costs to go
+        are both where there is a goal unless given, and cannot be given where there is none.
     seeds
         The seeds, or how many (0, 1, ...). Every setting sees the same ones.
     workers
@@ -76,15 +82,16 @@ def compare_horizons(
     """
     begun = perf_counter()
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
-    _check(horizons, planners, costs_to_go, chosen, workers, backend)
-    settings = [Setting(n, p, c) for c in costs_to_go for p in planners for n in horizons]
+    costs = costs_to_go if costs_to_go is not None else default_costs_to_go(problem)
+    _check(horizons, planners, costs, chosen, workers, backend)
+    settings = [Setting(n, p, c) for c in costs for p in planners for n in horizons]
     for setting in settings:
         _apply(problem, setting)
-    finished: dict[tuple[Setting, int], Run] = {}
+    finished: dict[tuple[Setting, int], Driven] = {}
     parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
     task = cast("Callable[..., object]", delayed(_runs_of_seed))
     jobs = [task(problem, settings, seed) for seed in chosen]
-    for seed, runs in zip(chosen, cast("Iterable[list[Run]]", parallel(jobs)), strict=True):
+    for seed, runs in zip(chosen, cast("Iterable[list[Driven]]", parallel(jobs)), strict=True):
         for setting, run in zip(settings, runs, strict=True):
             finished[setting, seed] = run
             if on_run is not None:
@@ -103,10 +110,15 @@ def compare_horizons(
     )
 
 
+def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
+    """What is compared if nothing is said: both where there is a goal."""
+    return ("geodesic", "connected") if problem.task == "reach" else (None,)
+
+
 def _check(
     horizons: Sequence[int],
     planners: Sequence[str],
-    costs_to_go: Sequence[str],
+    costs_to_go: Sequence[str | None],
     seeds: Sequence[int],
     workers: int,
     backend: str,
@@ -128,13 +140,13 @@ def _check(
         )
 
 
-def tabulate(setting: Setting, runs: Sequence[Run], reference: Sequence[Run]) -> list[Row]:
+def tabulate(setting: Setting, runs: Sequence[Driven], reference: Sequence[Driven]) -> list[Row]:
     """Rows of one setting, one a metric; `reference` holds the same seeds in the same order."""
-    steps = np.concatenate([run.log.step_s[1:] for run in runs])
-    verdicts = sum(len(run.log.verdict) - 1 for run in runs)
-    verified = sum(run.verified_rate * (len(run.log.verdict) - 1) for run in runs)
+    each = [_step_times(run) for run in runs]
+    steps = np.concatenate(each)
+    verified = sum(run.verified_rate * len(times) for run, times in zip(runs, each, strict=True))
     rows: list[Row] = []
-    for metric in (field.name for field in fields(Metrics)):
+    for metric in metric_values(runs[0]):
         values, others = _values(runs, metric), _values(reference, metric)
         there = values[np.isfinite(values)]
         low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
@@ -144,14 +156,14 @@ def tabulate(setting: Setting, runs: Sequence[Run], reference: Sequence[Run]) ->
                 planner=setting.planner,
                 cost_to_go=setting.cost_to_go,
                 seeds=len(runs),
-                stalled=sum(run.outcome is not Outcome.REACHED for run in runs),
+                stalled=sum(run.outcome not in ARRIVED for run in runs),
                 metric=metric,
                 mean=float(there.mean()) if there.size else None,
                 ci_low=low,
                 ci_high=high,
                 count=int(there.size),
                 paired_ratio=paired_ratio(values, others),
-                verified_rate=float(verified / verdicts) if verdicts else 1.0,
+                verified_rate=float(verified / steps.size) if steps.size else 1.0,
                 p50_step_s=float(np.median(steps)) if steps.size else 0.0,
                 p95_step_s=float(np.quantile(steps, 0.95)) if steps.size else 0.0,
             )
@@ -184,8 +196,13 @@ def paired_ratio(values: NDArray[np.float64], others: NDArray[np.float64]) -> fl
     return float(np.exp(np.log(values[both] / others[both]).mean()))
 
 
-def _values(runs: Sequence[Run], metric: str) -> NDArray[np.float64]:
-    return np.array([getattr(run.metrics, metric) for run in runs], dtype=float)
+def _values(runs: Sequence[Driven], metric: str) -> NDArray[np.float64]:
+    return np.array([metric_values(run)[metric] for run in runs], dtype=float)
+
+
+def _step_times(run: Driven) -> NDArray[np.float64]:
+    """Planning time of every released step."""
+    return run.log.step_s[1:] if isinstance(run, Run) else run.step_s
 
 
 def _apply(problem: Problem, setting: Setting) -> Problem:
@@ -197,10 +214,11 @@ def _apply(problem: Problem, setting: Setting) -> Problem:
     )
 
 
-def _runs_of_seed(problem: Problem, settings: Sequence[Setting], seed: int) -> list[Run]:
+def _runs_of_seed(problem: Problem, settings: Sequence[Setting], seed: int) -> list[Driven]:
     """Closed loops of all settings on one seed; they share scene and first belief."""
-    scene, prepared = build_scene(problem), prepare(problem, seed)
-    return [
-        simulate(_apply(problem, setting), seed=seed, scene=scene, prepared=prepared).run
-        for setting in settings
-    ]
+    asked = [_apply(problem, setting) for setting in settings]
+    prepared = prepare(problem, seed)
+    if problem.task != "reach":
+        return [team_summary(simulate_team(one, seed=seed, prepared=prepared)) for one in asked]
+    scene = build_scene(problem)
+    return [simulate(one, seed=seed, scene=scene, prepared=prepared).run for one in asked]

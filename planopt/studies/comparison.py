@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
-from planopt.planning.run import Run
+from planopt.planning.run import Metrics, Run
+from planopt.planning.team_summary import TeamSummary
 from planopt.problems.problem import Problem
+
+Driven = Run | TeamSummary
+"""A run as comparisons list it: to a goal, or of all robots of a sum of terms."""
+
+
+def metric_values(run: Driven) -> dict[str, float]:
+    """What a run is judged by, by name."""
+    metrics = run.metrics
+    return asdict(metrics) if isinstance(metrics, Metrics) else metrics
 
 
 @dataclass(frozen=True)
@@ -19,7 +29,7 @@ class Row:
     seeds
         How many runs.
     stalled
-        How many of them did not reach the goal.
+        How many of them did not reach the goal, if there is one.
     metric
         Its name (`goal_time_s`, `true_connected_share`, ...).
     mean, ci_low, ci_high
@@ -61,7 +71,7 @@ class Comparison:
     problem
         As given; horizon, planner and cost to go are those of each run.
     runs
-        In the order setting by setting, seed by seed.
+        In the order setting by setting, seed by seed; of a sum of terms, all robots together.
     rows
         The table.
     wall_s
@@ -69,6 +79,6 @@ class Comparison:
     """
 
     problem: Problem
-    runs: tuple[Run, ...]
+    runs: tuple[Driven, ...]
     rows: tuple[Row, ...]
     wall_s: float

@@ -442,7 +442,8 @@ def test_another_task_is_not_judged(plan_folder: Path) -> None:
         tables["objective"] = {"terms": [{"kind": "path_loss_learning"}]}
 
     edit_json(plan_folder, "plan.json", learn_instead)
-    rejected(plan_folder, "plan.json, key problem_file.problem.task: learn")
+    with pytest.raises(InputError, match=r"plan\.json, key robots\[0\]"):
+        check(plan_folder)
 
 
 def test_a_plan_that_stops_where_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

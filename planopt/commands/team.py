@@ -1,0 +1,87 @@
+"""``planopt solve`` and ``planopt simulate`` for problems whose objective is a sum of terms."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from planopt.commands.output import progress, results_folder, show, shown_number
+from planopt.commands.planning import Asked
+
+if TYPE_CHECKING:
+    from planopt.planning.team_run import TeamRun
+    from planopt.planning.team_solution import TeamSolution
+
+NOT_VERIFIED = 3
+
+
+def solve_asked(asked: Asked) -> int:
+    """Plan for each robot. Exit code 0 verified, 3 not verified."""
+    from planopt.planning.plan import Verdict
+    from planopt.planning.team_saved import save_team_solution
+    from planopt.planning.team_solution_json import team_solution_json
+    from planopt.planning.team_solve import solve_team
+
+    with results_folder(asked.out) as folder:
+        with progress("planning"):
+            solution = solve_team(asked.problem, seed=asked.seed)
+        if folder is not None:
+            save_team_solution(solution, folder)
+    show(asked.json, team_solution_json(solution), _plans_in_words(solution))
+    return 0 if solution.verdict is Verdict.VERIFIED else NOT_VERIFIED
+
+
+def simulate_asked(asked: Asked) -> int:
+    """Drive all robots. Exit code 0 verified throughout, 3 not throughout."""
+    from planopt.planning.team_loop import simulate_team
+    from planopt.planning.team_run_json import team_run_json
+    from planopt.planning.team_saved import save_team_run
+
+    with results_folder(asked.out) as folder:
+        with progress("driving, steps:", asked.problem.planner.max_steps) as advance:
+            run = simulate_team(asked.problem, seed=asked.seed, on_step=lambda _: advance())
+        if folder is not None:
+            save_team_run(run, folder)
+    show(asked.json, team_run_json(run), _run_in_words(run))
+    return 0 if run.verified_rate == 1.0 else NOT_VERIFIED
+
+
+def _plans_in_words(solution: TeamSolution) -> str:
+    problem = solution.problem
+    value = sum(plan.objective for plan in solution.plans)
+    lines = [
+        f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon}, "
+        f"planner {problem.planner.name}, seed {solution.seed}",
+        f"  value {shown_number(value)} of {len(solution.plans)} plans",
+    ]
+    for plan in solution.plans:
+        certificate = plan.certificate
+        lines.append(
+            f"  {plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
+            f"value {shown_number(plan.objective)}, of the lattice path "
+            f"{shown_number(plan.lattice_objective)}; clearance "
+            f"{shown_number(certificate.min_clearance_m, ' m')}, least probability of connection "
+            f"{shown_number(certificate.min_connectivity)} ({certificate.posterior}); "
+            f"{shown_number(plan.wall_s, ' s', 2)}"
+        )
+        if plan.message:
+            lines.append(f"    {plan.message}")
+    return "\n".join(lines)
+
+
+def _run_in_words(run: TeamRun) -> str:
+    planner = run.problem.planner
+    rungs: Counter[str] = Counter()
+    for one in run.runs:
+        rungs.update(one.rungs)
+    first = run.runs[0]
+    shown = ", ".join(f"{name} {shown_number(value)}" for name, value in run.metrics.items())
+    return "\n".join(
+        [
+            f"{run.problem.name}: {first.outcome.value} ({first.reason}), horizon "
+            f"{planner.horizon}, planner {planner.name}, seed {run.seed}",
+            f"  {len(run.runs)} robots, {run.verified_rate:.1%} of the steps verified "
+            f"({', '.join(f'{name} {count}' for name, count in rungs.items())})",
+            f"  {shown}",
+        ]
+    )

@@ -1,0 +1,98 @@
+"""Solve and simulate whatever a problem asks: one way to ask, two kinds of answer.
+
+A problem that is to reach a goal has one robot and is answered by a Solution or a Simulation. All
+others maximise a sum of terms, with one robot or several, and are answered by a TeamSolution or a
+TeamRun.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from planopt.planning.closed_loop import simulate as simulate_reach
+from planopt.planning.simulation import Simulation
+from planopt.planning.solution import Solution
+from planopt.planning.solve import solve as solve_reach
+from planopt.planning.team_loop import simulate_team
+from planopt.planning.team_run import TeamRun
+from planopt.planning.team_solution import TeamSolution
+from planopt.planning.team_solve import solve_team
+from planopt.problems.overrides import with_overrides
+from planopt.problems.problem import Problem
+
+
+def solve(
+    problem: Problem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    cost_to_go: str | None = None,
+    seed: int = 0,
+) -> Solution | TeamSolution:
+    """Plan `horizon` steps ahead from the start, for each robot.
+
+    Parameters
+    ----------
+    problem
+        From :func:`planopt.load` or made in Python.
+    horizon, planner, cost_to_go
+        Override the problem's planner settings; a cost to go only where there is a goal.
+    seed
+        Of the truth's fading, the measured places and the first estimate of a target.
+
+    Returns
+    -------
+    Solution | TeamSolution
+        The first where the task is ``reach``.
+
+    Raises
+    ------
+    InputError
+        An override or a file that the problem names cannot be used.
+    NoPlanError
+        Obstacles cut the goal off.
+    """
+    problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
+    if problem.task == "reach":
+        return solve_reach(problem, seed=seed)
+    return solve_team(problem, seed=seed)
+
+
+def simulate(
+    problem: Problem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    cost_to_go: str | None = None,
+    seed: int = 0,
+    on_step: Callable[[int], None] | None = None,
+) -> Simulation | TeamRun:
+    """Drive a problem's robots in the true channel.
+
+    Parameters
+    ----------
+    problem
+        The problem; it must have a truth.
+    horizon, planner, cost_to_go
+        Override the problem's planner settings; a cost to go only where there is a goal.
+    seed
+        Of everything that happens.
+    on_step
+        Called after every step with its number, for progress display.
+
+    Returns
+    -------
+    Simulation | TeamRun
+        The first where the task is ``reach``.
+
+    Raises
+    ------
+    InputError
+        An override or a file that the problem names cannot be used, or there is no truth.
+    NoPlanError
+        Obstacles cut the goal off.
+    """
+    problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
+    if problem.task == "reach":
+        return simulate_reach(problem, seed=seed, on_step=on_step)
+    return simulate_team(problem, seed=seed, on_step=on_step)

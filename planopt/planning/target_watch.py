@@ -1,0 +1,122 @@
+"""What robots and their station know of a moving target: one filter each.
+
+A robot's own filter has all its own measurements of the target; the station's has those whose
+packets arrived (seed, section III-B). Everything random about the target comes from one generator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.problems.problem import Problem, TrackingTerm
+from planopt.targets.information_filter import (
+    InformationState,
+    information_state,
+    position_variance_m2,
+    predict,
+    update,
+)
+from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
+from planopt.targets.target_model import TargetModel, predict_target, simulate_target
+
+
+@dataclass(frozen=True, eq=False)
+class TargetWatch:
+    """The target of a run, and what is known of it after some steps.
+
+    Attributes
+    ----------
+    model, sensor
+        How it moves, and how it is sensed.
+    true_m
+        ``(max_steps + 1, 2)`` where it truly is after each step.
+    robots
+        Each robot's own filter.
+    station
+        The station's filter.
+    """
+
+    model: TargetModel
+    sensor: Sensor
+    true_m: NDArray[np.float64]
+    robots: tuple[InformationState, ...]
+    station: InformationState
+
+    def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
+        """Where robot number `robot` expects the target after each step from now; (steps, 2)."""
+        state = self.robots[robot]
+        return predict_target(self.model, state.mean, state.covariance, steps).positions_m
+
+    @property
+    def station_mean_m(self) -> NDArray[np.float64]:
+        """``(2,)`` where the station thinks that the target is."""
+        return self.station.mean[:2]
+
+    @property
+    def station_variance_m2(self) -> float:
+        """Trace of the station's covariance of the target's position (tr P)."""
+        return float(position_variance_m2(self.station.matrix))
+
+
+def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatch | None:
+    """Draw the target's way and the first estimate of it; None for a problem without target."""
+    terms = [term for term in problem.terms if isinstance(term, TrackingTerm)]
+    if not terms or not problem.targets:
+        return None
+    target, term = problem.targets[0], terms[0]
+    model = TargetModel(problem.planner.step_s, target.acceleration_std_m_s2**2 * np.eye(2))
+    start = np.array([*target.start_m, *target.velocity_m_s])
+    way = simulate_target(model, start, problem.planner.max_steps, generator)
+    deviation = np.repeat([target.position_std_m, target.velocity_std_m_s], 2)
+    first = information_state(
+        start + deviation * generator.standard_normal(4), np.diag(deviation**2)
+    )
+    sensor = Sensor(term.noise_curvature, term.noise_floor_m2, term.sweet_spot_m)
+    return TargetWatch(model, sensor, way[:, :2], (first,) * len(problem.robots), first)
+
+
+def observed(
+    watch: TargetWatch,
+    step: int,
+    positions_m: NDArray[np.float64],
+    delivered: NDArray[np.bool_],
+    generator: np.random.Generator,
+) -> TargetWatch:
+    """All filters after step number `step`, at whose end robots stand at `positions_m` (n, 2).
+
+    Parameters
+    ----------
+    watch
+        What was known before.
+    step
+        1 is the first.
+    positions_m
+        Where the robots are; each measures the target.
+    delivered
+        ``(n,)`` whose packet arrives at the station.
+    generator
+        Source of the sensors' noise.
+    """
+    measured = sense(watch.sensor, positions_m, watch.true_m[step], generator)
+    robots = tuple(
+        _counted(watch, state, measured[i : i + 1], positions_m[i : i + 1], np.ones(1, dtype=bool))
+        for i, state in enumerate(watch.robots)
+    )
+    station = _counted(watch, watch.station, measured, positions_m, delivered)
+    return replace(watch, robots=robots, station=station)
+
+
+def _counted(
+    watch: TargetWatch,
+    state: InformationState,
+    measured_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    delivered: NDArray[np.bool_],
+) -> InformationState:
+    """One filter a step later; it takes the noise for that at its own estimate of the target."""
+    ahead = predict(watch.model, state)
+    noise = noise_covariance_m2(watch.sensor, positions_m, ahead.mean[:2])
+    return update(ahead, measured_m, noise, delivered)

@@ -1,0 +1,179 @@
+"""A team's run over time: the target, the channel, the connections, and what planning did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from planopt.planning.plan import Rung, Verdict
+from planopt.planning.run import Run
+from planopt.planning.team_run import TeamRun
+from planopt.report.panel import Panel
+from planopt.report.run_series import RUNG_LOOKS
+from planopt.report.style import (
+    BLACK,
+    PREDICTED,
+    WHITE,
+    dress,
+    legend_above,
+    plain_log_ticks,
+    spaced,
+)
+from planopt.report.team_looks import name_rows, robot_colour, robot_marker
+
+Drawer = Callable[[Panel, TeamRun], None]
+
+TIME = "time [s]"
+
+LEAST_SPAN_DB = 1.0
+"""An axis of errors spans this at least: smaller changes are not to look like large ones."""
+
+
+def series_of(run: TeamRun) -> tuple[tuple[Drawer, float], ...]:
+    """The panels that a run has something to show in, each with its share of the height."""
+    strip = 0.18 + 0.13 * len(run.runs)
+    connection: tuple[tuple[Drawer, float], ...] = (
+        (_draw_connectivity, 1.0),
+        (_draw_connection, strip),
+    )
+    rungs: tuple[Drawer, float] = (_draw_rungs, strip)
+    if run.target is not None:
+        return ((_draw_target_variance, 1.3), *connection, (_draw_map_error, 1.0), rungs)
+    bounded = connection if run.problem.constraints.p_min > 0.0 else ()
+    knowledge: tuple[tuple[Drawer, float], ...] = (
+        (_draw_theta_variance, 1.0),
+        (_draw_map_error, 1.0),
+    )
+    return (*knowledge, *bounded, rungs)
+
+
+def _draw_target_variance(panel: Panel, run: TeamRun) -> None:
+    """Trace of the station's covariance, marked where a packet arrived."""
+    target = run.target
+    if target is None:
+        raise AssertionError("there is no target")
+    t_s, trace = run.runs[0].log.t_s, target.station_variance_m2
+    panel.plot(t_s, trace, color=PREDICTED)
+    arrived = np.concatenate([[0], target.delivered.sum(axis=1)])
+    for label, selection, fill in (
+        ("packets arrived", arrived > 0, PREDICTED),
+        ("none arrived", arrived == 0, WHITE),
+    ):
+        selection[0] = False  # nothing was sent at the start
+        if selection.any():
+            panel.scatter(
+                t_s[selection],
+                trace[selection],
+                s=22.0,
+                facecolors=fill,
+                edgecolors=PREDICTED,
+                zorder=3.0,
+                label=label,
+            )
+    dress(panel, "uncertainty of the target", TIME, "trace P [m²]")
+    panel.set_yscale("log")
+    plain_log_ticks(panel.yaxis)
+    legend_above(panel)
+
+
+def _draw_theta_variance(panel: Panel, run: TeamRun) -> None:
+    panel.plot(
+        run.runs[0].log.t_s,
+        run.channel.theta_variance_db,
+        color=PREDICTED,
+        marker="o",
+        markersize=3.5,
+    )
+    dress(panel, "uncertainty of path loss", TIME, "trace M / |θ|² [dB]")
+
+
+def _draw_map_error(panel: Panel, run: TeamRun) -> None:
+    panel.plot(run.runs[0].log.t_s, run.channel.rms_db, color=PREDICTED, marker="o", markersize=3.5)
+    dress(panel, "error of the predicted map", TIME, "RMS error [dB]")
+    low, high = float(run.channel.rms_db.min()), float(run.channel.rms_db.max())
+    room = max(0.05 * (high - low), (LEAST_SPAN_DB - (high - low)) / 2.0)
+    panel.set_ylim(low - room, high + room)
+
+
+def _draw_connectivity(panel: Panel, run: TeamRun) -> None:
+    """Each robot's chance of a connection, predicted one step ahead, and the bound if there is."""
+    for number, one in enumerate(run.runs):
+        panel.plot(
+            one.log.t_s,
+            one.log.connectivity,
+            color=robot_colour(number),
+            marker=robot_marker(number),
+            markersize=3.5,
+            linewidth=1.2,
+            label=one.robot,
+        )
+    p_min = run.problem.constraints.p_min
+    if p_min > 0.0:
+        panel.axhline(p_min, color=BLACK, linestyle="dashed", label=f"p_min = {p_min:g}")
+    dress(panel, "predicted one step ahead", TIME, "P(connected) [1]")
+    # The axis follows the values, but not into the last digits of values that are all near 1.
+    lowest = min([p_min or 1.0, *(float(np.nanmin(one.log.connectivity)) for one in run.runs)])
+    panel.set_ylim(min(0.9, lowest) - 0.02, 1.02)
+    legend_above(panel)
+
+
+def _draw_connection(panel: Panel, run: TeamRun) -> None:
+    """Draw a row for each robot: where it was connected in truth, its packets arrived."""
+    for number, one in enumerate(run.runs):
+        for selection, look in (
+            (one.log.connected, {"marker": robot_marker(number), "color": robot_colour(number)}),
+            (~one.log.connected, {"marker": "x", "color": BLACK}),
+        ):
+            if selection.any():
+                times = one.log.t_s[selection]
+                panel.scatter(times, np.full(len(times), float(number)), s=20.0, **look)
+    share = np.mean([one.metrics.true_connected_share for one in run.runs])
+    dress(
+        panel, f"connected in truth ({100.0 * share:.1f} % of the steps; x: not)", TIME, "",
+        grid=False,
+    )  # fmt: skip
+    name_rows(panel, run.problem)
+
+
+def _draw_rungs(panel: Panel, run: TeamRun) -> None:
+    """Draw a row for each robot: the rung of every released plan, ringed if it is not verified."""
+    for rung, (marker, colour) in RUNG_LOOKS.items():
+        rows = [_times(one, rung) for one in run.runs]
+        count = sum(len(times) for times in rows)
+        if count:
+            panel.scatter(
+                np.concatenate(rows),
+                np.repeat(np.arange(len(rows), dtype=np.float64), [len(times) for times in rows]),
+                marker=marker,
+                s=18.0,
+                color=colour,
+                zorder=3.0,
+                label=f"{spaced(rung)} ({count})",
+            )
+    unproven = [
+        (t_s, float(row))
+        for row, one in enumerate(run.runs)
+        for t_s, verdict in zip(one.log.t_s[1:], one.log.verdict[1:], strict=True)
+        if verdict is not Verdict.VERIFIED
+    ]
+    if unproven:
+        panel.scatter(
+            *np.array(unproven).T,
+            s=80.0,
+            facecolors="none",
+            edgecolors=BLACK,
+            linewidths=1.3,
+            label=f"not verified ({len(unproven)})",
+        )
+    dress(panel, f"plans: {100.0 * run.verified_rate:.0f} % verified", TIME, "", grid=False)
+    name_rows(panel, run.problem)
+    if len(run.runs[0].log.t_s) > 1:
+        legend_above(panel)
+
+
+def _times(run: Run, rung: Rung) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """When plans of a rung were released."""
+    chosen = np.array([found is rung for found in run.log.rung])
+    chosen[0] = False  # the start was not planned
+    return run.log.t_s[chosen]

@@ -158,6 +158,8 @@ def _motion(
 
 
 def _weighted(weight: float, part: Part) -> Part:
+    if weight == 1.0:
+        return part
     if isinstance(part, PathDerivatives):
         return PathDerivatives(weight * part.value, weight * part.gradient, weight * part.hessian)
     return Derivatives(weight * part.value, weight * part.gradient, weight * part.hessian)
@@ -165,6 +167,8 @@ def _weighted(weight: float, part: Part) -> Part:
 
 def _sum(parts: list[Part], stages: int, stagewise: bool) -> PathValue:
     """Everything in one value, by stage or as a whole."""
+    if stagewise and len(parts) == 1:
+        return PathValue(float(np.sum(parts[0].value)), parts[0].gradient, parts[0].hessian)
     value, gradient = 0.0, np.zeros((stages, 2))
     hessian = np.zeros((stages, 3)) if stagewise else np.zeros((2 * stages, 2 * stages))
     for part in parts:

@@ -18,9 +18,6 @@ from planopt.channel.neighbours import NeighbourModel
 from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance
 from planopt.targets.rounding import Derivatives
 
-FIRST, SECOND = (0, 0, 1), (0, 1, 1)
-"""Which coordinates xx, xy and yy are by."""
-
 
 class StagePredictor:
     """Predicts stage k from `model`'s k-th neighbour set, again and again.
@@ -70,17 +67,17 @@ class StagePredictor:
         pull = m_theta[0, 1] + m_theta[1, 1] * g - u1[:, 0]
         # Half of the variance and of its derivatives.
         s = gamma * pull[:, None] - q - u0 - g[:, None] * u1
-        s[:, 3:] -= crossed.reshape(-1, 4)[:, (0, 1, 3)]
-        s[:, 3:] -= gamma1[:, FIRST] * u1_1[:, SECOND] + gamma1[:, SECOND] * u1_1[:, FIRST]
-        s[:, 3:] += m_theta[1, 1] * gamma1[:, FIRST] * gamma1[:, SECOND]
+        s[:, 3:5] -= crossed[:, 0]
+        s[:, 5] -= crossed[:, 1, 1]
+        _add_products(s[:, 3:], gamma1, 0.5 * m_theta[1, 1] * gamma1 - u1_1)
         variance = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 - q[:, 0]
         variance += m_theta[0, 0] + g * (2.0 * m_theta[0, 1] + g * m_theta[1, 1])
         variance -= 2.0 * (u0[:, 0] + g * u1[:, 0])
 
         deviation = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
         s /= deviation[:, None]
-        d1 = s[:, 1:3]
-        d2 = s[:, 3:] - d1[:, FIRST] * d1[:, SECOND] / deviation[:, None]
+        d1, d2 = s[:, 1:3], s[:, 3:]
+        _add_products(d2, d1, d1 * (-0.5 / deviation)[:, None])
         return _split(mean), Derivatives(deviation, d1, d2)
 
 
@@ -89,6 +86,16 @@ def stage_prediction(
 ) -> tuple[Derivatives, Derivatives]:
     """:class:`StagePredictor` for a single evaluation at ``positions_m`` (n, 2)."""
     return StagePredictor(model)(positions_m)
+
+
+def _add_products(
+    hessian: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
+) -> None:
+    """Add a b' + b a' to `hessian` (n, 3); `a` and `b` are (n, 2)."""
+    crossed = a[:, :, None] * b[:, None]
+    hessian[:, 0] += 2.0 * crossed[:, 0, 0]
+    hessian[:, 1] += crossed[:, 0, 1] + crossed[:, 1, 0]
+    hessian[:, 2] += 2.0 * crossed[:, 1, 1]
 
 
 def _joined(parts: Derivatives) -> NDArray[np.float64]:

@@ -22,12 +22,13 @@ from planopt.channel.posterior import condition
 from planopt.channel.truth import Truth, measure
 from planopt.objectives.mapping import Region
 from planopt.planning.candidate import Judge
+from planopt.planning.given import draw_truth, free_places
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.learn import learn
 from planopt.planning.path_worth import PathWorth
 from planopt.planning.plan import Plan
 from planopt.planning.predictions import search_prediction
-from planopt.planning.prepare import draw_truth, free_places, learn
 from planopt.planning.region import workspace_region
 from planopt.planning.situation import Situation
 from planopt.problems.load import problem_from_tables

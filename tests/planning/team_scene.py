@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from terms_scene import TRACKING, terms_problem
+
 from planopt.problems.problem import Problem
-from tests.planning.terms_scene import TRACKING, terms_problem
 
 
 def two_trackers(**planner: object) -> Problem:

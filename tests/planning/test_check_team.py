@@ -6,6 +6,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from team_scene import two_trackers
+from terms_scene import ENERGY, LEARNING, terms_problem
 
 from planopt.errors import InputError
 from planopt.planning.check import check
@@ -13,8 +15,6 @@ from planopt.planning.plan import Verdict
 from planopt.planning.team_loop import simulate_team
 from planopt.planning.team_saved import save_team_run, save_team_solution
 from planopt.planning.team_solve import solve_team
-from tests.planning.team_scene import two_trackers
-from tests.planning.terms_scene import ENERGY, LEARNING, terms_problem
 
 STEERED = {
     "kind": "mapping",
@@ -142,7 +142,7 @@ def test_an_edited_run_is_rejected(run: Path, way: tuple, to: object, words: str
 @pytest.mark.parametrize(
     ("file", "row", "column", "to", "words"),
     [
-        ("steps.csv", 5, "x_m", "20.0", "lies in obstacle"),
+        ("steps.csv", 1, "x_m", "20.0", "lies in obstacle"),
         ("steps.csv", 5, "true_db", "-1.0", "row 7, step 1: true_db"),
         ("steps.csv", 0, "robot", "third", "robot is"),
         ("steps.csv", 4, "y_m", "11.0", "second does not start at"),

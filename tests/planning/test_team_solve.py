@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from team_scene import two_trackers
+from terms_scene import LEARNING, TRACKING, terms_problem
 
 from planopt.planning.plan import Verdict
 from planopt.planning.team_loop import simulate_team
 from planopt.planning.team_solution_json import team_solution_json
 from planopt.planning.team_solve import solve_team
-from tests.planning.team_scene import two_trackers
-from tests.planning.terms_scene import LEARNING, TRACKING, terms_problem
 
 
 def test_a_run_begins_with_the_plans_of_a_solution() -> None:
@@ -56,7 +56,7 @@ def test_the_verdict_is_the_worst() -> None:
 
 @pytest.mark.parametrize("term", [TRACKING, LEARNING])
 def test_what_the_polish_gains_is_not_negative(term: dict) -> None:
-    """More is better here, and the guard releases nothing worse than the start."""
+    """More of a value is better, and the guard releases nothing worse than the start."""
     plan = solve_team(terms_problem(term, horizon=3)).plans[0]
     assert plan.sense == "max"
     assert plan.gain == plan.objective - plan.lattice_objective >= 0.0

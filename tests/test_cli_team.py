@@ -1,0 +1,101 @@
+"""The command line for problems whose objective is a sum of terms."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from planopt.cli import main
+from planopt.problems.library import library_folder
+
+PROBLEMS = ("outdoor_track", "indoor_learn", "outdoor_map")
+
+
+@pytest.fixture(params=PROBLEMS)
+def short(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Each library problem with a run of three steps and no pictures."""
+    text = (library_folder() / f"{request.param}.toml").read_text()
+    path = tmp_path / f"{request.param}.toml"
+    path.write_text(
+        re.sub(r"max_steps = \d+", "max_steps = 3", text) + "\n[report]\nfigures = false\n"
+    )
+    return path
+
+
+def printed(capsys: pytest.CaptureFixture[str]) -> dict:
+    """The only JSON object on stdout, without NaN or infinity."""
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is not JSON")
+
+    text = capsys.readouterr().out
+    assert text.count("\n") == 1
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_solve_and_check(short: Path, tmp_path: Path, capsys) -> None:
+    """A plan for each robot, saved and judged again."""
+    out = tmp_path / "out"
+    assert main(["solve", str(short), "--horizon", "3", "--json", "--out", str(out)]) == 0
+    data = printed(capsys)
+    assert data["sense"] == "max" and data["verdict"] == "verified"
+    assert data["bound"] is None and data["gap"] is None
+    assert all(len(robot["x_m"]) == 4 for robot in data["robots"])
+    assert main(["check", str(out), "--json"]) == 0
+    assert printed(capsys)["reasons"] == []
+
+
+def test_simulate_and_check(short: Path, tmp_path: Path, capsys) -> None:
+    """A run that completes its steps, saved and judged again."""
+    out = tmp_path / "out"
+    assert main(["simulate", str(short), "--horizon", "3", "--json", "--out", str(out)]) == 0
+    data = printed(capsys)
+    assert data["outcome"] == "completed" and data["verified_rate"] == 1.0
+    assert sum(data["rungs"].values()) == 3 * len(data["robots"])
+    tracks = short.stem == "outdoor_track"
+    assert ("time_averaged_trace_p" in data["metrics"]) == (out / "target.csv").is_file() == tracks
+    assert set(data["metrics"]) >= {"rms_db", "anmse_db", "trace_m_db", "path_m"}
+    assert main(["check", str(out), "--json"]) == 0
+    assert printed(capsys)["reasons"] == []
+
+
+def test_text_says_verdict_and_outcome(short: Path, capsys) -> None:
+    """Without --json, in words, every robot named."""
+    assert main(["solve", str(short), "--horizon", "2"]) == 0
+    assert capsys.readouterr().out.startswith(f"{short.stem}: verified, horizon 2")
+    assert main(["simulate", str(short), "--horizon", "2", "--planner", "random"]) == 0
+    assert "completed (all 3 steps driven), horizon 2" in capsys.readouterr().out
+
+
+def test_what_is_not_verified_is_exit_code_3(short: Path, capsys) -> None:
+    """A bound that cannot be kept is said, of plans and runs."""
+    text = re.sub(r"threshold_dbm = \S+", "threshold_dbm = 20.0", short.read_text())
+    short.write_text(text.replace("[constraints]", "[constraints]\np_min = 0.9"))
+    assert main(["solve", str(short), "--horizon", "2"]) == 3
+    assert "is met at none of the" in capsys.readouterr().out
+    assert main(["simulate", str(short), "--horizon", "2", "--json"]) == 3
+    assert printed(capsys)["verified_rate"] < 1.0
+
+
+def test_compare(short: Path, tmp_path: Path, capsys) -> None:
+    """A row a setting and metric, no cost to go, and a table in words."""
+    arguments = ["compare", str(short), "--horizons", "2,3", "--planners", "auto,random"]
+    arguments += ["--seeds", "2"]
+    assert main([*arguments, "--json", "--out", str(tmp_path / "out")]) == 0
+    data = printed(capsys)
+    settings = {(row["horizon"], row["planner"], row["cost_to_go"]) for row in data["rows"]}
+    assert settings == {(n, p, None) for n in (2, 3) for p in ("auto", "random")}
+    assert {row["stalled"] for row in data["rows"]} == {0}
+    assert [run["seed"] for run in data["runs"]] == [0, 1] * 4
+    first = {row["metric"]: row["paired_ratio"] for row in data["rows"][: len(data["rows"]) // 4]}
+    assert first["rms_db"] == pytest.approx(1.0) and first["path_m"] == pytest.approx(1.0)
+    assert main(arguments) == 0
+    assert "RMS error [dB]" in capsys.readouterr().out
+
+
+def test_costs_to_go_are_refused(short: Path, capsys) -> None:
+    """There is no goal to go to."""
+    assert main(["compare", str(short), "--horizons", "2", "--costs-to-go", "geodesic"]) == 2
+    assert "objective.cost_to_go" in capsys.readouterr().err
+    assert main(["solve", str(short), "--cost-to-go", "geodesic"]) == 2

@@ -18,6 +18,7 @@ NOT_VERIFIED = 3
 def solve_asked(asked: Asked) -> int:
     """Plan for each robot. Exit code 0 verified, 3 not verified."""
     from planopt.planning.plan import Verdict
+    from planopt.planning.saved import withdraw
     from planopt.planning.team_saved import save_team_solution
     from planopt.planning.team_solution_json import team_solution_json
     from planopt.planning.team_solve import solve_team
@@ -26,6 +27,18 @@ def solve_asked(asked: Asked) -> int:
         with progress("planning"):
             solution = solve_team(asked.problem, seed=asked.seed)
         if folder is not None:
+            withdraw(folder)
+            if solution.problem.report.figures:
+                from planopt.commands.pictures import picture_team_plan
+
+                with progress("drawing"):
+                    picture_team_plan(
+                        solution.problem,
+                        solution.plans,
+                        solution.belief,
+                        solution.aims[0].target_m,
+                        folder,
+                    )
             save_team_solution(solution, folder)
     show(asked.json, team_solution_json(solution), _plans_in_words(solution))
     return 0 if solution.verdict is Verdict.VERIFIED else NOT_VERIFIED
@@ -33,6 +46,7 @@ def solve_asked(asked: Asked) -> int:
 
 def simulate_asked(asked: Asked) -> int:
     """Drive all robots. Exit code 0 verified throughout, 3 not throughout."""
+    from planopt.planning.saved import withdraw
     from planopt.planning.team_loop import simulate_team
     from planopt.planning.team_run_json import team_run_json
     from planopt.planning.team_saved import save_team_run
@@ -41,6 +55,12 @@ def simulate_asked(asked: Asked) -> int:
         with progress("driving, steps:", asked.problem.planner.max_steps) as advance:
             run = simulate_team(asked.problem, seed=asked.seed, on_step=lambda _: advance())
         if folder is not None:
+            withdraw(folder)
+            if run.problem.report.figures:
+                from planopt.commands.pictures import picture_team_run
+
+                with progress("drawing"):
+                    picture_team_run(run, folder)
             save_team_run(run, folder)
     show(asked.json, team_run_json(run), _run_in_words(run))
     return 0 if run.verified_rate == 1.0 else NOT_VERIFIED

@@ -125,7 +125,7 @@ def path_loss_gain(
 def path_loss_steps(
     posterior: ChannelPosterior, path_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """``(h,)`` |varphi_{t+i-1}(q_i)|^2 / sigma_{t+i-1}^2(q_i): what each step adds to T."""
+    """``|varphi_{t+i-1}(q_i)|^2 / sigma_{t+i-1}^2(q_i)``, what each step adds to T; ``(h,)``."""
     return (_whitened_trend(batch_of(posterior, path_m)) ** 2).sum(axis=1)
 
 
@@ -134,7 +134,7 @@ def path_loss_one_step(
 ) -> NDArray[np.float64]:
     """The value of a path of one step to each of `positions_m` (n, 2), together; ``(n,)``.
 
-    For T the seed's J_PL = |varphi(q)|^2 / sigma^2(q) with sigma^2 as if theta were known.
+    For T the seed's J_PL = ``|varphi(q)|^2 / sigma^2(q)`` with sigma^2 as if theta were known.
     """
     terms = kriging_terms(posterior, require_places(positions_m))
     gained = terms.trend[:, :, None] * terms.trend[:, None, :]

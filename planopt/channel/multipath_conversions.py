@@ -36,7 +36,8 @@ def nakagami_m_of_rician(k_factor: float) -> float:
         K is negative or not finite.
     """
     require_k_factor(k_factor)
-    return (k_factor + 1.0) ** 2 / (2.0 * k_factor + 1.0)
+    # Written so, no rounding takes it below 1, where there is no Rician channel.
+    return 1.0 + k_factor**2 / (2.0 * k_factor + 1.0)
 
 
 def rician_k_of_nakagami(m: float) -> float:

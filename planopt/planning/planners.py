@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 
-from planopt.errors import InputError
 from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -47,11 +46,6 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
         Its geometry.
     generator
         For planners that draw; others leave it alone.
-
-    Raises
-    ------
-    InputError
-        No planner of that name plans sums of terms.
     """
     match problem.planner.name:
         case "auto" | "lattice":
@@ -62,10 +56,3 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
             return RandomPlanner(problem, ground, generator)
         case "lawnmower":
             return LawnmowerPlanner(problem, ground)
-        case "scp":
-            raise InputError(
-                "the scp planner does not plan this objective",
-                file=problem.file,
-                key="planner.name",
-                remedy="use auto",
-            )

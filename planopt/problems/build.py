@@ -83,7 +83,6 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             tables.constraints.p_min,
             tables.constraints.clearance_m,
             tables.constraints.goal_radius_m,
-            tables.constraints.separation_m,
         ),
         planner=PlannerSettings(
             tables.planner.name,

@@ -15,7 +15,7 @@ FitMethod = Literal["seed", "capped", "convex", "nls", "reml"]
 Task = Literal["reach", "track", "learn", "map"]
 LearningCriterion = Literal["T", "D", "A", "V"]
 MappingForm = Literal["two_layer", "path", "information", "average"]
-PlannerName = Literal["auto", "lattice", "one_step", "random", "lawnmower", "scp"]
+PlannerName = Literal["auto", "lattice", "one_step", "random", "lawnmower"]
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
 
@@ -313,14 +313,11 @@ class Constraints:
         Least distance of the whole swept path from every obstacle.
     goal_radius_m
         The goal is reached within this distance of it.
-    separation_m
-        Least distance between robots at any time; 0 asks for none.
     """
 
     p_min: float
     clearance_m: float
     goal_radius_m: float
-    separation_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -331,7 +328,7 @@ class PlannerSettings:
     ----------
     name
         ``auto`` (lattice, polish, verify), ``lattice`` (no polish), and for tasks other than reach
-        ``one_step`` (the seed's dense local search), ``random``, ``lawnmower`` and ``scp``.
+        ``one_step`` (the seed's dense local search), ``random`` and ``lawnmower``.
     horizon
         Steps ahead, N.
     step_s

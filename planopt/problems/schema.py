@@ -138,12 +138,6 @@ class ConstraintsTable(Table):
     goal_radius_m: float = Field(
         default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
     )
-    separation_m: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e4,
-        description="Least distance in metres between robots at any time; 0 asks for none.",
-    )
 
 
 class PlannerTable(Table):
@@ -152,7 +146,7 @@ class PlannerTable(Table):
     name: PlannerName = Field(
         default="auto",
         description="auto (lattice, polish, verify), lattice (no polish), and for tasks other than "
-        "reach one_step, random, lawnmower or scp.",
+        "reach one_step, random or lawnmower.",
     )
     horizon: int = Field(
         default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead, the seed's N."

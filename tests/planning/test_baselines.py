@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.errors import InputError
 from planopt.planning.lawnmower import LawnmowerPlanner, lawn_tour, stops_along
 from planopt.planning.one_step import OneStepPlanner
 from planopt.planning.plan import Rung, Verdict
@@ -42,13 +41,6 @@ def test_every_planner_gives_verified_plans(name, horizon):
     assert plan.verdict is Verdict.VERIFIED
     assert plan.positions_m.shape == (horizon + 1, 2)
     assert plan.objective == pytest.approx(judge.objective(plan.positions_m[1:]))
-
-
-def test_there_is_no_scp_planner_for_terms():
-    """It says so in the problem file's words."""
-    problem, _, _, ground = scene(LEARNING, name="scp")
-    with pytest.raises(InputError, match="scp"):
-        planner_for(problem, ground, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief, update
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.truth import Truth, measure, true_power_dbm
+from planopt.channel.truth import true_power_dbm
 from planopt.errors import InputError
 from planopt.planning.ending import ending
+from planopt.planning.learning import learn_here
 from planopt.planning.metrics import metrics_of
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
@@ -71,7 +70,7 @@ def simulate(
         position = plan.positions_m[1]
         track.append(position)
         before = len(belief.posterior.measurements)
-        belief = _learn_here(problem, truth, belief, position)
+        belief = learn_here(problem, truth, belief, position)
         learnt.append(len(belief.posterior.measurements) > before)
         if on_step is not None:
             on_step(len(plans))
@@ -92,14 +91,3 @@ def simulate(
     )
     first = len(prepared.belief.posterior.measurements)
     return Simulation(problem, seed, belief, first, run, tuple(plans), truth)
-
-
-def _learn_here(
-    problem: Problem, truth: Truth, belief: Belief, position_m: NDArray[np.float64]
-) -> Belief:
-    """Measure where the robot is, unless a place that near has been measured already."""
-    known = belief.posterior.measurements.positions_m
-    spacing = problem.channel.measure_spacing_m
-    if len(known) and np.linalg.norm(known - position_m, axis=1).min() < spacing:
-        return belief
-    return update(belief, measure(truth, position_m[None]))

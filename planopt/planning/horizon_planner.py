@@ -13,7 +13,7 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
 from planopt.planning.local_worth import is_stagewise, local_worth
-from planopt.planning.offenders import lines_with_offenders
+from planopt.planning.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
 from planopt.planning.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.path_polish import PathTask, polish_path
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
@@ -27,12 +27,6 @@ from planopt.world.separation import separating_lines
 
 LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
-
-LINE_REACH_STEPS = 2.0
-"""Pieces farther than this many longest steps from a segment get no line."""
-
-REPAIRS = 3
-"""How often a polish whose proof objects is repeated with the objection built in."""
 
 LOCAL_PAD_DB = 0.04
 """Margin asked of the local model, corrected at the start, beyond the bound: it is off by less at

@@ -8,6 +8,12 @@ from numpy.typing import NDArray
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.world.separation import PackedPieces, SeparatingLines, lines_for, separating_lines
 
+LINE_REACH_STEPS = 2.0
+"""Pieces farther than this many longest steps from a segment get no line."""
+
+REPAIRS = 3
+"""How often a polish whose proof objects is repeated with the objection built in."""
+
 
 def lines_with_offenders(
     pieces: PackedPieces,

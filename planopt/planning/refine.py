@@ -15,7 +15,7 @@ from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.global_search import GlobalStart
 from planopt.planning.margin_source import MarginFunction
-from planopt.planning.offenders import lines_with_offenders
+from planopt.planning.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.polish import ReachTask, polish
 from planopt.planning.polished import Polished
@@ -32,10 +32,6 @@ from planopt.planning.tolerances import (
 )
 from planopt.world.separation import separating_lines
 
-LINE_REACH_STEPS = 2.0
-"""Pieces farther than this many longest steps from a segment get no line."""
-REPAIRS = 3
-"""How often a polish whose proof objects is repeated with the objection built in."""
 SLACK_TOLERANCE_DB = 1e-3
 """Missing dB below this count as none: the bound can be met after all."""
 

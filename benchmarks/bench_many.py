@@ -20,13 +20,13 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from planopt.channel.field import shadow_field_db
-from planopt.channel.fit import fit_channel
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.fields.field import shadow_field_db
+from planopt.channel.maps.posterior_map import posterior_map
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
-from planopt.channel.posterior_map import posterior_map
 
 GRID = 320
 SPACING_M = 1.5

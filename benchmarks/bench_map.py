@@ -11,16 +11,16 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from planopt.channel.cached_map import CachedMap
-from planopt.channel.grid_prediction import predict_grid
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.maps.cached_map import CachedMap
+from planopt.channel.maps.grid_prediction import predict_grid
+from planopt.channel.maps.single_precision import predict_single
+from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import ChannelPosterior, condition, extend
 from planopt.channel.prediction import Prediction
-from planopt.channel.single_precision import predict_single
-from planopt.channel.tile_map import TileMap
 from planopt.world.raster import cell_centres_m
 
 SIDE_M = 50.0

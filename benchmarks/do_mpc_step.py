@@ -18,8 +18,8 @@ from planopt.channel.connectivity import bound_quantile
 from planopt.channel.factor import whiten
 from planopt.channel.path_loss import regressors
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING
-from planopt.planning.ipopt import OPTIONS
-from planopt.planning.situation import Situation
+from planopt.planning.programme.ipopt import OPTIONS
+from planopt.planning.worth.situation import Situation
 
 
 class DoMpcStep:

@@ -12,9 +12,9 @@ from time import perf_counter
 import numpy as np
 
 from planopt.channel.belief import Belief, update
+from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
-from planopt.channel.truth import Truth, measure
 from planopt.planning.given import free_places
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare

@@ -18,8 +18,8 @@ from tracking_scene import STEP_M, single_step
 from planopt.planning.candidate import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.situation import Situation
-from planopt.planning.start_search import StartSearch
+from planopt.planning.search.start_search import StartSearch
+from planopt.planning.worth.situation import Situation
 
 
 def best_of_starts(

@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief, update
 from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
-from planopt.channel.truth import Truth, measure
 from planopt.objectives.mapping import Region
 from planopt.planning.candidate import Judge
 from planopt.planning.given import draw_truth, free_places
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.learn import learn
-from planopt.planning.path_worth import PathWorth
+from planopt.planning.loop.learn import learn
 from planopt.planning.plan import Plan
-from planopt.planning.predictions import search_prediction
-from planopt.planning.region import workspace_region
-from planopt.planning.situation import Situation
+from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.situation import Situation
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 

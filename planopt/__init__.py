@@ -10,50 +10,65 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from planopt.channel.belief import Belief
-    from planopt.channel.cached_map import CachedMap
-    from planopt.channel.calibration import Calibration, calibrate
-    from planopt.channel.conditional_field import conditional_field
-    from planopt.channel.field import shadow_field_db
-    from planopt.channel.first_passage import FirstPassage, first_passage
-    from planopt.channel.fit import ChannelFit, fit_channel
-    from planopt.channel.held_out_report import HeldOutReport, held_out_report, predictors_of
+    from planopt.channel.connection.first_passage import FirstPassage, first_passage
+    from planopt.channel.connection.joint_connectivity import JointConnectivity, joint_connectivity
+    from planopt.channel.connection.outage import (
+        DeliveredData,
+        LongestOutage,
+        delivered_data,
+        longest_outage,
+    )
+    from planopt.channel.connection.several_stations import (
+        SharedShadowing,
+        connected_to_any,
+        strongest_station,
+    )
+    from planopt.channel.connection.traffic import Traffic
+    from planopt.channel.estimation.fit import ChannelFit, fit_channel
+    from planopt.channel.estimation.profile_likelihood import profile_likelihood
+    from planopt.channel.fields.conditional_field import conditional_field
+    from planopt.channel.fields.field import shadow_field_db
+    from planopt.channel.fields.scattered_field import scattered_field_db
+    from planopt.channel.fields.truth import (
+        Truth,
+        measure,
+        model_truth,
+        raster_truth,
+        true_power_dbm,
+    )
     from planopt.channel.joint import JointPrediction, joint_prediction, sample_power
-    from planopt.channel.joint_connectivity import JointConnectivity, joint_connectivity
-    from planopt.channel.log_file import read_log
-    from planopt.channel.log_format import LogFormat
+    from planopt.channel.logs.log_file import read_log
+    from planopt.channel.logs.log_format import LogFormat
+    from planopt.channel.maps.cached_map import CachedMap
+    from planopt.channel.maps.posterior_map import PosteriorMap, posterior_map
     from planopt.channel.measurements import Measurements
-    from planopt.channel.multipath_connectivity import multipath_connectivity
-    from planopt.channel.multipath_field import multipath_of
-    from planopt.channel.multipath_models import Lognormal, Nakagami, Rician
-    from planopt.channel.outage import DeliveredData, LongestOutage, delivered_data, longest_outage
+    from planopt.channel.multipath.multipath_connectivity import multipath_connectivity
+    from planopt.channel.multipath.multipath_field import multipath_of
+    from planopt.channel.multipath.multipath_models import Lognormal, Nakagami, Rician
     from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise
     from planopt.channel.parameters import ChannelParameters, Station
     from planopt.channel.path_loss_estimate import estimate_theta
     from planopt.channel.posterior import ChannelPosterior, at_time, condition
     from planopt.channel.posterior_derivatives import posterior_derivatives
-    from planopt.channel.posterior_map import PosteriorMap, posterior_map
     from planopt.channel.prediction import Prediction
-    from planopt.channel.profile_likelihood import profile_likelihood
     from planopt.channel.readings import predict_readings
     from planopt.channel.receiver_offsets import receiver_offsets
-    from planopt.channel.scattered_field import scattered_field_db
     from planopt.channel.sensitivity import mean_squared_error_db2, sensitivity_curves
-    from planopt.channel.several_stations import (
-        SharedShadowing,
-        connected_to_any,
-        strongest_station,
+    from planopt.channel.station.station_search import fit_channel_and_station
+    from planopt.channel.validation.calibration import Calibration, calibrate
+    from planopt.channel.validation.held_out_report import (
+        HeldOutReport,
+        held_out_report,
+        predictors_of,
     )
-    from planopt.channel.station_search import fit_channel_and_station
-    from planopt.channel.traffic import Traffic
-    from planopt.channel.truth import Truth, measure, model_truth, raster_truth, true_power_dbm
     from planopt.errors import InputError, NoPlanError, OutputError, PlanoptError
     from planopt.planning.any_task import simulate, solve
-    from planopt.planning.check import check
+    from planopt.planning.check.check import check
+    from planopt.planning.loop.simulation import Simulation
     from planopt.planning.plan import Termination, Verdict
-    from planopt.planning.simulation import Simulation
     from planopt.planning.solution import Solution
-    from planopt.planning.team_run import TeamRun
-    from planopt.planning.team_solution import TeamSolution
+    from planopt.planning.team.team_run import TeamRun
+    from planopt.planning.team.team_solution import TeamSolution
     from planopt.problems.library import list_problems
     from planopt.problems.load import load
     from planopt.problems.problem import Problem
@@ -139,80 +154,80 @@ __all__ = [
 
 _MODULES = {
     "Belief": "planopt.channel.belief",
-    "CachedMap": "planopt.channel.cached_map",
-    "Calibration": "planopt.channel.calibration",
-    "ChannelFit": "planopt.channel.fit",
+    "CachedMap": "planopt.channel.maps.cached_map",
+    "Calibration": "planopt.channel.validation.calibration",
+    "ChannelFit": "planopt.channel.estimation.fit",
     "ChannelParameters": "planopt.channel.parameters",
     "ChannelPosterior": "planopt.channel.posterior",
-    "DeliveredData": "planopt.channel.outage",
-    "FirstPassage": "planopt.channel.first_passage",
-    "HeldOutReport": "planopt.channel.held_out_report",
+    "DeliveredData": "planopt.channel.connection.outage",
+    "FirstPassage": "planopt.channel.connection.first_passage",
+    "HeldOutReport": "planopt.channel.validation.held_out_report",
     "InputError": "planopt.errors",
-    "JointConnectivity": "planopt.channel.joint_connectivity",
+    "JointConnectivity": "planopt.channel.connection.joint_connectivity",
     "JointPrediction": "planopt.channel.joint",
-    "LogFormat": "planopt.channel.log_format",
-    "Lognormal": "planopt.channel.multipath_models",
-    "LongestOutage": "planopt.channel.outage",
+    "LogFormat": "planopt.channel.logs.log_format",
+    "Lognormal": "planopt.channel.multipath.multipath_models",
+    "LongestOutage": "planopt.channel.connection.outage",
     "MarginalPosterior": "planopt.channel.parameter_uncertainty",
     "Measurements": "planopt.channel.measurements",
-    "Nakagami": "planopt.channel.multipath_models",
+    "Nakagami": "planopt.channel.multipath.multipath_models",
     "NoPlanError": "planopt.errors",
     "OutputError": "planopt.errors",
     "PlanoptError": "planopt.errors",
-    "PosteriorMap": "planopt.channel.posterior_map",
+    "PosteriorMap": "planopt.channel.maps.posterior_map",
     "Prediction": "planopt.channel.prediction",
     "Problem": "planopt.problems.problem",
-    "Rician": "planopt.channel.multipath_models",
-    "SharedShadowing": "planopt.channel.several_stations",
-    "Simulation": "planopt.planning.simulation",
+    "Rician": "planopt.channel.multipath.multipath_models",
+    "SharedShadowing": "planopt.channel.connection.several_stations",
+    "Simulation": "planopt.planning.loop.simulation",
     "Solution": "planopt.planning.solution",
     "Station": "planopt.channel.parameters",
-    "TeamRun": "planopt.planning.team_run",
-    "TeamSolution": "planopt.planning.team_solution",
+    "TeamRun": "planopt.planning.team.team_run",
+    "TeamSolution": "planopt.planning.team.team_solution",
     "Termination": "planopt.planning.plan",
-    "Traffic": "planopt.channel.traffic",
-    "Truth": "planopt.channel.truth",
+    "Traffic": "planopt.channel.connection.traffic",
+    "Truth": "planopt.channel.fields.truth",
     "Verdict": "planopt.planning.plan",
     "at_time": "planopt.channel.posterior",
-    "calibrate": "planopt.channel.calibration",
-    "check": "planopt.planning.check",
+    "calibrate": "planopt.channel.validation.calibration",
+    "check": "planopt.planning.check.check",
     "compare_horizons": "planopt.studies.compare",
     "condition": "planopt.channel.posterior",
-    "conditional_field": "planopt.channel.conditional_field",
-    "connected_to_any": "planopt.channel.several_stations",
-    "delivered_data": "planopt.channel.outage",
+    "conditional_field": "planopt.channel.fields.conditional_field",
+    "connected_to_any": "planopt.channel.connection.several_stations",
+    "delivered_data": "planopt.channel.connection.outage",
     "estimate_theta": "planopt.channel.path_loss_estimate",
-    "first_passage": "planopt.channel.first_passage",
-    "fit_channel": "planopt.channel.fit",
-    "fit_channel_and_station": "planopt.channel.station_search",
-    "held_out_report": "planopt.channel.held_out_report",
-    "joint_connectivity": "planopt.channel.joint_connectivity",
+    "first_passage": "planopt.channel.connection.first_passage",
+    "fit_channel": "planopt.channel.estimation.fit",
+    "fit_channel_and_station": "planopt.channel.station.station_search",
+    "held_out_report": "planopt.channel.validation.held_out_report",
+    "joint_connectivity": "planopt.channel.connection.joint_connectivity",
     "joint_prediction": "planopt.channel.joint",
     "list_problems": "planopt.problems.library",
     "load": "planopt.problems.load",
-    "longest_outage": "planopt.channel.outage",
+    "longest_outage": "planopt.channel.connection.outage",
     "marginalise": "planopt.channel.parameter_uncertainty",
     "mean_squared_error_db2": "planopt.channel.sensitivity",
-    "measure": "planopt.channel.truth",
-    "model_truth": "planopt.channel.truth",
-    "multipath_connectivity": "planopt.channel.multipath_connectivity",
-    "multipath_of": "planopt.channel.multipath_field",
+    "measure": "planopt.channel.fields.truth",
+    "model_truth": "planopt.channel.fields.truth",
+    "multipath_connectivity": "planopt.channel.multipath.multipath_connectivity",
+    "multipath_of": "planopt.channel.multipath.multipath_field",
     "posterior_derivatives": "planopt.channel.posterior_derivatives",
-    "posterior_map": "planopt.channel.posterior_map",
+    "posterior_map": "planopt.channel.maps.posterior_map",
     "predict_readings": "planopt.channel.readings",
-    "predictors_of": "planopt.channel.held_out_report",
-    "profile_likelihood": "planopt.channel.profile_likelihood",
-    "raster_truth": "planopt.channel.truth",
-    "read_log": "planopt.channel.log_file",
+    "predictors_of": "planopt.channel.validation.held_out_report",
+    "profile_likelihood": "planopt.channel.estimation.profile_likelihood",
+    "raster_truth": "planopt.channel.fields.truth",
+    "read_log": "planopt.channel.logs.log_file",
     "receiver_offsets": "planopt.channel.receiver_offsets",
     "sample_power": "planopt.channel.joint",
-    "scattered_field_db": "planopt.channel.scattered_field",
+    "scattered_field_db": "planopt.channel.fields.scattered_field",
     "sensitivity_curves": "planopt.channel.sensitivity",
-    "shadow_field_db": "planopt.channel.field",
+    "shadow_field_db": "planopt.channel.fields.field",
     "simulate": "planopt.planning.any_task",
     "solve": "planopt.planning.any_task",
-    "strongest_station": "planopt.channel.several_stations",
-    "true_power_dbm": "planopt.channel.truth",
+    "strongest_station": "planopt.channel.connection.several_stations",
+    "true_power_dbm": "planopt.channel.fields.truth",
 }
 """Where each public name stands."""
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt.channel.fit import fit_channel
-from planopt.channel.log_file import read_log
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.logs.log_file import read_log
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
 from planopt.cli import main

@@ -19,7 +19,7 @@ import numpy as np
 
 import planopt
 from planopt.channel.measurements import Measurements
-from planopt.channel.station_search import fit_channel_and_station
+from planopt.channel.station.station_search import fit_channel_and_station
 from planopt.report.station_figure import draw_stations
 
 LAB = Path(planopt.__file__).resolve().parents[2] / "shared" / "data" / "lab"

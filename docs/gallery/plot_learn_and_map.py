@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt import load
-from planopt.planning.team_loop import simulate_team
+from planopt.planning.team.team_loop import simulate_team
 from planopt.report.team_figure import draw_team_run
 
 

@@ -15,7 +15,7 @@ target a robot sees well, near the station it is heard.
 from dataclasses import replace
 
 from planopt import load
-from planopt.planning.team_loop import simulate_team
+from planopt.planning.team.team_loop import simulate_team
 from planopt.report.team_figure import draw_team_run
 
 problem = load("outdoor_track")

@@ -1,6 +1,7 @@
 """Lemma 2 at places: mean and deviation from a posterior.
 
-With a factor every measurement counts. Without one the nearest do (:mod:`planopt.channel.nearby`).
+With a factor every measurement counts. Without one the nearest do
+(:mod:`planopt.channel.nearest.nearby`).
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS
 from planopt.channel.factor import whiten
-from planopt.channel.many_places import PLACES_AT_ONCE, RowWhitener
+from planopt.channel.maps.many_places import PLACES_AT_ONCE, RowWhitener
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -20,13 +22,12 @@ from planopt.channel.measurement_covariance import (
     place_origins,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearby import NEIGHBOURS_BEYOND, nearby_terms
-from planopt.channel.neighbour_regression import regress_on_neighbours
+from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, nearby_terms
+from planopt.channel.nearest.neighbour_regression import regress_on_neighbours
 from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
 from planopt.channel.position_error import path_loss_variance_db2
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
-from planopt.channel.vecchia import EARLIER_NEIGHBOURS
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
 PREDICTION_ELEMENTS = 2**21
 
 MANY_PLACES = 1024
-"""From so many places on they are solved for in place (:mod:`planopt.channel.many_places`): a map
-takes half as long."""
+"""From so many places on they are solved for in place
+(:mod:`planopt.channel.maps.many_places`): a map takes half as long."""
 
 
 def predict(

@@ -21,8 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
-from planopt.channel.covariance_fit import MIN_NUGGET_SHARE
-from planopt.channel.identifiability import examine
+from planopt.channel.estimation.covariance_fit import MIN_NUGGET_SHARE
+from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
+from planopt.channel.estimation.restricted_likelihood import (
+    LikelihoodData,
+    likelihood_data,
+    profiled_log_likelihood,
+)
+from planopt.channel.intervals.sites import rounded_variance_db2
 from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
@@ -30,13 +37,6 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
 from planopt.channel.prediction import Prediction
-from planopt.channel.reml import MAX_MEASUREMENTS, thinned
-from planopt.channel.restricted_likelihood import (
-    LikelihoodData,
-    likelihood_data,
-    profiled_log_likelihood,
-)
-from planopt.channel.sites import rounded_variance_db2
 
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Design points along each principal axis of the likelihood, in its deviations."""
@@ -128,7 +128,7 @@ def marginalise(
     Raises
     ------
     InputError
-        See :func:`planopt.channel.identifiability.examine`.
+        See :func:`planopt.channel.estimation.identifiability.examine`.
     """
     allows = examine(measurements, parameters.station)
     if allows.covariance_reason is not None:

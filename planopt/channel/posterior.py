@@ -14,16 +14,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.censoring import (
+from planopt.channel.conditioning import with_rows, without_factor
+from planopt.channel.connectivity import connection_probability
+from planopt.channel.factor import FactorBuffer, spacious
+from planopt.channel.intervals.censoring import (
     MIN_NOISE_VARIANCE_DB2,
     gaussian_sites,
     intervals,
     needs_site,
 )
-from planopt.channel.conditioning import with_rows, without_factor
-from planopt.channel.connectivity import connection_probability
-from planopt.channel.expectation_propagation import interval_sites
-from planopt.channel.factor import FactorBuffer, spacious
+from planopt.channel.intervals.expectation_propagation import interval_sites
+from planopt.channel.intervals.sites import LatentPrior, Sites
 from planopt.channel.kriging import predict, predict_noiseless
 from planopt.channel.measurement_covariance import (
     Origins,
@@ -31,13 +32,12 @@ from planopt.channel.measurement_covariance import (
     measured_path_loss_variance_db2,
 )
 from planopt.channel.measurements import Measurements, join
-from planopt.channel.neighbour_information import NeighbourInformation
-from planopt.channel.neighbour_sites import neighbour_sites
+from planopt.channel.nearest.neighbour_information import NeighbourInformation
+from planopt.channel.nearest.neighbour_sites import neighbour_sites
+from planopt.channel.nearest.place_index import PlaceIndex
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.place_index import PlaceIndex
 from planopt.channel.places import require_finite
 from planopt.channel.prediction import Prediction
-from planopt.channel.sites import LatentPrior, Sites
 from planopt.errors import InputError
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
@@ -195,7 +195,8 @@ def condition(
     exact_limit
         Beyond so many measurements predictions are from the nearest
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
-        (:data:`planopt.channel.vecchia.EARLIER_NEIGHBOURS` has the accuracies), and so are sites.
+        (:data:`planopt.channel.estimation.vecchia.EARLIER_NEIGHBOURS` has the accuracies), and so
+        are sites.
 
     Raises
     ------

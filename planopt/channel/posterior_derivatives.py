@@ -2,8 +2,8 @@
 
 From all measurements, with the uncertainty of theta counted, so that plans and maps can be judged
 by what they claim to descend. The kernel exp(-d / beta) has a cusp at every measured place; nothing
-is rounded here (solvers round it, `planopt.planning.stage_kernel`), so there is no derivative
-there, and the answer is an error that says so.
+is rounded here (solvers round it, `planopt.planning.programme.stage_kernel`), so there is no
+derivative there, and the answer is an error that says so.
 """
 
 from __future__ import annotations

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from planopt.channel.intervals.sites import rounded_variance_db2
 from planopt.channel.kriging import predict_noiseless
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.channel.sites import rounded_variance_db2
 
 
 def predict_readings(

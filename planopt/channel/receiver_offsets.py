@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.factor import whiten
 from planopt.channel.measurement_covariance import RECEIVER_OFFSET_STD_DB
-from planopt.channel.neighbour_information import NeighbourInformation
+from planopt.channel.nearest.neighbour_information import NeighbourInformation
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior

@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.cholesky import lower_factor
 from planopt.channel.factor import whiten
+from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors

@@ -20,9 +20,9 @@ def check(
     json: JsonOption = False,
 ) -> int:
     """Judge again from the files. Exit code 0 agrees, 3 rejects."""
-    from planopt.planning.check import check as judge
+    from planopt.planning.check.check import check as judge
+    from planopt.planning.files.solution_json import certificate_json, no_certificate_json
     from planopt.planning.plan import Verdict
-    from planopt.planning.solution_json import certificate_json, no_certificate_json
 
     with progress("checking"):
         result = judge(path)

@@ -108,10 +108,10 @@ def comparison_json(
     problem: Problem, comparison: Comparison | None, message: str
 ) -> dict[str, Any]:
     """The JSON keys of ``compare`` (design, section 3); no rows if there provably is no plan."""
-    from planopt.planning.run import Run
-    from planopt.planning.run_json import run_summary
-    from planopt.planning.solution_json import finite
-    from planopt.planning.team_run_json import team_summary_json
+    from planopt.planning.files.run_json import run_summary
+    from planopt.planning.files.solution_json import finite
+    from planopt.planning.files.team_run_json import team_summary_json
+    from planopt.planning.loop.run import Run
 
     if comparison is None:
         return {
@@ -159,7 +159,7 @@ def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value,
 
 def _save(comparison: Comparison, data: dict[str, Any], folder: Path) -> None:
     """Pictures first, the JSON last."""
-    from planopt.planning.saved import save_record
+    from planopt.planning.files.saved import save_record
 
     if comparison.problem.report.figures:
         from planopt.commands.pictures import picture_comparison

@@ -33,7 +33,7 @@ from planopt.commands.options import JsonOption, OutOption
 from planopt.commands.output import progress, results_folder, show, shown_number
 
 if TYPE_CHECKING:
-    from planopt.channel.fit import ChannelFit
+    from planopt.channel.estimation.fit import ChannelFit
 
 FIT_FILE = "fit.json"
 UNITS = {
@@ -79,7 +79,7 @@ def fit(
         if folder is not None:
             from planopt.commands.pictures import picture_fit, picture_held_out
             from planopt.files import write_text
-            from planopt.planning.solution_json import strict_text
+            from planopt.planning.files.solution_json import strict_text
 
             picture_fit(fitted.measurements, fitted.found, folder)
             if report is not None:
@@ -95,7 +95,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
     So is ``forgetting_s`` where the channel does not drift, and ``reference_receiver`` where the
     log has no receivers.
     """
-    from planopt.planning.solution_json import finite
+    from planopt.planning.files.solution_json import finite
 
     found, receivers = fitted.found, fitted.receivers
     parameters = found.parameters
@@ -126,7 +126,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
 
 def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
     """Of the station's x and y; null where it was given, each null where it is not determined."""
-    from planopt.planning.solution_json import finite
+    from planopt.planning.files.solution_json import finite
 
     covariance = found.station_covariance_m2
     if covariance is None:

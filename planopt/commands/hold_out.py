@@ -10,8 +10,8 @@ import typer
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
-    from planopt.channel.grouped_ratio import GroupedRatio
-    from planopt.channel.held_out_report import HeldOutReport, HeldOutScore
+    from planopt.channel.validation.grouped_ratio import GroupedRatio
+    from planopt.channel.validation.held_out_report import HeldOutReport, HeldOutScore
     from planopt.commands.log_fit import LogFit
 
 HoldOutOption = Annotated[
@@ -45,9 +45,9 @@ def held_out(log: Path, fitted: LogFit, text: str) -> HeldOutReport:
     """
     import numpy as np
 
-    from planopt.channel.held_out import deal
-    from planopt.channel.held_out_report import held_out_report, predictors_of
-    from planopt.channel.log_groups import parse_groups, read_groups
+    from planopt.channel.logs.log_groups import parse_groups, read_groups
+    from planopt.channel.validation.held_out import deal
+    from planopt.channel.validation.held_out_report import held_out_report, predictors_of
 
     groups = read_groups(log, parse_groups(text))
     count = len(np.unique(groups))

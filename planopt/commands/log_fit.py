@@ -13,11 +13,11 @@ import typer
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
-    from planopt.channel.convex_fit import Loss
-    from planopt.channel.fit import ChannelFit, FitMethod
-    from planopt.channel.log_format import LogFormat
+    from planopt.channel.estimation.convex_fit import Loss
+    from planopt.channel.estimation.fit import ChannelFit, FitMethod
+    from planopt.channel.logs.log_format import LogFormat
     from planopt.channel.measurements import Measurements
-    from planopt.channel.station_position import StationMethod
+    from planopt.channel.station.station_position import StationMethod
 
 LogArgument = Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
 StationOption = Annotated[
@@ -127,9 +127,9 @@ def read_and_fit(
     InputError
         An option or the log cannot be used; errors about a measurement name its line.
     """
-    from planopt.channel.fit import fit_channel, require_loss, require_method
-    from planopt.channel.log_file import at_file_line, parse_station, read_power_log
-    from planopt.channel.station_search import fit_channel_and_station
+    from planopt.channel.estimation.fit import fit_channel, require_loss, require_method
+    from planopt.channel.logs.log_file import at_file_line, parse_station, read_power_log
+    from planopt.channel.station.station_search import fit_channel_and_station
 
     require_method(method, "--method")
     chosen = cast("FitMethod", method)
@@ -162,7 +162,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
     InputError
         There is no such way, or the station is given.
     """
-    from planopt.channel.station_position import StationMethod
+    from planopt.channel.station.station_position import StationMethod
 
     names = get_args(StationMethod)
     if name is None:
@@ -190,7 +190,7 @@ def _log_format(options: LogOptions) -> LogFormat:
     InputError
         An option cannot be used.
     """
-    from planopt.channel.log_format import DEFAULT_COLUMNS, LogFormat, parse_columns
+    from planopt.channel.logs.log_format import DEFAULT_COLUMNS, LogFormat, parse_columns
 
     for value, key in (
         (options.resolution, "--resolution"),

@@ -32,8 +32,8 @@ from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
+    from planopt.channel.maps.posterior_map import Bounds, PosteriorMap
     from planopt.channel.measurements import Measurements
-    from planopt.channel.posterior_map import Bounds, PosteriorMap
 
 UNITS = {"mean_db": "dBm", "deviation_db": "dB", "connectivity": "1"}
 """The variables of a map (design, section 3)."""
@@ -84,9 +84,9 @@ def map_log(
 
     Of the first receiver in the log, and of the time of the latest measurement.
     """
+    from planopt.channel.maps.posterior_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.channel.one_thread import one_blas_thread
     from planopt.channel.posterior import condition
-    from planopt.channel.posterior_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.world.raster_files import check_raster_output, write_rasters
 
     options = LogOptions(

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.fit import ChannelFit
-from planopt.channel.held_out_report import HeldOutReport
+from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.maps.posterior_map import PosteriorMap
 from planopt.channel.measurements import Measurements
-from planopt.channel.posterior_map import PosteriorMap
+from planopt.channel.validation.held_out_report import HeldOutReport
+from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Plan
-from planopt.planning.simulation import Simulation
 from planopt.planning.solution import Solution
-from planopt.planning.team_run import TeamRun
+from planopt.planning.team.team_run import TeamRun
 from planopt.problems.problem import Problem
 from planopt.report.belief_map import draw_belief
 from planopt.report.calibration_figure import draw_calibration

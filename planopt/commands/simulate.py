@@ -9,17 +9,17 @@ from planopt.commands.planning import Asked, planning_command
 from planopt.commands.team import simulate_asked
 
 if TYPE_CHECKING:
-    from planopt.planning.simulation import Simulation
+    from planopt.planning.loop.simulation import Simulation
 
 
 @planning_command
 def simulate(asked: Asked) -> int:
     """Drive in the true channel. Exit code 0 all verified, 3 not all, 4 goal not reached."""
     from planopt.errors import NoPlanError
-    from planopt.planning.closed_loop import simulate as drive
-    from planopt.planning.run_json import no_run_json, simulation_json
-    from planopt.planning.saved import RUN_FILE, save_record, save_simulation, withdraw
-    from planopt.planning.simulation import exit_code
+    from planopt.planning.files.run_json import no_run_json, simulation_json
+    from planopt.planning.files.saved import RUN_FILE, save_record, save_simulation, withdraw
+    from planopt.planning.loop.closed_loop import simulate as drive
+    from planopt.planning.loop.simulation import exit_code
 
     if asked.problem.task != "reach":
         return simulate_asked(asked)

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 def solve(asked: Asked) -> int:
     """Plan from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
     from planopt.errors import NoPlanError
-    from planopt.planning.saved import PLAN_FILE, save_record, save_solution, withdraw
+    from planopt.planning.files.saved import PLAN_FILE, save_record, save_solution, withdraw
+    from planopt.planning.files.solution_json import no_plan_json, solution_json
     from planopt.planning.solution import exit_code
-    from planopt.planning.solution_json import no_plan_json, solution_json
     from planopt.planning.solve import solve as find_plan
 
     if asked.problem.task != "reach":

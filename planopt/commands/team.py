@@ -9,19 +9,19 @@ from planopt.commands.output import progress, results_folder, show, shown_number
 from planopt.commands.planning import Asked
 
 if TYPE_CHECKING:
-    from planopt.planning.team_run import TeamRun
-    from planopt.planning.team_solution import TeamSolution
+    from planopt.planning.team.team_run import TeamRun
+    from planopt.planning.team.team_solution import TeamSolution
 
 NOT_VERIFIED = 3
 
 
 def solve_asked(asked: Asked) -> int:
     """Plan for each robot. Exit code 0 verified, 3 not verified."""
+    from planopt.planning.files.saved import withdraw
+    from planopt.planning.files.team_saved import save_team_solution
+    from planopt.planning.files.team_solution_json import team_solution_json
     from planopt.planning.plan import Verdict
-    from planopt.planning.saved import withdraw
-    from planopt.planning.team_saved import save_team_solution
-    from planopt.planning.team_solution_json import team_solution_json
-    from planopt.planning.team_solve import solve_team
+    from planopt.planning.team.team_solve import solve_team
 
     with results_folder(asked.out) as folder:
         with progress("planning"):
@@ -46,10 +46,10 @@ def solve_asked(asked: Asked) -> int:
 
 def simulate_asked(asked: Asked) -> int:
     """Drive all robots. Exit code 0 verified throughout, 3 not throughout."""
-    from planopt.planning.saved import withdraw
-    from planopt.planning.team_loop import simulate_team
-    from planopt.planning.team_run_json import team_run_json
-    from planopt.planning.team_saved import save_team_run
+    from planopt.planning.files.saved import withdraw
+    from planopt.planning.files.team_run_json import team_run_json
+    from planopt.planning.files.team_saved import save_team_run
+    from planopt.planning.team.team_loop import simulate_team
 
     with results_folder(asked.out) as folder:
         with progress("driving, steps:", asked.problem.planner.max_steps) as advance:

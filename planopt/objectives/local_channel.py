@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.measurement_covariance import ageing
-from planopt.channel.neighbours import local_precision
+from planopt.channel.nearest.neighbours import local_precision
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_count, require_places
@@ -23,7 +23,9 @@ from planopt.channel.receiver_offsets import offsets_given_theta
 
 @dataclass(frozen=True, eq=False)
 class LocalChannel:
-    """Kriging from m measurements, as :class:`planopt.channel.neighbours.NeighbourModel` has it.
+    """Kriging from m measurements.
+
+    As :class:`planopt.channel.nearest.neighbours.NeighbourModel` has it.
 
     Attributes
     ----------

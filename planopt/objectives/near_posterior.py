@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearby import NEIGHBOURS_BEYOND
+from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND
 from planopt.channel.posterior import ChannelPosterior, condition
 
 

@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.connection.sampled_distribution import SampledDistribution
 from planopt.channel.joint import sample_power
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.sampled_distribution import SampledDistribution
 from planopt.errors import InputError
 from planopt.objectives.near_posterior import factored_near
 from planopt.objectives.tracking import Tracking, delivery

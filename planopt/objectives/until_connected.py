@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.first_passage import first_passage
+from planopt.channel.connection.first_passage import first_passage
 from planopt.channel.places import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.near_posterior import factored_near
@@ -40,7 +40,8 @@ def expected_distance_m(
 ) -> float:
     """E[D] = sum_k leg_{k+1} P(not connected at q_1 .. q_k), from the joint law of the places.
 
-    :func:`planopt.channel.first_passage.first_passage` has the distribution and the errors.
+    :func:`planopt.channel.connection.first_passage.first_passage` has the distribution and the
+    errors.
 
     Parameters
     ----------

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from planopt.planning.closed_loop import simulate as simulate_reach
-from planopt.planning.simulation import Simulation
+from planopt.planning.loop.closed_loop import simulate as simulate_reach
+from planopt.planning.loop.simulation import Simulation
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve as solve_reach
-from planopt.planning.team_loop import simulate_team
-from planopt.planning.team_run import TeamRun
-from planopt.planning.team_solution import TeamSolution
-from planopt.planning.team_solve import solve_team
+from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.team.team_run import TeamRun
+from planopt.planning.team.team_solution import TeamSolution
+from planopt.planning.team.team_solve import solve_team
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 

@@ -13,8 +13,8 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.prediction import Prediction
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
+from planopt.planning.proof.verify import judge
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
-from planopt.planning.verify import judge
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, inside_bounds
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.log_file import read_log
-from planopt.channel.log_format import LogFormat
+from planopt.channel.fields.truth import Truth, measure, model_truth, raster_truth
+from planopt.channel.logs.log_file import read_log
+from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.truth import Truth, measure, model_truth, raster_truth
 from planopt.errors import InputError
 from planopt.problems.problem import LoggedMeasurements, ModelTruth, Problem, RasterTruth
 from planopt.world.clearance import clearance_m, index_obstacles

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.road_map import RoadMap, build_road_map
+from planopt.planning.search.road_map import RoadMap, build_road_map
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles

@@ -12,16 +12,16 @@ from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.prediction import Prediction
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
-from planopt.planning.local_worth import is_stagewise, local_worth
-from planopt.planning.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
-from planopt.planning.path_nlp import PathNlp, build_path_nlp
-from planopt.planning.path_polish import PathTask, polish_path
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.polished import Polished
+from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
+from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
+from planopt.planning.programme.path_polish import PathTask, polish_path
+from planopt.planning.programme.polished import Polished
+from planopt.planning.search.start_search import Start, StartSearch
 from planopt.planning.shifted import shifted_path
-from planopt.planning.situation import Situation
-from planopt.planning.start_search import Start, StartSearch
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.local_worth import is_stagewise, local_worth
+from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.world.separation import separating_lines
 

@@ -6,14 +6,14 @@ from typing import Protocol
 
 import numpy as np
 
+from planopt.planning.baselines.lawnmower import LawnmowerPlanner
+from planopt.planning.baselines.one_step import OneStepPlanner
+from planopt.planning.baselines.random_walk import RandomPlanner
 from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.lawnmower import LawnmowerPlanner
-from planopt.planning.one_step import OneStepPlanner
 from planopt.planning.plan import Plan
-from planopt.planning.random_walk import RandomPlanner
-from planopt.planning.situation import Situation
+from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from planopt.channel.belief import Belief
+from planopt.channel.fields.truth import Truth
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.truth import Truth
 from planopt.planning.given import draw
-from planopt.planning.learn import learn
+from planopt.planning.loop.learn import learn
 from planopt.problems.problem import Problem
 
 

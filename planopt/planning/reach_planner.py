@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.planning.candidate import Candidate, Judge
-from planopt.planning.global_search import GlobalSearch, GlobalStart
-from planopt.planning.node_margins import NodeMargins
-from planopt.planning.pivot import find_pivot
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.reach_cost import ReachCost
-from planopt.planning.reach_nlp import ReachNlp, build_reach_nlp
+from planopt.planning.programme.pivot import find_pivot
+from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
+from planopt.planning.search.global_search import GlobalSearch, GlobalStart
+from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.shifted import shifted_path
 from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.reach_cost import ReachCost
 from planopt.problems.problem import Problem
 
 LINES_PER_SEGMENT = 4

@@ -10,26 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_quantile
-from planopt.channel.neighbours import neighbour_model
+from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.candidate import Candidate, Judge
-from planopt.planning.global_search import GlobalStart
-from planopt.planning.margin_source import MarginFunction
-from planopt.planning.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.polish import ReachTask, polish
-from planopt.planning.polished import Polished
-from planopt.planning.predictions import search_prediction
-from planopt.planning.reach_cost import ReachCost
-from planopt.planning.reach_nlp import ReachNlp
-from planopt.planning.retime import retime
+from planopt.planning.programme.margin_source import MarginFunction
+from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
+from planopt.planning.programme.polish import ReachTask, polish
+from planopt.planning.programme.polished import Polished
+from planopt.planning.programme.reach_nlp import ReachNlp
+from planopt.planning.programme.stage_kernel import StageMargins, stage_margins
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Scene
-from planopt.planning.stage_kernel import StageMargins, stage_margins
+from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.search.retime import retime
 from planopt.planning.tolerances import (
     MARGIN_PAD_DB,
     STANDSTILL_M,
     STEP_PAD_M,
 )
+from planopt.planning.worth.reach_cost import ReachCost
 from planopt.world.separation import separating_lines
 
 SLACK_TOLERANCE_DB = 1e-3

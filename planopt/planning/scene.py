@@ -9,7 +9,7 @@ import shapely
 
 from planopt.errors import NoPlanError
 from planopt.planning.ground import Ground, build_ground, first_moves
-from planopt.planning.road_map import RoadMap, Ways, shortest_ways
+from planopt.planning.search.road_map import RoadMap, Ways, shortest_ways
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from planopt.channel.multipath_models import Rician
+from planopt.channel.multipath.multipath_models import Rician
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
 from planopt.problems.problem import (

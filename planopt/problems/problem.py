@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from planopt.channel.multipath_models import Multipath
+from planopt.channel.multipath.multipath_models import Multipath
 from planopt.channel.parameters import Station
 from planopt.world.workspace import Workspace
 

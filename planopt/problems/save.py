@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import shapely
 
-from planopt.channel.multipath_models import Lognormal, Multipath, Nakagami, Rician
+from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import (
     ChannelSetup,

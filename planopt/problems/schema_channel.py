@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.channel.multipath_field import MultipathKind, multipath_of
-from planopt.channel.multipath_models import Multipath
+from planopt.channel.multipath.multipath_field import MultipathKind, multipath_of
+from planopt.channel.multipath.multipath_models import Multipath
 from planopt.errors import InputError
 from planopt.problems.problem import FitMethod
 from planopt.problems.tables import Decibels, FileName, Table

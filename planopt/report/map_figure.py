@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from planopt.channel.maps.posterior_map import PosteriorMap
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
-from planopt.channel.posterior_map import PosteriorMap
 from planopt.report.maps import PATH_Z, PLACE_Z, X_LABEL, Y_LABEL, draw_layer, draw_level
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (

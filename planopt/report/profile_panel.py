@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from planopt.channel.fit import ChannelFit
-from planopt.channel.profile import CUT_95, Profile
+from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.estimation.profile import CUT_95, Profile
 from planopt.report.panel import Panel
 from planopt.report.style import BLACK, PREDICTED, VERMILLION, dress, plain_log_ticks
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planopt.planning.run import StepLog
-from planopt.planning.simulation import Simulation
+from planopt.planning.loop.run import StepLog
+from planopt.planning.loop.simulation import Simulation
 from planopt.report.maps import LAYER_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.loop.run import StepLog
+from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Rung
-from planopt.planning.run import StepLog
-from planopt.planning.simulation import Simulation
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
     BAND_WORDS,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.planning.plan import Plan
-from planopt.planning.team_run import TeamRun
+from planopt.planning.team.team_run import TeamRun
 from planopt.problems.problem import Problem
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import NOTE_PT, head, legend_below
@@ -43,7 +43,7 @@ def draw_team_run(run: TeamRun) -> Figure:
     Parameters
     ----------
     run
-        From :func:`planopt.planning.team_loop.simulate_team`.
+        From :func:`planopt.planning.team.team_loop.simulate_team`.
     """
     problem = run.problem
     tracks = [one.log.positions_m for one in run.runs]

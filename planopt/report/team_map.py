@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.connectivity import connection_probability
 from planopt.planning.plan import Plan
-from planopt.planning.team_run import TargetLog
+from planopt.planning.team.team_run import TargetLog
 from planopt.problems.problem import Problem
 from planopt.report.grid import Bounds, predicted_rasters
 from planopt.report.maps import (

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from planopt.planning.loop.run import Run
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.run import Run
-from planopt.planning.team_run import TeamRun
+from planopt.planning.team.team_run import TeamRun
 from planopt.report.panel import Panel
 from planopt.report.run_series import RUNG_LOOKS
 from planopt.report.style import (

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.errors import InputError
-from planopt.planning.closed_loop import simulate
-from planopt.planning.metrics import POSSIBLE
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.metrics import POSSIBLE
+from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.prepare import prepare
-from planopt.planning.run import Outcome, Run
 from planopt.planning.scene import build_scene
-from planopt.planning.team_loop import simulate_team
-from planopt.planning.team_summary import team_summary
+from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.team.team_summary import team_summary
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Driven, Row, metric_values

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-from planopt.planning.run import Metrics, Run
-from planopt.planning.team_summary import TeamSummary
+from planopt.planning.loop.run import Metrics, Run
+from planopt.planning.team.team_summary import TeamSummary
 from planopt.problems.problem import Problem
 
 Driven = Run | TeamSummary

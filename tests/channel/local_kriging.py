@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planopt.channel.neighbours import NeighbourModel
+from planopt.channel.nearest.neighbours import NeighbourModel
 from planopt.channel.path_loss import regressors
 from planopt.channel.prediction import Prediction
 

@@ -2,9 +2,9 @@
 
 from scipy.stats import gamma, ncx2
 
-from planopt.channel.fading import rician_mean_db
-from planopt.channel.multipath_conversions import nakagami_mean_db
-from planopt.channel.multipath_models import Nakagami
+from planopt.channel.multipath.fading import rician_mean_db
+from planopt.channel.multipath.multipath_conversions import nakagami_mean_db
+from planopt.channel.multipath.multipath_models import Nakagami
 
 
 def law_of(model):

@@ -14,10 +14,12 @@ from varied_measurements import (
     varied,
 )
 
-from planopt.channel.cached_map import CachedMap
-from planopt.channel.conditional_field import conditional_field, conditional_values_db
+from planopt.channel.fields.conditional_field import conditional_field, conditional_values_db
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
+from planopt.channel.maps.cached_map import CachedMap
+from planopt.channel.maps.single_precision import predict_single
+from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -25,12 +27,10 @@ from planopt.channel.measurement_covariance import (
     own_variance_db2,
     place_origins,
 )
-from planopt.channel.nearby import predict_nearby
-from planopt.channel.neighbours import neighbour_model
+from planopt.channel.nearest.nearby import predict_nearby
+from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.posterior import at_time, condition, extend
 from planopt.channel.posterior_derivatives import posterior_derivatives
-from planopt.channel.single_precision import predict_single
-from planopt.channel.tile_map import TileMap
 from planopt.errors import InputError
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt.channel.fit import fit_channel
-from planopt.channel.identifiability import examine
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.restricted_likelihood import evaluate, likelihood_data
 from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.channel.restricted_likelihood import evaluate, likelihood_data
 from planopt.errors import InputError
 
 FIG_3 = ChannelParameters(-10.0, 2.0, 4.0, 10.0, 1.99, Station((25.0, 25.0)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from planopt.channel.fit import fit_channel
+from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_cases import small_case
 
-from planopt.channel.fit import fit_channel
-from planopt.channel.identifiability import examine
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.identifiability import examine
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 

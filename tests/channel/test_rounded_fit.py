@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.censoring import FINE_STEP, needs_site
-from planopt.channel.covariance_fit import covariance_bounds
-from planopt.channel.fit import fit_channel
+from planopt.channel.estimation.covariance_fit import covariance_bounds
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.reml import reml_fit
+from planopt.channel.estimation.restricted_likelihood import evaluate, likelihood_data
+from planopt.channel.intervals.censoring import FINE_STEP, needs_site
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements
@@ -18,8 +20,6 @@ from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
-from planopt.channel.reml import reml_fit
-from planopt.channel.restricted_likelihood import evaluate, likelihood_data
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 20.0, 1.0, Station((50.0, 50.0), 10.0))
 STEP_DB = 3.0

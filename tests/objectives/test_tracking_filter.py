@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, NOTHING, PATH, drawn
 
+from planopt.channel.connection.sampled_distribution import SampledDistribution
 from planopt.channel.kriging import predict
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.channel.sampled_distribution import SampledDistribution
 from planopt.errors import InputError
 from planopt.objectives.tracking import Tracking, delivery, team_tracking_value
 from planopt.objectives.tracking_filter import (

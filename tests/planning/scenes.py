@@ -15,16 +15,16 @@ import numpy as np
 import shapely
 
 from planopt.channel.belief import Belief
-from planopt.channel.fit import ChannelFit
+from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.channel.truth import Truth
-from planopt.planning.global_search import GlobalSearch
-from planopt.planning.node_margins import NodeMargins
 from planopt.planning.prepare import Prepared
-from planopt.planning.road_map import RoadMap, build_road_map
 from planopt.planning.scene import Scene, build_scene
+from planopt.planning.search.global_search import GlobalSearch
+from planopt.planning.search.node_margins import NodeMargins
+from planopt.planning.search.road_map import RoadMap, build_road_map
 from planopt.problems.problem import (
     ChannelSetup,
     Constraints,

@@ -11,10 +11,10 @@ import numpy as np
 from planopt.channel.belief import Belief
 from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground, build_ground
-from planopt.planning.path_worth import PathWorth
 from planopt.planning.prepare import prepare
-from planopt.planning.region import workspace_region
-from planopt.planning.situation import Situation
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.situation import Situation
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.planning.lawnmower import LawnmowerPlanner, lawn_tour, stops_along
-from planopt.planning.one_step import OneStepPlanner
+from planopt.planning.baselines.lawnmower import LawnmowerPlanner, lawn_tour, stops_along
+from planopt.planning.baselines.one_step import OneStepPlanner
+from planopt.planning.baselines.random_walk import RandomPlanner
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.planners import planner_for
-from planopt.planning.random_walk import RandomPlanner
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}

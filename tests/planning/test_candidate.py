@@ -16,10 +16,10 @@ from scenes import (
 )
 
 from planopt.planning.candidate import Candidate, Judge
-from planopt.planning.pivot import Pivot
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.reach_cost import ReachCost
+from planopt.planning.programme.pivot import Pivot
 from planopt.planning.scene import build_scene
+from planopt.planning.worth.reach_cost import ReachCost
 
 
 def judge_of(problem, power_at=good_everywhere, pivot=None) -> Judge:

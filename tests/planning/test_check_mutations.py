@@ -17,13 +17,13 @@ import pytest
 
 from planopt import load
 from planopt.errors import InputError
-from planopt.planning import check_belief
-from planopt.planning.check import CheckResult, check
-from planopt.planning.closed_loop import simulate
-from planopt.planning.learn import learn
+from planopt.planning.check import check_belief
+from planopt.planning.check.check import CheckResult, check
+from planopt.planning.files.saved import save_simulation, save_solution
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.learn import learn
+from planopt.planning.loop.run import Outcome
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.run import Outcome
-from planopt.planning.saved import save_simulation, save_solution
 from planopt.planning.solve import solve
 
 WALL_TIME = "a wall time: only its order and its sign can be judged"

@@ -9,16 +9,17 @@ import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.fields.truth import measure
 from planopt.channel.posterior import condition, predict
-from planopt.channel.truth import measure
-from planopt.planning import horizon_planner, path_polish
+from planopt.planning import horizon_planner
 from planopt.planning.given import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.ipopt import NlpPoint
-from planopt.planning.path_polish import polish_path
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.prepare import prepare
-from planopt.planning.start_search import StartSearch
+from planopt.planning.programme import path_polish
+from planopt.planning.programme.ipopt import NlpPoint
+from planopt.planning.programme.path_polish import polish_path
+from planopt.planning.search.start_search import StartSearch
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 

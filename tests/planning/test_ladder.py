@@ -18,14 +18,14 @@ from scenes import (
     small_problem,
 )
 
-import planopt.planning.polish as polish_module
+import planopt.planning.programme.polish as polish_module
 import planopt.planning.refine as refine_module
-from planopt.planning.closed_loop import simulate
-from planopt.planning.ipopt import NlpPoint
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.run import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.reach_nlp import IPOPT_OPTIONS
+from planopt.planning.programme.ipopt import NlpPoint
+from planopt.planning.programme.reach_nlp import IPOPT_OPTIONS
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.run import Outcome
 from planopt.planning.scene import build_scene
 
 CALL = polish_module.call_nlp

@@ -21,9 +21,9 @@ from scenes import (
 
 from planopt.objectives.reach import path_cost_s
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.proof.verify import verify
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.verify import verify
 from planopt.problems.problem import Problem
 
 SLIT = (shapely.box(15, 0, 25, 14.2), shapely.box(15, 15.9, 25, 30))

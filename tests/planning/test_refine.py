@@ -10,10 +10,10 @@ from scenes import CUP, WALL, bad_disc, belief_of, good_everywhere, search_of, s
 
 import planopt.planning.refine as refine
 from planopt.planning.candidate import Judge
-from planopt.planning.pivot import find_pivot
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.reach_cost import ReachCost
-from planopt.planning.reach_nlp import build_reach_nlp
+from planopt.planning.programme.pivot import find_pivot
+from planopt.planning.programme.reach_nlp import build_reach_nlp
+from planopt.planning.worth.reach_cost import ReachCost
 
 
 def refiner_of(problem, power_at=good_everywhere, lines=4):

@@ -260,7 +260,7 @@ CASES: dict[str, Case] = {
     "courtyard": Case(along(18, 20, 22), problem=small_problem(RING), clearance_m=4.0),
 }
 
-VERIFY, REACHABILITY = "planopt.planning.verify", "planopt.planning.reachability"
+VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
 
 
 def source_of(module: str) -> str:

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from planopt.channel.multipath_models import Rician
+from planopt.channel.multipath.multipath_models import Rician
 from planopt.errors import InputError
 from planopt.problems import library
 from planopt.problems.library import find_problem, list_problems

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from planopt.channel.multipath_models import Nakagami, Rician
+from planopt.channel.multipath.multipath_models import Nakagami, Rician
 from planopt.errors import InputError
 from planopt.problems.library import list_problems
 from planopt.problems.load import load

@@ -8,14 +8,14 @@ import shapely
 
 from planopt.channel.belief import Belief
 from planopt.channel.connectivity import connection_probability
-from planopt.channel.fit import ChannelFit
+from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.channel.truth import Truth
+from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
+from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
-from planopt.planning.run import Metrics, Outcome, Run, StepLog
-from planopt.planning.simulation import Simulation
 from planopt.planning.solution import Solution
 from planopt.problems.problem import (
     ChannelSetup,

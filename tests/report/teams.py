@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from planopt.planning.aim import Aim
-from planopt.planning.team_run import ChannelLog, TargetLog, TeamRun
+from planopt.planning.team.team_run import ChannelLog, TargetLog, TeamRun
+from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import (
     LearningTerm,
     MappingTerm,

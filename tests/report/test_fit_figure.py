@@ -7,8 +7,8 @@ import pytest
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 from scipy.stats import chi2
 
+from planopt.channel.estimation.profile_likelihood import profiles_around
 from planopt.channel.measurements import Measurements
-from planopt.channel.profile_likelihood import profiles_around
 from planopt.report.fit_figure import draw_fit
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, panel_of
 
+from planopt.channel.maps.posterior_map import posterior_map
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
-from planopt.channel.posterior_map import posterior_map
 from planopt.report.map_figure import draw_posterior_map
 
 

@@ -8,7 +8,7 @@ import pytest
 from artists import panel_of
 from matplotlib.figure import Figure
 
-from planopt.channel.profile import CUT_95, Profile
+from planopt.channel.estimation.profile import CUT_95, Profile
 from planopt.report.profile_panel import draw_profiles
 
 INSIDE, OUTSIDE = -0.5 * CUT_95, -4.0 * CUT_95

@@ -11,8 +11,8 @@ import scipy.stats
 
 from planopt import load
 from planopt.errors import InputError
-from planopt.planning.closed_loop import simulate
-from planopt.planning.run import Metrics, Outcome, StepLog
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.run import Metrics, Outcome, StepLog
 from planopt.studies.compare import compare_horizons, mean_interval, paired_ratio, tabulate
 from planopt.studies.comparison import Comparison, Row
 

@@ -5,11 +5,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from planopt.channel.held_out import learn_path_loss
-from planopt.channel.multipath_models import Rician
+from planopt.channel.multipath.multipath_models import Rician
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction
 from planopt.channel.readings import predict_readings
+from planopt.channel.validation.held_out import learn_path_loss
 from planopt.studies.estimation import (
     EstimationCase,
     estimation_study,

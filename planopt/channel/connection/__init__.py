@@ -1,0 +1,1 @@
+"""Connectivity along whole paths: jointly, until connected, outages, data, several stations."""

@@ -1,0 +1,179 @@
+"""The longest outage along a path, and the data delivered by a deadline, by sampling the channel.
+
+Neither has a closed form: both depend on the joint law of all places. The places are those where
+packets are sent: multipath is drawn anew at each, so that more places mean more independent trials.
+A leg counts as connected when the place it ends at is, as in the closed loop's own metrics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connection.sampled_distribution import SampledDistribution
+from planopt.channel.connection.traffic import Traffic, sent_and_lost
+from planopt.channel.joint import sample_power
+from planopt.channel.places import leg_lengths_m, require_finite, require_places
+from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class LongestOutage:
+    """The longest stretch without connection; draw k of both is the same drive.
+
+    Attributes
+    ----------
+    metres
+        Its length; the longest by length.
+    seconds
+        Its duration; the longest by duration.
+    """
+
+    metres: SampledDistribution
+    seconds: SampledDistribution
+
+
+@dataclass(frozen=True, eq=False)
+class DeliveredData:
+    """What became of the data by the deadline; draw k of all is the same drive.
+
+    Attributes
+    ----------
+    delivered_bits
+        Received.
+    lost_bits
+        Arrived at a full buffer.
+    waiting_bits
+        Still in the buffer.
+    """
+
+    delivered_bits: SampledDistribution
+    lost_bits: SampledDistribution
+    waiting_bits: SampledDistribution
+
+
+def longest_outage(
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    times_s: NDArray[np.float64],
+    threshold_dbm: float,
+    count: int,
+    generator: np.random.Generator,
+) -> LongestOutage:
+    """Distribution of the longest outage along a path, given the measurements.
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    positions_m
+        ``(h, 2)`` metres, h >= 2, where packets are sent; the robot starts at the first.
+    times_s
+        ``(h,)`` when it is there, increasing.
+    threshold_dbm
+        Power from which on a place is connected.
+    count
+        Drives to draw, at least 2.
+    generator
+        Source of randomness.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used.
+    """
+    places, times = _path(positions_m, times_s)
+    connected = _connected(posterior, places, threshold_dbm, count, generator)
+    return LongestOutage(
+        SampledDistribution(longest_runs(leg_lengths_m(places), connected)),
+        SampledDistribution(longest_runs(np.diff(times), connected)),
+    )
+
+
+def delivered_data(
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    times_s: NDArray[np.float64],
+    threshold_dbm: float,
+    traffic: Traffic,
+    deadline_s: float,
+    count: int,
+    generator: np.random.Generator,
+) -> DeliveredData:
+    """Distribution of the data delivered by a deadline along a path, given the measurements.
+
+    Parameters
+    ----------
+    posterior, positions_m, times_s, threshold_dbm, count, generator
+        As in :func:`longest_outage`.
+    traffic
+        Rates and buffer.
+    deadline_s
+        On the clock of `times_s`, not before its first and not after its last.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used.
+    """
+    places, times = _path(positions_m, times_s)
+    if not times[0] <= deadline_s <= times[-1]:
+        raise InputError(
+            f"the path is from {times[0]:g} to {times[-1]:g} s, the deadline at {deadline_s!r} s",
+            key="deadline_s",
+            remedy="repeat the last place at later times if the robot waits there",
+        )
+    connected = _connected(posterior, places, threshold_dbm, count, generator)
+    durations = np.diff(np.minimum(times, deadline_s))
+    delivered, lost, waiting = sent_and_lost(durations, connected, traffic)
+    return DeliveredData(
+        SampledDistribution(delivered), SampledDistribution(lost), SampledDistribution(waiting)
+    )
+
+
+def longest_runs(
+    leg_sizes: NDArray[np.float64], connected: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """The greatest sum of `leg_sizes` over successive legs that end disconnected; ``(count,)``.
+
+    Parameters
+    ----------
+    leg_sizes
+        ``(h - 1,)`` metres or seconds.
+    connected
+        ``(count, h)`` at each place; the first is where the first leg starts and does not count.
+    """
+    current = np.zeros(len(connected))
+    longest = np.zeros(len(connected))
+    for size, now in zip(leg_sizes, connected[:, 1:].T, strict=True):
+        current = np.where(now, 0.0, current + size)
+        longest = np.maximum(longest, current)
+    return longest
+
+
+def _path(
+    positions_m: NDArray[np.float64], times_s: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places and times that belong together."""
+    places = require_places(positions_m, 2)
+    times = np.asarray(times_s, dtype=np.float64)
+    if times.shape != (len(places),):
+        raise InputError(f"times of shape {times.shape} for {len(places)} places", key="times_s")
+    if not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
+        raise InputError("times must be finite and increase", key="times_s")
+    return places, times
+
+
+def _connected(
+    posterior: ChannelPosterior,
+    places_m: NDArray[np.float64],
+    threshold_dbm: float,
+    count: int,
+    generator: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Drawn connections; (count, h)."""
+    threshold = require_finite(threshold_dbm, "threshold_dbm")
+    return sample_power(posterior, places_m, count, generator) >= threshold

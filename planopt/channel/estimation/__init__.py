@@ -1,0 +1,1 @@
+"""Which channel the measurements come from: five methods, their likelihoods and their doubts."""

@@ -1,0 +1,138 @@
+# pyright: basic
+"""The log-domain fit as a constrained convex programme: the boundary to CVXPY and Clarabel.
+
+In a = log xi^2 and b = 1 / beta the weighted loss of log r-hat - a + b d is convex, and so are the
+physical constraints that the closed form ignores: xi^2 <= alpha-hat (omega^2 cannot be negative)
+and beta within what the positions can tell.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.estimation.covariance_fit import (
+    CovarianceBounds,
+    CovarianceFit,
+    from_correlation,
+)
+from planopt.channel.estimation.lemma1 import LogBins, line_errors, standardised_scatter
+
+Loss = Literal["squares", "huber", "absolute"]
+
+HUBER_DEVIATIONS = 1.345
+"""Huber's loss turns from squares to absolute values at so many robust deviations of the scatter:
+95 % as efficient as squares where the scatter is normal."""
+
+EFFICIENCY = {"huber": 0.95, "absolute": 2.0 / math.pi}
+"""Variance of the squares' estimate over that of the loss's, for normal scatter."""
+
+NORMAL_MEDIAN = 0.6745
+"""Median of the absolute value of a standard normal."""
+
+
+def convex_fit(
+    bins: LogBins,
+    alpha_db2: float,
+    count: int,
+    bounds: CovarianceBounds,
+    loss: Loss = "squares",
+) -> CovarianceFit:
+    """xi, beta and omega by ``min sum rho(sqrt(tau) (log r - a + b d))`` within constraints.
+
+    With squares it equals :func:`planopt.channel.estimation.lemma1.lemma1_fit` on the same bins
+    when no constraint binds.
+
+    Parameters
+    ----------
+    bins
+        From :func:`planopt.channel.estimation.lemma1.capped_bins`, at least two.
+    alpha_db2, count
+        alpha-hat, and the number of measurements behind it.
+    bounds
+        Of xi^2 (from below; from above xi^2 <= alpha - the least omega^2) and of beta.
+    loss
+        rho: ``squares``; ``absolute`` values; or ``huber``: squares up to `HUBER_DEVIATIONS`
+        robust deviations of the scatter about the line of least absolute values, and absolute
+        values beyond, so that a bin far off pulls no harder than one a little off. The last two
+        weigh a bin by the square of the line there, not of its own r, with which a bin far too
+        high would outweigh all others. Their standard errors are those of normal scatter of the
+        robust deviation.
+    """
+    if loss == "squares":
+        intercept, rate = _line(bins, alpha_db2, bounds, loss)
+        scatter = standardised_scatter(bins, intercept, rate)
+        squares = float(scatter @ scatter)
+    else:
+        # First by numbers of pairs alone, as if the line were flat.
+        bins = _weighed_by_line(bins, *_line(_weighed_by_line(bins, 0.0, 0.0), alpha_db2, bounds))
+        intercept, rate = _line(bins, alpha_db2, bounds)
+        deviation = _robust_deviation(standardised_scatter(bins, intercept, rate))
+        if loss == "huber" and deviation > 0.0:
+            turn = HUBER_DEVIATIONS * deviation
+            intercept, rate = _line(bins, alpha_db2, bounds, loss, turn)
+        squares = len(bins.lag_m) * deviation**2 / EFFICIENCY[loss]
+    return from_correlation(
+        math.exp(intercept), rate, line_errors(bins, intercept, squares), alpha_db2, count, bounds
+    )
+
+
+def _weighed_by_line(bins: LogBins, intercept: float, rate: float) -> LogBins:
+    """Weights n r^2 with the line's r instead of each bin's own."""
+    above = intercept - rate * bins.lag_m - bins.log_covariance
+    # Relative to the largest, so that nothing overflows; only ratios of weights count.
+    return replace(bins, weight=bins.weight * np.exp(2.0 * (above - above.max())))
+
+
+def _line(
+    bins: LogBins,
+    alpha_db2: float,
+    bounds: CovarianceBounds,
+    loss: Loss = "absolute",
+    turn: float = 0.0,
+) -> tuple[float, float]:
+    """The constrained optimum (log xi^2, 1 / beta); `turn` is where Huber's loss turns."""
+    import cvxpy as cp
+
+    scale = float(bins.lag_m.max())
+    root = np.sqrt(bins.weight / bins.weight.sum())
+    a, b = cp.Variable(), cp.Variable()
+    scatter = cp.multiply(root, bins.log_covariance - a + b * (bins.lag_m / scale))
+    low, high = bounds.decorrelation_m
+    least = bounds.shadow_db2[0]
+    most = max(alpha_db2 - bounds.multipath_db2[0], least)
+    constraints: list[cp.Constraint] = [
+        a >= math.log(least),
+        a <= math.log(most),
+        b >= scale / high,
+        b <= scale / low,
+    ]
+    if loss == "squares":
+        total = cp.sum_squares(scatter)
+    elif loss == "absolute":
+        total = cp.norm1(scatter)
+    else:
+        # In units of the turn, so that the solver's tolerances do not depend on it.
+        total = cp.sum(cp.huber(scatter / turn))
+    problem = cp.Problem(cp.Minimize(total), constraints)
+    with warnings.catch_warnings():
+        # CVXPY warns of an inaccurate optimum; here that is still good to eight digits.
+        warnings.simplefilter("ignore")
+        problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
+    if a.value is None or b.value is None:
+        raise AssertionError("a feasible, bounded convex programme has a solution")
+    return float(np.clip(a.value, math.log(least), math.log(most))), float(b.value) / scale
+
+
+def _robust_deviation(scatter: NDArray[np.float64]) -> float:
+    """Median absolute scatter as a normal's deviation, 0 for two bins.
+
+    Without the two least: a line of least absolute values passes through two bins.
+    """
+    rest = np.sort(np.abs(scatter))[2:]
+    return float(np.median(rest)) / NORMAL_MEDIAN if len(rest) else 0.0

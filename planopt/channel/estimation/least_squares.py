@@ -1,0 +1,150 @@
+"""Path loss by least squares (seed, Lemma 1), with censored powers completed by expectation.
+
+With no censored measurement this is Lemma 1's theta-hat and alpha-hat. Censored powers are
+replaced by their expected values given that they are at most the floor, under the line and
+independent normal deviations of variance alpha, and the line is refitted until neither moves: the
+EM algorithm of Tobit regression. It ignores that shadowing is correlated.
+
+Receivers other than number 0 have a column each, so that residuals are free of their offsets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr  # pyright: ignore[reportUnknownVariableType]
+
+from planopt.channel.intervals.sites import rounded_variance_db2
+from planopt.channel.mean_model import MeanModel
+from planopt.channel.measurement_covariance import (
+    covariance_db2,
+    measured_origins,
+    measured_path_loss_variance_db2,
+    own_variance_db2,
+)
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters
+
+MAX_SWEEPS = 500
+OFFSET_RIDGE = 1e-6
+"""Weight of one further measurement of each offset, of zero: it decides only what nothing else
+does, such as the common part of all offsets where receiver 0 measured nothing."""
+
+TOLERANCE_DB = 1e-6
+"""The line has converged when no fitted value moves by more."""
+
+ROWS = 512
+"""Rows of the covariance that are held at once."""
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """A fitted line.
+
+    Attributes
+    ----------
+    coefficients
+        ``(p,)`` of the mean model (theta-hat for p = 2).
+    residual_db
+        ``(n,)`` completed power minus the line (the seed's Y_c).
+    variance_db2
+        alpha-hat: mean square of the residual, plus what censoring hides, less what rounding adds
+        (Sheppard's correction); divided by n as printed.
+    """
+
+    coefficients: NDArray[np.float64]
+    residual_db: NDArray[np.float64]
+    variance_db2: float
+
+
+def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
+    """Fit the line. At least one measurement must be uncensored."""
+    power = measurements.power_dbm - model.offset_db
+    columns = np.column_stack([model.columns, receiver_columns(measurements)])
+    inverse = _ridged_inverse(columns, model.columns.shape[1])
+    censored = measurements.censored
+    exact = ~censored
+    limit = power[censored]
+    # Start from the uncensored line, so that floors do not flatten the slope.
+    coefficients = _ridged_inverse(columns[exact], model.columns.shape[1]) @ power[exact]
+    variance = float(np.mean((power[exact] - columns[exact] @ coefficients) ** 2))
+    completed = power.copy()
+    hidden = 0.0
+    for _ in range(MAX_SWEEPS):
+        before = columns @ coefficients
+        completed[censored], variances = _expected_below(limit, before[censored], variance)
+        hidden = float(variances.sum())
+        coefficients = inverse @ completed
+        fitted = columns @ coefficients
+        variance = float((((completed - fitted) ** 2).sum() + hidden) / len(power))
+        if np.abs(fitted - before).max() < TOLERANCE_DB:
+            break
+    rounding = float(rounded_variance_db2(measurements.resolution_db[exact]).sum()) / len(power)
+    return LeastSquares(
+        coefficients[: model.columns.shape[1]],
+        completed - columns @ coefficients,
+        max(variance - rounding, 0.0),
+    )
+
+
+def coefficient_covariance(
+    model: MeanModel, measurements: Measurements, parameters: ChannelParameters
+) -> NDArray[np.float64]:
+    """Covariance of the model's least-squares coefficients under correlated shadowing; (p, p).
+
+    (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance, xi^2 exp(-d / beta) + omega^2 I
+    and what age, position errors, receivers' offsets and rounding do to it; the usual
+    alpha (G'G)^-1 is several times too small where beta spans many measurements.
+    """
+    columns = np.column_stack([model.columns, receiver_columns(measurements)])
+    count = model.columns.shape[1]
+    origins = measured_origins(measurements, parameters)
+    noise = parameters.multipath_std_db**2 + rounded_variance_db2(measurements.resolution_db)
+    noise += measured_path_loss_variance_db2(measurements, parameters)
+    middle = columns.T @ (noise[:, None] * columns)
+    for first in range(0, len(columns), ROWS):
+        rows = slice(first, first + ROWS)
+        some = origins.at(rows)
+        block = covariance_db2(some, origins, parameters)
+        own = np.arange(len(block))
+        block[own, first + own] = own_variance_db2(some, parameters)
+        middle += columns[rows].T @ block @ columns
+    outer = _normal_inverse(columns, count)
+    return (outer @ middle @ outer)[:count, :count]
+
+
+def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
+    """Indicators of all receivers but number 0; ``(n, R)``."""
+    numbers = np.unique(measurements.receiver)
+    return (measurements.receiver[:, None] == numbers[numbers != 0]).astype(np.float64)
+
+
+def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
+    """What takes values (n,) to coefficients (q,), all but the first `free` of them ridged."""
+    if columns.shape[1] == free:
+        return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
+    ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]
+    whole = np.asarray(np.linalg.pinv(np.vstack([columns, ridge])), dtype=np.float64)
+    return whole[:, : len(columns)]
+
+
+def _normal_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
+    """(G'G)^-1 with the same ridge; (q, q)."""
+    ridge = np.full(columns.shape[1], OFFSET_RIDGE)
+    ridge[:free] = 0.0
+    return np.asarray(np.linalg.pinv(columns.T @ columns + np.diag(ridge)), dtype=np.float64)
+
+
+def _expected_below(
+    limit: NDArray[np.float64], mean: NDArray[np.float64], variance: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and variance of N(mean, variance) given that the value is at most `limit`; (m,) each."""
+    deviation = np.sqrt(max(variance, 1e-12))
+    z = (limit - mean) / deviation
+    log_below = np.asarray(log_ndtr(z), dtype=np.float64)
+    hazard = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - log_below)
+    shrink = np.clip(hazard * (z + hazard), 0.0, 1.0)
+    # The clip holds the expectation below its limit where the ratio loses its digits.
+    return np.minimum(mean - deviation * hazard, limit), deviation**2 * (1.0 - shrink)

@@ -1,0 +1,122 @@
+"""Products of whitened columns without a factor of all measurements.
+
+Vecchia's approximation conditions each measurement on the nearest of those before it, not on all:
+an inverse factor with few entries a row (Vecchia, Journal of the Royal Statistical Society B, 1988;
+Datta et al., Journal of the American Statistical Association, 2016).
+
+A batch is taken in random order. In the order of a path the nearest before are all on one side, and
+theta was up to 0.5 of its standard error off where random order gave 0.05; see
+`EARLIER_NEIGHBOURS`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.measurement_covariance import Origins
+from planopt.channel.nearest.neighbour_regression import regress_on_neighbours
+from planopt.channel.nearest.place_index import PlaceIndex
+from planopt.channel.parameters import ChannelParameters
+
+EARLIER_NEIGHBOURS = 64
+"""Earlier measurements that each is conditioned on. At 3,000 measurements (uniform, on a random
+walk, in rows; xi, beta, omega = 4, 10, 2; 9, 70, 4; 8, 20, 0.5) theta is within 0.05 of its
+standard error from the exact posterior's, and the standard errors within 3.5 % of its; on the three
+campus logs of 4,193 to 5,006, censored ones included, within 0.1 and 0.5 %."""
+
+ROWS_AT_ONCE = 256
+
+ORDER_SEED = 0
+"""Of the order in which a batch is taken."""
+
+
+def whitened_products(
+    parameters: ChannelParameters,
+    origins: Origins,
+    noise_variance_db2: NDArray[np.float64],
+    columns: NDArray[np.float64],
+    done: int | None = None,
+) -> NDArray[np.float64]:
+    """C' U^-1 C with U^-1 after Vecchia, or what the last rows of C add to it.
+
+    Parameters
+    ----------
+    parameters
+        The channel's parameters.
+    origins
+        Of n measurements.
+    noise_variance_db2
+        ``(n,)`` variance of the noise of each.
+    columns
+        ``(n, c)`` C.
+    done
+        Rows that are counted already; the others come after them, in the order given. None to
+        take all, in random order.
+
+    Returns
+    -------
+    NDArray
+        ``(c, c)``.
+    """
+    if done is None:
+        order = np.random.default_rng(ORDER_SEED).permutation(len(columns))
+        origins, noise_variance_db2 = origins.at(order), noise_variance_db2[order]
+        columns, done = columns[order], 0
+    index = PlaceIndex.of(origins.positions_m[:done])
+    products = np.zeros((columns.shape[1], columns.shape[1]))
+    for start in range(done, len(columns), ROWS_AT_ONCE):
+        index = index.grown(origins.positions_m[:start])
+        rows = np.arange(start, min(start + ROWS_AT_ONCE, len(columns)))
+        earlier = nearest_earlier(index, origins.positions_m[rows], EARLIER_NEIGHBOURS)
+        missing = earlier < 0
+        found = regress_on_neighbours(
+            parameters,
+            origins.at(rows[:, None]),
+            origins.at(earlier),
+            noise_variance_db2[earlier],
+            missing,
+        )
+        predicted = np.einsum("km,kmc->kc", found.weights, columns[earlier])
+        variance = found.variance_db2 + noise_variance_db2[rows]
+        whitened = (columns[rows] - predicted) / np.sqrt(variance)[:, None]
+        products += whitened.T @ whitened
+    return products
+
+
+def nearest_earlier(
+    index: PlaceIndex, positions_m: NDArray[np.float64], count: int
+) -> NDArray[np.intp]:
+    """Numbers of the `count` places nearest to each of `positions_m` among those before it.
+
+    Parameters
+    ----------
+    index
+        Of the first n places.
+    positions_m
+        ``(k, 2)`` the places n to n + k - 1.
+    count
+        How many are wanted.
+
+    Returns
+    -------
+    NDArray
+        ``(k, count)``; -1 where there are no more.
+    """
+    before, total = len(index.positions_m), len(positions_m)
+    found, _ = index.nearest(positions_m, count)
+    offset = index.positions_m[found] - positions_m[:, None]
+    within = positions_m[:, None] - positions_m[None]
+    within_m2 = np.einsum("kmi,kmi->km", within, within)
+    within_m2[np.triu_indices(total)] = np.inf
+    nobody = np.full((total, count), np.inf)
+    squared_m2 = np.concatenate(
+        [np.einsum("kmi,kmi->km", offset, offset), within_m2, nobody], axis=1
+    )
+    numbers = np.full(squared_m2.shape, -1)
+    numbers[:, : found.shape[1]] = found
+    numbers[:, found.shape[1] : -count] = np.arange(before, before + total)
+    chosen = np.argpartition(squared_m2, count - 1, axis=1)[:, :count]
+    near = np.take_along_axis(numbers, chosen, axis=1)
+    near[np.isinf(np.take_along_axis(squared_m2, chosen, axis=1))] = -1
+    return near

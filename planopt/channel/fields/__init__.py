@@ -1,0 +1,1 @@
+"""Fields of shadowing to draw, and the truth that only the simulator touches."""

@@ -1,0 +1,119 @@
+"""The channel as it is. Only the simulator touches it; planners know a posterior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.fields.field import shadow_field_db
+from planopt.channel.measurements import Measurements
+from planopt.channel.multipath.multipath_field import multipath_field_db
+from planopt.channel.multipath.multipath_models import Lognormal, Multipath
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.path_loss import regressors
+from planopt.world.raster import Raster, cell_centres_m, nearest_cells
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Received power everywhere, fading included, so that a place keeps its value.
+
+    Attributes
+    ----------
+    raster
+        Power in dBm at cell centres; read at the nearest cell.
+    floor_dbm
+        The receiver's floor: no value is below it. None for none.
+    """
+
+    raster: Raster
+    floor_dbm: float | None
+
+
+def raster_truth(
+    path_gain: Raster,
+    transmit_power_dbm: float,
+    floor_gain_db: float,
+    multipath: Multipath | None,
+    generator: np.random.Generator,
+) -> Truth:
+    """Truth from a map of path gains, such as a ray tracer's.
+
+    Parameters
+    ----------
+    path_gain
+        Gains in dB; NaN where nothing arrives.
+    transmit_power_dbm
+        Added to the gains.
+    floor_gain_db
+        The receiver's floor as a gain; smaller ones, fading included, are clipped to it.
+    multipath
+        The fading drawn for each cell, or None for none.
+    generator
+        Source of the fading.
+    """
+    gain = np.asarray(path_gain.values, dtype=np.float64)
+    if multipath is not None:
+        gain = gain + multipath_field_db(gain.shape, multipath, generator)
+    # fmax prefers the floor to NaN.
+    power = np.fmax(gain, floor_gain_db) + transmit_power_dbm
+    return Truth(Raster(path_gain.x_m, path_gain.y_m, power), floor_gain_db + transmit_power_dbm)
+
+
+def model_truth(
+    parameters: ChannelParameters,
+    bounds_m: tuple[float, float, float, float],
+    cell_m: float,
+    floor_dbm: float | None,
+    generator: np.random.Generator,
+    multipath: Multipath | None = None,
+) -> Truth:
+    """Truth drawn from the channel model itself (seed, section II).
+
+    Parameters
+    ----------
+    parameters
+        Path loss, shadowing and multipath, one value a cell.
+    bounds_m
+        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
+    cell_m
+        Cell side.
+    floor_dbm
+        The receiver's floor, or None for none.
+    generator
+        Source of shadowing and multipath.
+    multipath
+        Its law; None for one that is Gaussian in dB, with the parameters' deviation.
+    """
+    x_min, y_min, x_max, y_max = bounds_m
+    x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
+    shape = (len(y), len(x))
+    centres = np.stack(np.meshgrid(x, y), axis=-1)
+    power = regressors(centres, parameters.station) @ np.array(
+        [parameters.k_pl_db, parameters.n_pl]
+    )
+    power += shadow_field_db(
+        shape, cell_m, parameters.shadow_std_db, parameters.decorrelation_m, generator
+    ).values_db
+    law = Lognormal(parameters.multipath_std_db) if multipath is None else multipath
+    power += multipath_field_db(shape, law, generator)
+    if floor_dbm is not None:
+        power = np.maximum(power, floor_dbm)
+    return Truth(Raster(x, y, power), floor_dbm)
+
+
+def true_power_dbm(truth: Truth, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Received power at `positions_m` (n, 2), in dBm, at least the floor; ``(n,)``."""
+    iy, ix = nearest_cells(truth.raster, positions_m)
+    return truth.raster.values[iy, ix]
+
+
+def measure(truth: Truth, positions_m: NDArray[np.float64]) -> Measurements:
+    """Measure the true power at `positions_m` (n, 2); values at the floor are censored."""
+    power = true_power_dbm(truth, positions_m)
+    censored = np.zeros(len(power), dtype=bool)
+    if truth.floor_dbm is not None:
+        censored = power <= truth.floor_dbm
+    return Measurements(np.array(positions_m, dtype=np.float64), power, censored)

@@ -1,0 +1,1 @@
+"""Powers known to lie in an interval, as Gaussian ones."""

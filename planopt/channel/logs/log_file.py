@@ -1,0 +1,239 @@
+"""Power logs: CSV files with a header, columns found by name.
+
+Lines that start with ``#`` and empty lines are skipped, other columns are ignored, a byte order
+mark is tolerated. Everything that cannot be used is one error with file, line and column.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from planopt.channel.logs.log_cells import read_flag, read_label, read_number
+from planopt.channel.logs.log_format import LogFormat
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import Station
+from planopt.errors import InputError
+
+DEFAULT_FORMAT = LogFormat()
+
+
+@dataclass(frozen=True)
+class PowerLog:
+    """What a log says.
+
+    Attributes
+    ----------
+    measurements
+        In the order of its rows.
+    receivers
+        Label of each receiver number, the reference first; empty where no column has labels.
+    """
+
+    measurements: Measurements
+    receivers: tuple[str, ...]
+
+
+def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
+    """The measurements of :func:`read_power_log`."""
+    return read_power_log(path, log_format).measurements
+
+
+def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
+    """Read a power log.
+
+    Parameters
+    ----------
+    path
+        The CSV file.
+    log_format
+        Its columns, and what holds for all rows.
+
+    Raises
+    ------
+    InputError
+        With the file, and where they apply the line and the column: the file is missing, not text
+        or empty; a column is missing; a row has too few or too many cells; a cell is empty, not a
+        number or not finite; a flag is none.
+    """
+    file = Path(path)
+    rows = _rows(file)
+    header_line, names = _header(rows, file)
+    numbered = [*log_format.columns]
+    if log_format.time_column is not None:
+        numbered.append(log_format.time_column)
+    wanted = [*numbered, log_format.censored_column, log_format.receiver_column]
+    where = {name: _column(names, name, file, header_line) for name in wanted if name is not None}
+    table = _Table([], [], [])
+    for line, cells in _full(rows, names, file):
+        table.numbers.append(
+            [read_number(cells[where[name]], file, line, name) for name in numbered]
+        )
+        if (flag := log_format.censored_column) is not None:
+            table.flags.append(read_flag(cells[where[flag]], file, line, flag))
+        if (label := log_format.receiver_column) is not None:
+            table.labels.append(read_label(cells[where[label]], file, line, label))
+    if not table.numbers:
+        raise InputError("the file has a header but no rows", file=file)
+    return _power_log(table, log_format)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Cells that were read, row by row; no flags and no labels where no column has them."""
+
+    numbers: list[list[float]]
+    flags: list[bool]
+    labels: list[str]
+
+
+def _power_log(table: _Table, log_format: LogFormat) -> PowerLog:
+    """A table as measurements."""
+    numbers = np.array(table.numbers)
+    count = len(numbers)
+    power = numbers[:, 2].copy()
+    censored = np.array(table.flags) if table.flags else np.zeros(count, dtype=np.bool_)
+    if log_format.floor_dbm is not None:
+        censored |= power <= log_format.floor_dbm
+        power = np.maximum(power, log_format.floor_dbm)
+    # In the order of first appearance.
+    receivers = tuple(dict.fromkeys(table.labels))
+    number = {label: index for index, label in enumerate(receivers)}
+    measurements = Measurements(
+        numbers[:, :2].copy(),
+        power,
+        censored,
+        resolution_db=np.full(count, log_format.resolution_db),
+        position_std_m=np.full(count, log_format.position_std_m),
+        time_s=numbers[:, 3].copy() if numbers.shape[1] > 3 else np.zeros(count),
+        receiver=np.array([number[label] for label in table.labels], dtype=np.intp),
+    )
+    return PowerLog(measurements, receivers)
+
+
+def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
+    """Cells of any columns of a log, row by row, each with its line.
+
+    Parameters
+    ----------
+    path
+        The CSV file.
+    columns
+        Names of the columns.
+
+    Raises
+    ------
+    InputError
+        The file is missing, not text or empty; a column is missing; a row has too few or too many
+        cells.
+    """
+    file = Path(path)
+    rows = _rows(file)
+    header_line, names = _header(rows, file)
+    where = [_column(names, name, file, header_line) for name in columns]
+    return [(line, [cells[at] for at in where]) for line, cells in _full(rows, names, file)]
+
+
+def at_file_line(error: InputError, path: Path | str) -> InputError:
+    """Turn an error about a measurement of a log into one about the log's line.
+
+    Parameters
+    ----------
+    error
+        As :func:`planopt.channel.estimation.identifiability.examine` raises it: its ``row``, if
+        any, is the index of a measurement, counted from 0.
+    path
+        The log that the measurements were read from.
+    """
+    line = error.row
+    if line is not None:
+        # The first row is the header, so index 0 is the second one.
+        line = [number for number, _ in _rows(Path(path))][line + 1]
+    return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
+
+
+def parse_station(text: str) -> Station | None:
+    """Read ``X,Y`` or ``X,Y,HEIGHT`` in metres, or ``unknown`` as None.
+
+    Raises
+    ------
+    InputError
+        Neither of these, or a number is not finite.
+    """
+    if text.strip().lower() == "unknown":
+        return None
+    remedy = "write X,Y or X,Y,HEIGHT in metres, or unknown"
+    parts = text.split(",")
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(math.isfinite(number) for number in numbers):
+        raise InputError(f"cannot read {text!r}", key="station", remedy=remedy)
+    return Station((numbers[0], numbers[1]), numbers[2] if len(numbers) == 3 else 0.0)
+
+
+def _header(rows: Iterator[tuple[int, list[str]]], file: Path) -> tuple[int, list[str]]:
+    """Line of the header, and the columns' names."""
+    first = next(rows, None)
+    if first is None:
+        raise InputError("the file is empty", file=file, remedy="a header and rows are needed")
+    line, header = first
+    return line, [name.strip() for name in header]
+
+
+def _full(
+    rows: Iterator[tuple[int, list[str]]], names: list[str], file: Path
+) -> Iterator[tuple[int, list[str]]]:
+    """The rows, each of which must have a cell for every column."""
+    for line, cells in rows:
+        if len(cells) != len(names):
+            raise InputError(
+                f"{len(cells)} cells where the header has {len(names)}", file=file, row=line
+            )
+        yield line, cells
+
+
+def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of the header and of every row."""
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(
+            f"cannot be read: {error.strerror or error}", file=file, remedy="check the path"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise _not_text(file) from error
+    if "\0" in text:
+        raise _not_text(file)
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        stripped = line.strip()
+        if stripped and not stripped.startswith("#"):
+            try:
+                yield number, next(csv.reader([stripped], strict=True))
+            except csv.Error as error:
+                raise InputError(f"not a CSV row: {error}", file=file, row=number) from error
+
+
+def _not_text(file: Path) -> InputError:
+    return InputError("not a text file", file=file, remedy="give a CSV file in UTF-8")
+
+
+def _column(names: list[str], name: str, file: Path, line: int) -> int:
+    """Where the column `name` stands."""
+    if names.count(name) == 1:
+        return names.index(name)
+    problem = "appears twice" if name in names else "is missing"
+    raise InputError(
+        f"column {name!r} {problem}; the file has {', '.join(names)}",
+        file=file,
+        key=name,
+        row=line,
+        remedy="name columns as the header does; x=NAME,y=NAME,power=NAME for the first three",
+    )

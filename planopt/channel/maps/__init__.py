@@ -1,0 +1,1 @@
+"""The posterior over many places at once."""

@@ -1,0 +1,135 @@
+"""The posterior on a grid: mean, deviation and probability of connection as rasters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from planopt.channel.connectivity import connection_probability
+from planopt.channel.maps.grid_prediction import predict_grid
+from planopt.channel.measurements import Measurements
+from planopt.channel.nearest.nearby import predict_nearby
+from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import InputError
+from planopt.world.raster import Raster, cell_centres_m
+
+Bounds = tuple[float, float, float, float]
+
+CELLS_ALONG = 200
+"""Cells along the longer side of a map whose cell is not given."""
+
+MAX_CELLS = 4_000_000
+
+EXACT_OPERATIONS = 2e11
+"""All measurements are used while their squared number times the cells is below this: seconds."""
+
+NEIGHBOURS = 256
+"""Beyond that each cell uses at least this many of the nearest. On the three campus logs (4,193 to
+5,006 measurements, up to 869 of them censored) the mean is then off by 0.003 dB on average and
+0.25 dB at most, the deviation by 0.06 % at most; without a factor, where theta and sites are from
+neighbours too, by 0.022 dB, 0.26 dB and 0.6 %. The deviation is some 7.5 dB."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorMap:
+    """Predicted power on a grid.
+
+    Attributes
+    ----------
+    mean_db
+        Predicted power in dBm.
+    deviation_db
+        Its deviation, as in :class:`planopt.channel.prediction.Prediction`.
+    connectivity
+        P(power >= `threshold_dbm`).
+    threshold_dbm
+        Upsilon_TH.
+    posterior
+        ``exact``, or ``neighbours:256`` where the nearest measurements were used.
+    """
+
+    mean_db: Raster
+    deviation_db: Raster
+    connectivity: Raster
+    threshold_dbm: float
+    posterior: str
+
+
+@one_blas_thread()
+def posterior_map(
+    posterior: ChannelPosterior, bounds_m: Bounds, cell_m: float, threshold_dbm: float
+) -> PosteriorMap:
+    """Predict on a grid (seed, Lemma 2).
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    bounds_m
+        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
+    cell_m
+        Cell side.
+    threshold_dbm
+        Upsilon_TH.
+
+    Raises
+    ------
+    InputError
+        The bounds are not ordered, the cell is not positive, there would be too many cells, or the
+        threshold is not finite.
+    """
+    x_min, y_min, x_max, y_max = bounds_m
+    if not (np.isfinite(bounds_m).all() and x_min < x_max and y_min < y_max):
+        raise InputError(f"{bounds_m} are not bounds", key="bounds", remedy="write x0,y0,x1,y1")
+    if not (cell_m > 0.0 and math.isfinite(cell_m)):
+        raise InputError(f"{cell_m:g} is not a cell side", key="cell", remedy="use metres above 0")
+    if max(1.0, (x_max - x_min) / cell_m) * max(1.0, (y_max - y_min) / cell_m) > MAX_CELLS:
+        raise InputError(
+            f"cells of {cell_m:g} m would be more than {MAX_CELLS:,}",
+            key="cell",
+            remedy="use larger cells or smaller bounds",
+        )
+    if not math.isfinite(threshold_dbm):
+        raise InputError(f"{threshold_dbm:g} is not a power", key="threshold", remedy="use dBm")
+    x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
+    count = len(posterior.measurements)
+    few = count <= NEIGHBOURS or count**2 * x.size * y.size <= EXACT_OPERATIONS
+    exact = posterior.has_factor and few
+    if exact:
+        prediction = predict_grid(posterior, x, y)
+    else:
+        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        prediction = predict_nearby(posterior, cells, NEIGHBOURS)
+    mean = prediction.mean_db.reshape(y.size, x.size)
+    deviation = prediction.deviation_db.reshape(y.size, x.size)
+    return PosteriorMap(
+        Raster(x, y, mean),
+        Raster(x, y, deviation),
+        Raster(x, y, connection_probability(mean, deviation, threshold_dbm)),
+        threshold_dbm,
+        "exact" if exact else f"neighbours:{NEIGHBOURS}",
+    )
+
+
+def default_cell_m(bounds_m: Bounds) -> float:
+    """Cell side with `CELLS_ALONG` cells along the longer side, of two digits."""
+    x_min, y_min, x_max, y_max = bounds_m
+    return float(f"{max(x_max - x_min, y_max - y_min) / CELLS_ALONG:.2g}")
+
+
+def measured_bounds_m(measurements: Measurements) -> Bounds:
+    """The box around the measurements, widened where they stand on a line along an axis.
+
+    Parameters
+    ----------
+    measurements
+        Not all in one place.
+    """
+    low, high = measurements.positions_m.min(axis=0), measurements.positions_m.max(axis=0)
+    least = 2.0 * (high - low).max() / CELLS_ALONG
+    widening = np.maximum(least - (high - low), 0.0) / 2.0
+    (x_min, y_min), (x_max, y_max) = low - widening, high + widening
+    return float(x_min), float(y_min), float(x_max), float(y_max)

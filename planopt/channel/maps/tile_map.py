@@ -1,0 +1,311 @@
+"""A lattice of predictions that follows the posterior at little cost.
+
+Square tiles of nodes share the measurements nearest to the tile's centre. A new measurement only
+touches the tiles that it is near to, where it replaces the farthest one by two rank-one updates; a
+new theta is recombined everywhere from kept parts. Where the channel forgets, kept parts fade as
+time passes. Where receivers have offsets, a measurement changes what others say of any place, and
+all tiles are computed from nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.kriging import kriging_terms
+from planopt.channel.measurement_covariance import (
+    covariance_db2,
+    fading,
+    own_variance_db2,
+    place_origins,
+)
+from planopt.channel.nearest.neighbours import local_precision, local_terms
+from planopt.channel.path_loss import regressors
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import KrigingTerms, combine
+from planopt.channel.receiver_offsets import OffsetsGivenTheta, offsets_given_theta
+
+TILES_AT_ONCE = 64
+"""Tiles solved together: their matrices fit into a processor's cache."""
+
+REPLACEMENTS_BEFORE_REBUILD = 32
+"""A tile is computed from nothing after so many updates, so that rounding does not pile up."""
+
+
+class TileMap:
+    """Predicted power and its deviation on a lattice, refreshed as measurements come in.
+
+    Memory is about ``8 neighbours (neighbours + tile**2)`` bytes a tile.
+
+    Parameters
+    ----------
+    x_m, y_m
+        ``(nx,)`` and ``(ny,)`` the lattice's coordinates.
+    needed
+        ``(ny, nx)`` nodes where a prediction is wanted.
+    tile
+        Nodes along a tile's side.
+    neighbours
+        Measurements used for a tile; with all of them the prediction is the exact posterior's.
+
+    Attributes
+    ----------
+    mean_db, deviation_db
+        ``(ny, nx)`` as in :class:`planopt.channel.prediction.Prediction`, NaN where not needed or
+        not yet computed. The next :meth:`refresh` writes into the same arrays.
+    """
+
+    def __init__(
+        self,
+        x_m: NDArray[np.float64],
+        y_m: NDArray[np.float64],
+        needed: NDArray[np.bool_],
+        tile: int = 5,
+        neighbours: int = 32,
+    ) -> None:
+        self._neighbours = neighbours
+        self.mean_db: NDArray[np.float64] = np.full(needed.shape, np.nan)
+        self.deviation_db: NDArray[np.float64] = np.full(needed.shape, np.nan)
+        rows, columns = np.nonzero(needed)
+        across = -(-needed.shape[1] // tile)
+        kept, tile_of_node = np.unique(
+            (rows // tile) * across + columns // tile, return_inverse=True
+        )
+        # Tiles that stick out of the lattice repeat its last row or column.
+        inside = np.arange(tile)
+        tile_rows = np.minimum((kept // across)[:, None] * tile + inside, len(y_m) - 1)
+        tile_columns = np.minimum((kept % across)[:, None] * tile + inside, len(x_m) - 1)
+        places = np.empty((len(kept), tile, tile, 2))
+        places[..., 0] = np.asarray(x_m, dtype=np.float64)[tile_columns][:, None, :]
+        places[..., 1] = np.asarray(y_m, dtype=np.float64)[tile_rows][:, :, None]
+        self._places_m = places.reshape(len(kept), tile * tile, 2)
+        self._centres_m = self._places_m.mean(axis=1)
+        self._lattice_index = rows * needed.shape[1] + columns
+        self._tile_index = (tile_of_node * tile + rows % tile) * tile + columns % tile
+        # One contiguous plane for each term: recombining them all is most of an idle refresh.
+        planes = np.full((4, len(kept), tile * tile), np.nan)
+        self._terms = KrigingTerms(planes[0], np.moveaxis(planes[1:3], 0, -1), planes[3])
+        self._reach_m2: NDArray[np.float64] = np.full(len(kept), np.inf)
+        self._dirty: NDArray[np.bool_] = np.ones(len(kept), dtype=bool)
+        self._replacements: NDArray[np.intp] = np.zeros(len(kept), dtype=np.intp)
+        self._indices: NDArray[np.intp] = np.zeros((0, 0), dtype=np.intp)
+        self._precision: NDArray[np.float64] = np.zeros((0, 0, 0))
+        self._across: NDArray[np.float64] = np.zeros((0, 0, 0))
+        # All its measurements were looked at, and the parts are of its time.
+        self._last: ChannelPosterior | None = None
+
+    def refresh(
+        self,
+        posterior: ChannelPosterior,
+        window_m: tuple[float, float, float, float] | None = None,
+    ) -> int:
+        """Bring the lattice up to date with `posterior`.
+
+        Parameters
+        ----------
+        posterior
+            Usually the last one extended; anything else is rebuilt from the start.
+        window_m
+            ``(x_min, y_min, x_max, y_max)``: tiles whose centre is outside keep their parts and
+            are caught up with by a later refresh. None for everywhere.
+
+        Returns
+        -------
+        int
+            Tiles updated.
+        """
+        wanted = np.ones(len(self._dirty), dtype=bool)
+        if window_m is not None:
+            x, y = self._centres_m.T
+            x_min, y_min, x_max, y_max = window_m
+            wanted = (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
+        self._fade(posterior)
+        replaceable, newcomers = self._mark(posterior, wanted)
+        stale = np.flatnonzero(self._dirty & wanted)
+        if self._neighbours >= len(posterior.measurements):
+            self._take_everyone(posterior, stale)
+        elif len(stale):
+            offsets = offsets_given_theta(posterior)
+            for start in range(0, len(stale), TILES_AT_ONCE):
+                self._build(posterior, offsets, stale[start : start + TILES_AT_ONCE])
+        self._dirty[stale] = False
+        for start in range(0, len(replaceable), TILES_AT_ONCE):
+            part = slice(start, start + TILES_AT_ONCE)
+            self._replace(posterior, replaceable[part], newcomers[part])
+        prediction = combine(self._terms, posterior.theta, posterior.theta_covariance)
+        np.put(self.mean_db, self._lattice_index, prediction.mean_db.take(self._tile_index))
+        np.put(
+            self.deviation_db, self._lattice_index, prediction.deviation_db.take(self._tile_index)
+        )
+        return len(stale) + len(replaceable)
+
+    @property
+    def trend(self) -> NDArray[np.float64]:
+        """``(ny, nx, 2)`` varphi at every node: what an error in theta changes there."""
+        trend = np.full((self.mean_db.size, 2), np.nan)
+        trend[self._lattice_index] = self._terms.trend.reshape(-1, 2)[self._tile_index]
+        return trend.reshape(*self.mean_db.shape, 2)
+
+    def _mark(
+        self, posterior: ChannelPosterior, wanted: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Find the tiles that measurements not yet seen come near to.
+
+        Returns the tiles where one of them replaces one neighbour, and which; all others that
+        are touched are marked dirty.
+        """
+        measured = posterior.measurements
+        before = 0 if self._last is None else len(self._last.measurements)
+        hits = np.zeros(len(self._dirty), dtype=np.intp)
+        newcomer = np.zeros(len(self._dirty), dtype=np.intp)
+        if self._last is None or not posterior.continues(self._last):
+            self._dirty[:] = True
+        elif measured.receiver.any():
+            self._dirty |= len(measured) > before
+        else:
+            for index in range(before, len(measured)):
+                dx = self._centres_m[:, 0] - measured.positions_m[index, 0]
+                dy = self._centres_m[:, 1] - measured.positions_m[index, 1]
+                near = dx * dx + dy * dy < self._reach_m2
+                hits += near
+                newcomer[near] = index
+        self._last = posterior
+        replaceable = (
+            (hits == 1)
+            & wanted
+            & ~self._dirty
+            & np.isfinite(self._reach_m2)
+            & (self._replacements < REPLACEMENTS_BEFORE_REBUILD)
+        )
+        self._dirty |= (hits > 0) & ~replaceable
+        tiles = np.flatnonzero(replaceable)
+        return tiles, newcomer[tiles]
+
+    def _fade(self, posterior: ChannelPosterior) -> None:
+        """Bring kept parts to the time of `posterior`, or mark all tiles where that cannot be."""
+        parameters = posterior.parameters
+        if self._last is None:
+            return
+        before_s = self._last.now_s
+        faded = fading(self._last.measurements.time_s, before_s, posterior.now_s, parameters)
+        if faded is None:
+            self._dirty[:] = True
+        elif faded != 1.0:
+            terms, prior = self._terms, parameters.shadow_std_db**2 + parameters.multipath_std_db**2
+            path_loss = regressors(self._places_m, parameters.station)
+            terms.data_db[...] *= faded
+            terms.trend[...] = path_loss + faded * (terms.trend - path_loss)
+            terms.variance_db2[...] = prior + faded**2 * (terms.variance_db2 - prior)
+            self._across *= faded
+
+    def _take_everyone(self, posterior: ChannelPosterior, tiles: NDArray[np.intp]) -> None:
+        """Condition `tiles` on all measurements, which they then share."""
+        places = self._places_m[tiles]
+        terms = kriging_terms(posterior, places.reshape(-1, 2))
+        self._terms.data_db[tiles] = terms.data_db.reshape(places.shape[:2])
+        self._terms.trend[tiles] = terms.trend.reshape(places.shape)
+        self._terms.variance_db2[tiles] = terms.variance_db2.reshape(places.shape[:2])
+        self._reach_m2[tiles] = np.inf
+
+    def _build(
+        self, posterior: ChannelPosterior, offsets: OffsetsGivenTheta, tiles: NDArray[np.intp]
+    ) -> None:
+        """Compute `tiles` from nothing."""
+        if not len(self._indices):
+            count, places, size = *self._places_m.shape[:2], self._neighbours
+            self._indices = np.zeros((count, size), dtype=np.intp)
+            self._precision = np.zeros((count, size, size))
+            self._across = np.zeros((count, places, size))
+        origins, parameters = posterior.origins, posterior.parameters
+        indices, self._reach_m2[tiles] = posterior.index.nearest(
+            self._centres_m[tiles], self._neighbours
+        )
+        places = self._places_m[tiles]
+        now = place_origins(places, posterior.now_s, parameters)
+        across = covariance_db2(now, origins.at(indices), parameters)
+        precision, weighted = local_precision(posterior, offsets, indices)
+        terms = local_terms(parameters, places, across, precision, weighted)
+        self._terms.data_db[tiles] = terms.data_db
+        self._terms.trend[tiles] = terms.trend
+        self._terms.variance_db2[tiles] = terms.variance_db2
+        self._indices[tiles] = indices
+        self._precision[tiles] = precision
+        self._across[tiles] = across
+        self._replacements[tiles] = 0
+
+    def _replace(
+        self,
+        posterior: ChannelPosterior,
+        tiles: NDArray[np.intp],
+        newcomers: NDArray[np.intp],
+    ) -> None:
+        """Replace the farthest neighbour of each of `tiles` (k,) by `newcomers` (k,).
+
+        Leaving measurement j out of P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj); taking
+        one in whose covariance with the others is c adds v v' with v = [1; -P c] / sqrt(delta),
+        delta its variance given the others. What these directions say of the nodes is taken from
+        their terms, and added.
+        """
+        parameters = posterior.parameters
+        origins = posterior.origins
+        measured = origins.positions_m
+        each = np.arange(len(tiles))
+        indices, precision = self._indices[tiles], self._precision[tiles]
+        across, centres = self._across[tiles], self._centres_m[tiles][:, None]
+        leaving = ((measured[indices] - centres) ** 2).sum(axis=2).argmax(axis=1)
+
+        out = precision[each, :, leaving]
+        out /= np.sqrt(out[each, leaving])[:, None]
+        self._add_direction(tiles, across, out, _columns(posterior, indices), -1.0)
+        precision -= out[:, :, None] * out[:, None, :]
+        precision[each, :, leaving] = 0.0
+        precision[each, leaving, :] = 0.0
+
+        indices[each, leaving] = newcomers
+        positions = measured[indices]
+        arriving = origins.at(newcomers[:, None])
+        places = place_origins(self._places_m[tiles], posterior.now_s, parameters)
+        across[each, :, leaving] = covariance_db2(places, arriving, parameters)[:, :, 0]
+        shared = covariance_db2(arriving, origins.at(indices), parameters)[:, 0]
+        own = own_variance_db2(arriving, parameters)[:, 0]
+        own += posterior.noise_variance_db2[newcomers]
+        shared[each, leaving] = 0.0
+        into = -(precision @ shared[:, :, None])[:, :, 0]
+        delta = own + (shared * into).sum(axis=1)
+        into[each, leaving] = 1.0
+        into /= np.sqrt(delta)[:, None]
+        precision += into[:, :, None] * into[:, None, :]
+        self._add_direction(tiles, across, into, _columns(posterior, indices), 1.0)
+
+        # As in a fresh build: rounding alone can take the latent variance below zero.
+        self._terms.variance_db2[tiles] = np.maximum(
+            self._terms.variance_db2[tiles], parameters.multipath_std_db**2
+        )
+        self._indices[tiles], self._precision[tiles] = indices, precision
+        self._across[tiles] = across
+        self._reach_m2[tiles] = ((positions - centres) ** 2).sum(axis=2).max(axis=1)
+        self._replacements[tiles] += 1
+
+    def _add_direction(
+        self,
+        tiles: NDArray[np.intp],
+        across: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        columns: NDArray[np.float64],
+        sign: float,
+    ) -> None:
+        """Account in the terms for `sign` times the outer square of `direction` (k, m) in P."""
+        seen = (across @ direction[:, :, None])[:, :, 0]
+        projected = sign * (direction[:, None, :] @ columns)
+        self._terms.data_db[tiles] += seen * projected[:, :, 0]
+        self._terms.trend[tiles] -= seen[:, :, None] * projected[:, :, 1:]
+        self._terms.variance_db2[tiles] -= sign * seen**2
+
+
+def _columns(posterior: ChannelPosterior, indices: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Values and Gamma of the measurements `indices` (k, m); ``(k, m, 3)``."""
+    columns = np.empty((*indices.shape, 3))
+    columns[..., 0] = posterior.values_db[indices]
+    at = posterior.measurements.positions_m[indices]
+    columns[..., 1:] = regressors(at, posterior.parameters.station)
+    return columns

@@ -1,0 +1,1 @@
+"""Planners to compare with, which look at most one step ahead."""

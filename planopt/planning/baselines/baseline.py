@@ -1,0 +1,52 @@
+"""What the baseline planners share: a path that is released as it is, if it is sound."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.candidate import Judge
+from planopt.planning.ground import Ground
+from planopt.planning.plan import Plan, Rung, Termination
+from planopt.planning.tolerances import CLEARANCE_PAD_M
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+from planopt.world.clearance import inside_bounds, segment_clearance_m
+
+
+def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
+    """The plan of a path (N, 2) that no solver touched, or the one to stand where it is not sound.
+
+    Parameters
+    ----------
+    judge
+        What it is judged by.
+    path_m
+        Where the steps end.
+    begun_s
+        When planning began, by :func:`time.perf_counter`.
+    """
+    found = judge.judged(judge.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
+    if not found.sound:
+        standing = np.tile(judge.position_m, (len(path_m), 1))
+        found = judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+    return judge.plan_from(found, wall_s=perf_counter() - begun_s)
+
+
+def free_ends(
+    problem: Problem, ground: Ground, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,)."""
+    starts = np.broadcast_to(position_m, ends_m.shape)
+    clear = segment_clearance_m(ground.index, starts, ends_m)
+    wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    return inside_bounds(problem.workspace, ends_m) & (clear >= wanted)
+
+
+def held(situation: Situation, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """A path of N steps that begins with `path` and then stands; (N, 2)."""
+    horizon = situation.problem.planner.horizon
+    last = path[-1] if path else situation.position_m
+    return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]

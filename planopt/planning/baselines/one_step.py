@@ -1,0 +1,79 @@
+"""The seed's planner: the best of a dense set of places within one step.
+
+Equations (2), the inner layer of (3), and (4) are maximised over places within one step, each of
+them free and, where measuring is what counts, not measured yet (the seed's "q not in Q"). A plan of
+more steps repeats this greedily on what would be known after the earlier ones: each step gains what
+the whole path so far is worth more than before.
+"""
+
+from __future__ import annotations
+
+import math
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.baselines.baseline import free_ends, held, released
+from planopt.planning.candidate import Judge
+from planopt.planning.ground import Ground
+from planopt.planning.plan import Plan
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.steering import nearest_measured_m
+from planopt.problems.problem import LearningTerm, MappingTerm, Problem
+
+RINGS, HEADINGS = 10, 48
+"""Places within a step: on so many circles in so many directions, and the robot's own."""
+
+
+class OneStepPlanner:
+    """Plans greedily for one robot of a problem whose objective is a sum of terms.
+
+    Parameters
+    ----------
+    problem
+        With one robot.
+    ground
+        Its geometry.
+    """
+
+    def __init__(self, problem: Problem, ground: Ground) -> None:
+        self._problem, self._ground = problem, ground
+        self._measures = any(isinstance(t, LearningTerm | MappingTerm) for t in problem.terms)
+        radius = (problem.step_length_m - STEP_PAD_M) * np.arange(1, RINGS + 1) / RINGS
+        angle = 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS
+        circle = np.column_stack([np.cos(angle), np.sin(angle)])
+        rings = (radius[:, None, None] * circle).reshape(-1, 2)
+        self._offsets_m = np.vstack([np.zeros((1, 2)), rings])
+
+    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+        """Plan from where the robot is; arguments as of the horizon planner, `warm` is not used."""
+        begun = perf_counter()
+        path: list[NDArray[np.float64]] = []
+        for _ in range(self._problem.planner.horizon):
+            step = self._best_step(situation, path)
+            if step is None:
+                break
+            path.append(step)
+        return released(judge, held(situation, path), begun)
+
+    def _best_step(
+        self, situation: Situation, path: list[NDArray[np.float64]]
+    ) -> NDArray[np.float64] | None:
+        """The best place to go to after `path`; None if there is none."""
+        here = path[-1] if path else situation.position_m
+        ends = here + self._offsets_m
+        allowed = free_ends(self._problem, self._ground, here, ends)
+        if self._measures:
+            spacing = self._problem.channel.measure_spacing_m
+            allowed &= nearest_measured_m(situation.posterior, ends) >= spacing
+            for earlier in path:
+                allowed &= np.linalg.norm(ends - earlier, axis=1) >= spacing
+        ends = ends[allowed]
+        if not len(ends):
+            return None
+        before = np.broadcast_to(np.reshape(path, (-1, 2)), (len(ends), len(path), 2))
+        ways = np.concatenate([before, ends[:, None]], axis=1)
+        return ends[int(np.argmax(LocalRanking(situation, ways)(ways)))]

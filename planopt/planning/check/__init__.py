@@ -1,0 +1,1 @@
+"""Judging saved plans and runs again, from their files alone."""

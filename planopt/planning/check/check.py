@@ -1,0 +1,148 @@
+"""Judge a saved plan or run again, from its files alone.
+
+Nothing the planner computed is taken for granted: places come from ``steps.csv``, the truth from
+the problem and the seed, the channel is fitted and conditioned again on the saved measurements, and
+the verifier decides. From that everything that the files say is computed again and compared, key
+by key and cell by cell. A key that cannot be computed again, wall times for one, must at least fit
+the others; a key that is not known is rejected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from planopt.channel.one_thread import one_blas_thread
+from planopt.planning.check.agreement import disagreements, in_words
+from planopt.planning.check.check_belief import given_again
+from planopt.planning.check.check_labels import label_reasons
+from planopt.planning.check.check_plan import check_plan
+from planopt.planning.check.check_run import check_run
+from planopt.planning.check.check_team import check_team, not_judged
+from planopt.planning.check.library_remarks import library_remarks
+from planopt.planning.files.read_saved import Saved, read_object, saved_from
+from planopt.planning.files.read_team import SavedTeam, is_team, read_team
+from planopt.planning.files.run_json import no_run_json
+from planopt.planning.files.saved import PLAN_FILE
+from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_plan_json
+from planopt.planning.plan import Certificate, Verdict
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What the check says.
+
+    Attributes
+    ----------
+    verdict
+        ``verified`` if there is nothing to object, else ``violated``; ``none`` for no plan.
+    certificates
+        What the verifier computed: one for a plan, one a step for a run.
+    reasons
+        Every objection; empty if verified.
+    remarks
+        What could not be judged, and how the problem differs from the library's of its name.
+    """
+
+    verdict: Verdict
+    certificates: tuple[Certificate, ...]
+    reasons: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The only one, or the worst of a run: its steps are those driven that miss the bound."""
+        if len(self.certificates) <= 1:
+            return self.certificates[0] if self.certificates else None
+        return _worst(self.certificates)
+
+
+@one_blas_thread()
+def check(path: Path | str) -> CheckResult:
+    """Judge a saved plan or run from its files.
+
+    Parameters
+    ----------
+    path
+        The folder, or its ``plan.json`` or ``run.json``.
+
+    Raises
+    ------
+    InputError
+        A file is missing, truncated or not what it should be; with file, key or row.
+    """
+    file, data = read_object(Path(path))
+    if is_team(data):
+        return _check_team(read_team(file, data))
+    saved = saved_from(file, data)
+    problem, record, name = saved.problem, saved.record, saved.file.name
+    remarks = library_remarks(name, problem)
+    if isinstance(record, NoPlanRecord) or saved.steps is None or saved.belief is None:
+        return CheckResult(Verdict.NONE, (), tuple(_no_plan_reasons(saved)), tuple(remarks))
+    reasons = label_reasons(name, record)
+    if reasons:
+        return CheckResult(Verdict.VIOLATED, (), tuple(reasons), tuple(remarks))
+    given, more = given_again(problem, record.seed)
+    remarks += more
+    if isinstance(record, PlanRecord):
+        certificates, reasons = check_plan(
+            problem, saved.data, record, saved.steps, saved.belief, given
+        )
+    else:
+        certificates, reasons = check_run(
+            problem, saved.data, record, saved.steps, saved.belief, given
+        )
+    verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
+
+
+def _check_team(saved: SavedTeam) -> CheckResult:
+    """Judge what was saved of a problem whose objective is a sum of terms."""
+    problem, name = saved.problem, saved.file.name
+    remarks = library_remarks(name, problem)
+    reasons = label_reasons(name, saved.record)
+    if reasons:
+        return CheckResult(Verdict.VIOLATED, (), tuple(reasons), tuple(remarks))
+    given, more = given_again(problem, saved.record.seed)
+    remarks += [*more, *not_judged(saved, given)]
+    certificates, reasons = check_team(saved, given)
+    verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
+
+
+def _no_plan_reasons(saved: Saved) -> list[str]:
+    """That there is nothing to judge, and what the file says besides that is not so."""
+    message, seed = str(saved.data["message"]), saved.record.seed
+    found: dict[str, Any] = {"problem_file": saved.data["problem_file"]}
+    if saved.file.name == PLAN_FILE:
+        found |= no_plan_json(saved.problem, seed, message)
+    else:
+        found |= {**no_run_json(saved.problem, seed, message), "plans": []}
+    return [
+        f"there is no plan to judge: {message}",
+        *in_words(saved.file.name, disagreements(saved.data, found)),
+    ]
+
+
+def _worst(certificates: Sequence[Certificate]) -> Certificate:
+    """The worst of a run's certificates in each respect."""
+    residuals = [c.kkt_residual for c in certificates if c.kkt_residual is not None]
+    missed = [
+        (step, certificate)
+        for step, certificate in enumerate(certificates, start=1)
+        if 1 in certificate.relaxed_steps
+    ]
+    return Certificate(
+        min_clearance_m=min(c.min_clearance_m for c in certificates),
+        min_connectivity=min(c.min_connectivity for c in certificates),
+        dynamics_defect=max(c.dynamics_defect for c in certificates),
+        kkt_residual=max(residuals, default=None),
+        posterior=certificates[-1].posterior,
+        relaxed_steps=tuple(step for step, _ in missed),
+        relaxation_db=tuple(c.relaxation_db[0] for _, c in missed),
+        best_margin_db=tuple(c.best_margin_db[0] for _, c in missed if c.best_margin_db),
+        no_connected_way=any(c.no_connected_way for c in certificates),
+        reasons=tuple(reason for c in certificates for reason in c.reasons),
+    )

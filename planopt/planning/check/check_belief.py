@@ -1,0 +1,181 @@
+"""Judge ``belief.npz``: what was measured where, and what follows from it.
+
+The first measurements are taken again from the truth that problem and seed give, the channel is
+fitted to them again, and those of the run are where and what the run could measure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.fields.truth import Truth, measure
+from planopt.channel.measurements import Measurements, join
+from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import InputError
+from planopt.planning.check.agreement import Disagreement, disagreements, in_words
+from planopt.planning.files.belief_file import SavedBelief, belief_arrays, parameter_arrays
+from planopt.planning.given import Given, draw
+from planopt.planning.loop.learn import learn
+from planopt.problems.problem import Problem
+
+SITE_TOLERANCE = 1e-5
+"""Sites come from an iteration that stops at 1e-7; natural units of each."""
+
+NEARNESS_TIE_M = 1e-9
+"""A place whose distance to the next measurement is this near to the spacing may count as either
+side of it: another machine rounds otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """What was measured on the way of a run.
+
+    Attributes
+    ----------
+    places_m
+        ``(k, 2)`` where.
+    true_dbm
+        ``(k,)`` the true power there, NaN where nobody knows it.
+    known_before_step
+        ``(steps,)`` how many measurements there were before each step.
+    """
+
+    places_m: NDArray[np.float64]
+    true_dbm: NDArray[np.float64]
+    known_before_step: NDArray[np.int64]
+
+
+NOTHING_TAKEN = Taken(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.int64))
+
+
+def given_again(problem: Problem, seed: int) -> tuple[Given | None, list[str]]:
+    """What problem and seed give; None, and a remark, if its files are not to be had."""
+    try:
+        return draw(problem, seed), []
+    except InputError as error:
+        return None, [
+            f"true powers and first measurements are taken as they stand, because they cannot be "
+            f"drawn again: {error}"
+        ]
+
+
+def taken_on_the_way(
+    problem: Problem,
+    belief: SavedBelief,
+    track_m: NDArray[np.float64],
+    true_dbm: NDArray[np.float64],
+) -> Taken:
+    """Where a run along `track_m` (steps + 1, 2) measures: not near an earlier measurement."""
+    known = [*belief.measurements.positions_m[: belief.first]]
+    spacing = problem.channel.measure_spacing_m
+    said = np.diff([*belief.known_before_step, len(belief.measurements)]) > 0
+    counts: list[int] = []
+    steps: list[int] = []
+    for step, place in enumerate(track_m[1:], start=1):
+        counts.append(len(known))
+        nearest = float(np.linalg.norm(known - place, axis=1).min()) if known else np.inf
+        is_tie = abs(nearest - spacing) <= NEARNESS_TIE_M
+        if said[step - 1] if is_tie else nearest >= spacing:
+            known.append(place)
+            steps.append(step)
+    return Taken(track_m[steps], true_dbm[steps], np.array(counts, dtype=np.int64))
+
+
+def belief_reasons(
+    problem: Problem,
+    belief: SavedBelief,
+    posterior: ChannelPosterior,
+    given: Given | None,
+    taken: Taken,
+    seed: int,
+) -> list[str]:
+    """What in the file cannot be so.
+
+    Parameters
+    ----------
+    problem, seed
+        What was asked.
+    belief
+        The file.
+    posterior
+        Rebuilt from all its measurements.
+    given
+        From problem and seed, if it is to be had.
+    taken
+        What was measured on the way.
+    """
+    file = belief.file.name
+    first = belief.measurements.take(slice(belief.first))
+    try:
+        learnt = learn(problem, first)
+    except InputError as error:
+        return [f"{file}: the first {belief.first} measurements cannot be fitted: {error}"]
+    start = first if given is None else given.measurements
+    truth = None if given is None else given.truth
+    measurements = join(start, _measured(belief, truth, taken))
+    found = {
+        **belief_arrays(Belief(learnt.fit, posterior), taken.known_before_step),
+        **parameter_arrays(learnt.fit.parameters),
+        **{part.name: getattr(measurements, part.name) for part in fields(Measurements)},
+        "first_measurements": np.array(len(start)),
+        "theta_known": np.array(learnt.posterior.theta_known),
+    }
+    sites = ("values_db", "noise_variance_db2")
+    differences = disagreements(
+        {name: array.tolist() for name, array in belief.arrays.items() if name not in sites},
+        {
+            name: array.tolist()
+            for name, array in found.items()
+            # Files from before receivers and drift have no such arrays.
+            if name not in sites and (name in belief.arrays or name not in OPTIONAL_ARRAYS)
+        },
+    )
+    return [
+        *in_words(file, differences, f"found with seed {seed}"),
+        *in_words(file, iter(_site_differences(belief, posterior))),
+    ]
+
+
+OPTIONAL_ARRAYS = ("resolution_db", "position_std_m", "time_s", "receiver", "forgetting_s")
+
+
+def _measured(belief: SavedBelief, truth: Truth | None, taken: Taken) -> Measurements:
+    """What is measured at the places of a run; without a truth, its rows say what was true."""
+    if truth is not None:
+        return measure(truth, taken.places_m)
+    censored = belief.measurements.censored[belief.first :]
+    if len(censored) != len(taken.places_m):
+        censored = np.zeros(len(taken.places_m), dtype=np.bool_)
+    return Measurements(taken.places_m, np.nan_to_num(taken.true_dbm), censored)
+
+
+def _site_differences(belief: SavedBelief, posterior: ChannelPosterior) -> list[Disagreement]:
+    """Gaussian sites that are not those of the rebuilt posterior, in natural units."""
+    said_precision, precision = 1.0 / belief.noise_variance_db2, 1.0 / posterior.noise_variance_db2
+    found: list[Disagreement] = []
+    for name, said, again, said_db, again_db in (
+        (
+            "noise_variance_db2",
+            said_precision,
+            precision,
+            belief.noise_variance_db2,
+            posterior.noise_variance_db2,
+        ),
+        (
+            "values_db",
+            belief.values_db * precision,
+            posterior.values_db * precision,
+            belief.values_db,
+            posterior.values_db,
+        ),
+    ):
+        differs = ~np.isclose(said, again, rtol=SITE_TOLERANCE, atol=SITE_TOLERANCE)
+        found += [
+            Disagreement(f"{name}[{row}]", f"{said_db[row]:.9g}", f"{again_db[row]:.9g}")
+            for row in np.flatnonzero(differs).tolist()
+        ]
+    return found

@@ -1,0 +1,95 @@
+"""Judge a saved plan: the verifier decides, and every field must follow from it and the files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from planopt.planning.check.agreement import disagreements, in_words
+from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
+from planopt.planning.check.check_steps import steps_reasons
+from planopt.planning.check.provenance import UNSOLVED, provenance_faults
+from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
+from planopt.planning.files.belief_file import SavedBelief, first_posterior, grown_posterior
+from planopt.planning.files.saved import PLAN_FILE
+from planopt.planning.files.solution_json import PlanRecord, plan_json
+from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
+from planopt.planning.given import Given
+from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.plan import Certificate, Plan
+from planopt.planning.proof.verify import judge
+from planopt.problems.problem import Problem
+from planopt.world.clearance import index_obstacles
+
+
+def check_plan(
+    problem: Problem,
+    data: Mapping[str, Any],
+    record: PlanRecord,
+    steps: Steps,
+    belief: SavedBelief,
+    given: Given | None,
+) -> tuple[list[Certificate], list[str]]:
+    """The plan's certificate, computed again, and every reason to reject.
+
+    Parameters
+    ----------
+    problem, data, record
+        From ``plan.json``: its problem, all of it, and what is taken from it.
+    steps, belief
+        The files beside it.
+    given
+        What problem and seed give, if it is to be had.
+    """
+    path = steps.positions_m
+    if len(path) != problem.planner.horizon + 1:
+        return [], [
+            f"{STEPS_FILE}: {len(path) - 1} steps are planned, planner.horizon is "
+            f"{problem.planner.horizon}"
+        ]
+    index = index_obstacles(problem.workspace)
+    posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
+    start = np.asarray(problem.robots[0].start_m)
+    judgement = judge(problem, index, posterior, start, path, record.certificate.kkt_residual)
+    plan = rebuilt_reach_plan(
+        problem,
+        path,
+        judgement,
+        record,
+        Effort(record.wall_s, record.solve_s, record.iterations),
+    )
+    found = {
+        **plan_json(problem, record.seed, plan),
+        # What was asked is not judged: library_remarks says what there is to say.
+        "problem_file": data["problem_file"],
+    }
+    reasons = obstacles_met(problem, index, path)
+    reasons += judgement.certificate.reasons
+    reasons += in_words(PLAN_FILE, disagreements(data, found))
+    reasons += [
+        f"{PLAN_FILE}, key {key}: {fault}" for key, fault in provenance_faults(problem, plan, None)
+    ]
+    reasons += effort_faults(plan, "")
+    reasons += steps_reasons(steps, steps_of_plan(plan))
+    reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
+    return [judgement.certificate], reasons
+
+
+def effort_faults(plan: Plan, where: str) -> list[str]:
+    """Wall times cannot be computed again, but solving is part of planning and takes time.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    where
+        What to put before the key.
+    """
+    text = f"{PLAN_FILE}, key {where}solve_s: {plan.solve_s:g}"
+    if plan.solve_s > plan.wall_s:
+        return [f"{text}, but wall_s is {plan.wall_s:g}"]
+    if plan.solve_s == 0.0 and plan.termination not in UNSOLVED:
+        return [f"{text}, but the termination is {plan.termination.value}"]
+    return []

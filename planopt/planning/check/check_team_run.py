@@ -1,0 +1,205 @@
+"""Judge a saved run of several robots: every plan on what its robot knew, and all that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.fields.truth import true_power_dbm
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.mapping import Region
+from planopt.planning.check.agreement import EXACT, disagreements, in_words
+from planopt.planning.check.check_belief import belief_reasons, taken_on_the_way
+from planopt.planning.check.check_run import plan_reasons, step_time_faults
+from planopt.planning.check.check_steps import steps_reasons
+from planopt.planning.check.rebuilt import Effort, rebuilt_plan
+from planopt.planning.check.worth_again import worth_again
+from planopt.planning.files.aim_json import aim_again
+from planopt.planning.files.belief_file import first_posterior, grown_posterior
+from planopt.planning.files.read_team import SavedTeam
+from planopt.planning.files.saved import RUN_FILE
+from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
+from planopt.planning.files.team_run_json import TeamRunRecord, team_plans_json, team_record_json
+from planopt.planning.given import Given
+from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.loop.channel_log import channel_log, channel_row
+from planopt.planning.loop.robot_run import completed_run
+from planopt.planning.loop.target_log import target_log, watched
+from planopt.planning.loop.target_watch import TargetWatch, watch_target
+from planopt.planning.plan import Certificate, Plan
+from planopt.planning.proof.verify import judge
+from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.team.team_certificate import worst_of_robots
+from planopt.planning.team.team_run import ChannelLog
+from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.team.team_summary import summary_of
+from planopt.planning.team.team_tables import (
+    KNOWLEDGE_FILE,
+    TARGET_FILE,
+    knowledge_table,
+    target_table,
+)
+from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.region import workspace_region
+from planopt.world.clearance import ObstacleIndex, index_obstacles
+
+
+@dataclass(frozen=True, eq=False)
+class _Driven:
+    """What is found again of one robot: plans, aims, beliefs before and after each, objections."""
+
+    plans: list[Plan]
+    aims: list[Aim]
+    posteriors: list[ChannelPosterior]
+    reasons: list[str]
+
+
+def check_team_run(
+    saved: SavedTeam, record: TeamRunRecord, given: Given | None
+) -> tuple[list[Certificate], list[str]]:
+    """The worst certificate of each step over the robots, and every reason to reject.
+
+    Parameters
+    ----------
+    saved, record
+        What was read.
+    given
+        What problem and seed give, if it is to be had.
+    """
+    problem, seed = saved.problem, record.seed
+    faults = _length_faults(saved, record)
+    if faults:
+        return [], faults
+    truth = None if given is None else given.truth
+    index, region = index_obstacles(problem.workspace), workspace_region(problem)
+    tracks = np.array([steps.positions_m for steps in saved.steps])
+    true = np.array(
+        [
+            steps.numbers["true_db"] if truth is None else true_power_dbm(truth, track)
+            for steps, track in zip(saved.steps, tracks, strict=True)
+        ]
+    )
+    delivered = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
+    seeds = team_seeds(problem, seed)
+    watches = watched(watch_target(problem, seeds.target), tracks, delivered, seeds.target)
+    driven = [
+        _driven(saved, record, number, index, region, watches)
+        for number in range(len(problem.robots))
+    ]
+    runs = [
+        completed_run(problem_of_robot(problem, number), seed, track, true_dbm, one.plans)
+        for number, (track, true_dbm, one) in enumerate(zip(tracks, true, driven, strict=True))
+    ]
+    target = target_log(watches, delivered)
+    if truth is None:
+        channel = _channel_as_said(saved)
+    else:
+        rows = [channel_row(p, truth, region.grid_m) for p in driven[0].posteriors]
+        channel = channel_log(rows)
+    found = {
+        **team_record_json(problem, summary_of(problem, seed, runs, target, channel), runs),
+        "plans": team_plans_json([one.plans for one in driven], [one.aims for one in driven]),
+        "step_s": record.step_s.model_dump(),
+        # What was asked is not judged: library_remarks says what there is to say.
+        "problem_file": saved.data["problem_file"],
+    }
+    reasons = [reason for one in driven for reason in one.reasons]
+    reasons += in_words(RUN_FILE, disagreements(saved.data, found))
+    reasons += step_time_faults(record.step_s, sum(len(one.plans) for one in driven))
+    again = joined_steps([steps_of_run(run.robot, run.log) for run in runs])
+    reasons += steps_reasons(joined_steps(saved.steps), again)
+    tables = {KNOWLEDGE_FILE: knowledge_table(problem, channel)}
+    if target is not None:
+        tables[TARGET_FILE] = target_table(problem, target)
+    for name, table in tables.items():
+        reasons += in_words(
+            name,
+            disagreements(
+                {column: values.tolist() for column, values in saved.tables[name].items()},
+                {column: np.asarray(values).tolist() for column, values in table.items()},
+            ),
+        )
+    for number, (belief, one) in enumerate(zip(saved.beliefs, driven, strict=True)):
+        taken = taken_on_the_way(problem, belief, tracks[number], true[number])
+        reasons += belief_reasons(problem, belief, one.posteriors[-1], given, taken, seed)
+    return [
+        worst_of_robots({plan.robot: plan.certificate for plan in made})
+        for made in zip(*(one.plans for one in driven), strict=True)
+    ], reasons
+
+
+def _driven(
+    saved: SavedTeam,
+    record: TeamRunRecord,
+    number: int,
+    index: ObstacleIndex,
+    region: Region,
+    watches: Sequence[TargetWatch | None],
+) -> _Driven:
+    """Every plan of robot number `number` on what it knew."""
+    own = problem_of_robot(saved.problem, number)
+    robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
+    key = f"{RUN_FILE}, key plans[{number}].released"
+    reasons = [f"{robot.name}: {text}" for text in obstacles_met(own, index, track)]
+    if np.abs(track[0] - robot.start_m).max() > EXACT:
+        reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
+    posteriors = [first_posterior(belief)]
+    plans: list[Plan] = []
+    aims: list[Aim] = []
+    for step, (released, count) in enumerate(
+        zip(record.plans[number].released, belief.known_before_step.tolist(), strict=True), start=1
+    ):
+        watch = watches[step - 1]
+        posterior = grown_posterior(belief, posteriors[-1], count)
+        posteriors[-1] = posterior
+        path = np.stack([released.x_m, released.y_m], axis=1)
+        judgement = judge(own, index, posterior, track[step - 1], path, released.kkt_residual)
+        aim = aim_again(
+            released.aim,
+            None if watch is None else watch.expected_m(number, own.planner.horizon),
+        )
+        worth = worth_again(own, posterior, path, aim, region)
+        plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
+        where = f"{key}[{step - 1}]"
+        reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)
+        if _leads_elsewhere(path, track, step):
+            reasons.append(
+                f"step {step} of {robot.name} in {STEPS_FILE} is not the first step of its plan, "
+                f"{where}"
+            )
+        plans.append(plan)
+        aims.append(aim)
+        posteriors.append(posterior)
+    posteriors[-1] = grown_posterior(belief, posteriors[-1], len(belief.measurements))
+    return _Driven(plans, aims, posteriors, reasons)
+
+
+def _leads_elsewhere(path_m: NDArray[np.float64], track_m: NDArray[np.float64], step: int) -> bool:
+    return bool(np.abs(path_m[:2] - track_m[step - 1 : step + 1]).max() > EXACT)
+
+
+def _length_faults(saved: SavedTeam, record: TeamRunRecord) -> list[str]:
+    """Runs and plans are as long as the problem says; nothing can be judged where they are not."""
+    planner, steps = saved.problem.planner, len(saved.steps[0].steps) - 1
+    faults: list[str] = []
+    if steps != planner.max_steps:
+        faults.append(
+            f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
+            f"{planner.max_steps}"
+        )
+    for number, robot in enumerate(record.plans):
+        for step, released in enumerate(robot.released):
+            if len(released.x_m) != planner.horizon + 1:
+                faults.append(
+                    f"{RUN_FILE}, key plans[{number}].released[{step}]: has "
+                    f"{len(released.x_m) - 1} steps, planner.horizon is {planner.horizon}"
+                )
+    return faults
+
+
+def _channel_as_said(saved: SavedTeam) -> ChannelLog:
+    table = saved.tables[KNOWLEDGE_FILE]
+    return ChannelLog(table["rms_db"], table["anmse_db"], table["trace_m_db"])

@@ -1,0 +1,139 @@
+"""What a plan says of how it was found must fit together, and fit its path.
+
+None of it can be computed again without planning again: which rung released a plan, why the solver
+stopped, how long it took. But a rung says something of the path, and a termination of the rung.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planopt.planning.check.agreement import EXACT
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.problems.problem import Problem
+
+UNSOLVED = {
+    Termination.LATTICE_ONLY: (Rung.PLAN, Rung.LATTICE, Rung.RELAXED),
+    Termination.STOPPED: (Rung.SHIFTED,),
+    Termination.NO_PATH: (Rung.STOP,),
+}
+"""Terminations of plans for which no solver ran, and the rungs that these come from."""
+
+UNPOLISHED_PLANNERS = ("lattice", "one_step", "random", "lawnmower")
+"""Planners that no solver helps."""
+
+BASELINES = ("one_step", "random", "lawnmower")
+"""Planners that compare a plan with no lattice path."""
+
+POLISHED = (Rung.PLAN, Rung.COLD_RETRY, Rung.RELAXED)
+"""Rungs whose paths a solver may have found."""
+
+
+def provenance_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tuple[str, str]]:
+    """Key and reason for everything in a rebuilt plan's provenance that cannot be so.
+
+    Parameters
+    ----------
+    problem
+        What was asked.
+    plan
+        The plan.
+    previous
+        The plan that the step before was the first of; None if there is none.
+    """
+    return [
+        *_rung_faults(problem, plan, previous),
+        *_termination_faults(problem, plan),
+        *(_reach_faults if problem.task == "reach" else _objective_faults)(problem, plan),
+    ]
+
+
+def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tuple[str, str]]:
+    path, rung = plan.positions_m, plan.rung
+    faults: list[str] = []
+    if rung is Rung.STOP and np.abs(path - path[0]).max() > EXACT:
+        faults.append("the path does not stand still")
+    if rung is Rung.SHIFTED and not _is_shifted(plan, previous):
+        faults.append("the path is not the rest of a verified plan before it")
+    if rung is Rung.RELAXED and not plan.certificate.relaxed_steps:
+        faults.append("every step meets constraints.p_min")
+    # The bound of another task may be given up where the way to a goal would be searched for.
+    if rung is Rung.LATTICE and problem.task == "reach" and plan.certificate.relaxed_steps:
+        faults.append("a step does not meet constraints.p_min")
+    if rung in (Rung.LATTICE, Rung.COLD_RETRY) and _is_unpolished(problem):
+        faults.append(f"planner.name is {problem.planner.name}, which has no such rung")
+    return [("rung", f"{rung.value}, but {fault}") for fault in faults]
+
+
+def _is_shifted(plan: Plan, previous: Plan | None) -> bool:
+    if previous is None or previous.verdict is not Verdict.VERIFIED:
+        return False
+    rest = np.vstack([previous.positions_m[1:], previous.positions_m[-1:]])
+    return rest.shape == plan.positions_m.shape and np.abs(rest - plan.positions_m).max() <= EXACT
+
+
+def _termination_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
+    termination, rung, residual = plan.termination, plan.rung, plan.certificate.kkt_residual
+    if termination in UNSOLVED:
+        faults: list[tuple[str, str]] = []
+        if rung not in UNSOLVED[termination]:
+            faults.append(("termination", f"{termination.value}, but the rung is {rung.value}"))
+        if rung is Rung.PLAN and not _is_unpolished(problem):
+            fault = f"{termination.value}, but planner.name is {problem.planner.name}"
+            faults.append(("termination", fault))
+        for key, value in (
+            ("kkt_residual", residual),
+            ("solve_s", plan.solve_s or None),
+            ("iterations", plan.iterations or None),
+        ):
+            if value is not None:
+                faults.append((key, f"{value:g}, but the termination is {termination.value}"))
+        return faults
+    if _is_unpolished(problem):
+        fault = f"{termination.value}, but planner.name is {problem.planner.name}"
+        return [("termination", fault)]
+    if residual is not None and rung not in POLISHED:
+        return [("kkt_residual", f"{residual:g}, but no solver found a path of rung {rung.value}")]
+    return []
+
+
+def _is_unpolished(problem: Problem) -> bool:
+    return problem.planner.name in UNPOLISHED_PLANNERS
+
+
+def _objective_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
+    """Of a sum of terms: what was found without the lattice is compared with itself."""
+    alone = plan.rung in (Rung.SHIFTED, Rung.STOP) or problem.planner.name in BASELINES
+    return _unpolished_faults(plan) if alone else []
+
+
+def _reach_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
+    faults: list[tuple[str, str]] = []
+    pivot = plan.pivot
+    if pivot is None and plan.rung not in (Rung.SHIFTED, Rung.STOP):
+        faults.append(("pivot", f"null, but the rung is {plan.rung.value}"))
+    if pivot is not None and problem.cost_to_go == "geodesic":
+        straight = float(np.linalg.norm(pivot.position_m - np.asarray(problem.goal_m)))
+        if pivot.cost_m < straight - EXACT:
+            faults.append(
+                (
+                    "pivot.cost_m",
+                    f"{pivot.cost_m:.9g}, but the goal is {straight:.9g} m away from the pivot",
+                )
+            )
+    if plan.termination in UNSOLVED or plan.rung not in POLISHED:
+        faults += _unpolished_faults(plan)
+    return faults
+
+
+def _unpolished_faults(plan: Plan) -> list[tuple[str, str]]:
+    """Where nothing was polished, the two objectives are one."""
+    if abs(plan.lattice_objective - plan.objective) <= EXACT * max(1.0, abs(plan.objective)):
+        return []
+    return [
+        (
+            "lattice_objective",
+            f"{plan.lattice_objective:.9g}, but nothing was polished and the objective is "
+            f"{plan.objective:.9g}",
+        )
+    ]

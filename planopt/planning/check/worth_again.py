@@ -1,0 +1,39 @@
+"""What a path is worth, from saved files: the objective that a plan of several terms must say."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.mapping import Region
+from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+
+
+def worth_again(
+    problem: Problem,
+    posterior: ChannelPosterior,
+    path_m: NDArray[np.float64],
+    aim: Aim,
+    region: Region,
+) -> float:
+    """The weighted sum of the terms.
+
+    Parameters
+    ----------
+    problem
+        With one robot.
+    posterior
+        What was believed when the plan was made.
+    path_m
+        ``(N + 1, 2)`` the path, the robot's own place first.
+    aim
+        What it was made for.
+    region
+        Where the map is wanted.
+    """
+    at = Situation(problem, posterior, path_m[0], aim.target_m, region, aim.steering_m)
+    return PathWorth(at)(path_m[1:])

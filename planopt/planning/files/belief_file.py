@@ -1,0 +1,206 @@
+"""What was known of the channel, as ``belief.npz``: measurements, parameters and how they came.
+
+A posterior is rebuilt by conditioning again on the saved measurements, in the order taken and in
+the portions taken, because a censored measurement's Gaussian site depends on what was known when
+it came. The sites and theta are saved too, so that a file that contradicts itself is found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import ChannelPosterior, condition, extend
+from planopt.files import write_whole
+from planopt.planning.files.npz_arrays import NpzArrays, read_npz
+
+BELIEF_FILE = "belief.npz"
+
+PARAMETER_NAMES = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
+"""Order of the arrays ``parameters`` and ``standard_errors``."""
+
+OPTIONAL_NAMES = ("resolution_db", "position_std_m", "time_s")
+"""Of measurements, zero in files that lack them; as is ``receiver``."""
+
+
+@dataclass(frozen=True, eq=False)
+class SavedBelief:
+    """A belief as it stands in its file.
+
+    Attributes
+    ----------
+    file
+        The file.
+    parameters
+        As fitted from the first measurements.
+    measurements
+        All, in the order taken.
+    first
+        How many of them the fit and the first posterior rest on.
+    known_before_step
+        ``(steps,)`` how many were known when each step of a run was planned; empty for a plan.
+    theta_known
+        Whether theta was given rather than estimated.
+    values_db, noise_variance_db2
+        ``(kappa,)`` the Gaussian measurements that stood for them.
+    arrays
+        All that the file has, by name.
+    """
+
+    file: Path
+    parameters: ChannelParameters
+    measurements: Measurements
+    first: int
+    known_before_step: NDArray[np.int64]
+    theta_known: bool
+    values_db: NDArray[np.float64]
+    noise_variance_db2: NDArray[np.float64]
+    arrays: Mapping[str, NDArray[Any]]
+
+
+def write_belief(path: Path, belief: Belief, known_before_step: NDArray[np.int64]) -> None:
+    """Save a belief, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        Ends in ``.npz``.
+    belief
+        At the end of the run, or of the plan.
+    known_before_step
+        ``(steps,)`` how many measurements each step was planned on; empty for a plan.
+    """
+    arrays = belief_arrays(belief, known_before_step)
+
+    def write(temporary: Path) -> None:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+
+    write_whole(path, write)
+
+
+def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """What :func:`write_belief` writes, by name."""
+    fit, posterior = belief.fit, belief.posterior
+    measurements = posterior.measurements
+    return {
+        "positions_m": measurements.positions_m,
+        "power_dbm": measurements.power_dbm,
+        "censored": measurements.censored,
+        **{name: getattr(measurements, name) for name in OPTIONAL_NAMES},
+        "receiver": measurements.receiver,
+        **parameter_arrays(posterior.parameters),
+        "first_measurements": np.array(fit.measurements),
+        "known_before_step": known_before_step,
+        "theta": posterior.theta,
+        "theta_covariance": posterior.theta_covariance,
+        "theta_known": np.array(posterior.theta_known),
+        "values_db": posterior.values_db,
+        "noise_variance_db2": posterior.noise_variance_db2,
+        "standard_errors": np.array([fit.standard_errors[name] for name in PARAMETER_NAMES]),
+        "fit_method": np.array(fit.method),
+        "fit_status": np.array(fit.status),
+        "fit_warnings": np.array(fit.warnings, dtype=np.str_),
+    }
+
+
+def parameter_arrays(parameters: ChannelParameters) -> dict[str, NDArray[Any]]:
+    """Those of the file's arrays that have the channel's parameters."""
+    station = parameters.station
+    return {
+        "parameters": np.array([getattr(parameters, name) for name in PARAMETER_NAMES]),
+        "forgetting_s": np.array(parameters.forgetting_s),
+        "station": np.array([*station.position_m, station.height_m]),
+    }
+
+
+def read_belief(path: Path) -> SavedBelief:
+    """Read what :func:`write_belief` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated or no ``npz``, or an array is missing, of the wrong shape
+        or impossible; with the file and the array's name as the key.
+    """
+    arrays = read_npz(path)
+    power = arrays.floats("power_dbm", None)
+    count = len(power)
+    positions = arrays.floats("positions_m", (count, 2))
+    censored = arrays.of_kind("censored", "b", (count,)).astype(np.bool_)
+    numbers = arrays.floats("parameters", (len(PARAMETER_NAMES),))
+    x, y, height = (float(v) for v in arrays.floats("station", (3,)))
+    if numbers[3] <= 0.0 or numbers[2] < 0.0 or numbers[4] < 0.0:
+        raise arrays.error("parameters", f"{numbers.tolist()} are no channel parameters")
+    noise = arrays.floats("noise_variance_db2", (count,))
+    if (noise <= 0.0).any():
+        raise arrays.error("noise_variance_db2", "a variance is not positive")
+    known = arrays.of_kind("known_before_step", "iu", None).astype(np.int64)
+    first = int(arrays.of_kind("first_measurements", "iu", ()))
+    steps = np.array([first, *known, count])
+    if first < 0 or (np.diff(steps) < 0).any():
+        raise arrays.error(
+            "known_before_step", f"counts do not grow from {first} to {count} measurements"
+        )
+    return SavedBelief(
+        file=path,
+        parameters=ChannelParameters(
+            *(float(number) for number in numbers),
+            station=Station((x, y), height),
+            forgetting_s=_forgetting_s(arrays),
+        ),
+        measurements=Measurements(positions, power, censored, **_optional(arrays, count)),
+        first=first,
+        known_before_step=known,
+        theta_known=bool(arrays.of_kind("theta_known", "b", ())),
+        values_db=arrays.floats("values_db", (count,), largest=np.inf),
+        noise_variance_db2=noise,
+        arrays=arrays.arrays,
+    )
+
+
+def first_posterior(saved: SavedBelief) -> ChannelPosterior:
+    """What was believed before the first step."""
+    return condition(
+        saved.parameters,
+        saved.measurements.take(slice(saved.first)),
+        theta="known" if saved.theta_known else "estimated",
+    )
+
+
+def grown_posterior(
+    saved: SavedBelief, posterior: ChannelPosterior, count: int
+) -> ChannelPosterior:
+    """`posterior` extended to the first `count` measurements of the file."""
+    return extend(posterior, saved.measurements.take(slice(len(posterior.measurements), count)))
+
+
+def _optional(arrays: NpzArrays, count: int) -> dict[str, NDArray[Any]]:
+    """What measurements may have beside place, power and flag, and the file has."""
+    found: dict[str, NDArray[Any]] = {
+        name: arrays.floats(name, (count,)) for name in OPTIONAL_NAMES if name in arrays.arrays
+    }
+    for name in ("resolution_db", "position_std_m"):
+        if name in found and (found[name] < 0.0).any():
+            raise arrays.error(name, "a number is negative")
+    if "receiver" in arrays.arrays:
+        found["receiver"] = arrays.of_kind("receiver", "iu", (count,)).astype(np.intp)
+    return found
+
+
+def _forgetting_s(arrays: NpzArrays) -> float:
+    """The forgetting time; infinite in files that lack it."""
+    if "forgetting_s" not in arrays.arrays:
+        return math.inf
+    value = float(arrays.of_kind("forgetting_s", "f", ()))
+    if not value > 0.0:
+        raise arrays.error("forgetting_s", f"{value!r} is no forgetting time")
+    return value

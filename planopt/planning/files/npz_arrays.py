@@ -1,0 +1,73 @@
+"""Arrays from an ``npz`` file that may be damaged: each asked for by name, type and shape."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.planning.files.solution_json import LARGEST, REMEDY
+
+
+@dataclass(frozen=True)
+class NpzArrays:
+    """The arrays of a file, asked for by name."""
+
+    path: Path
+    arrays: Mapping[str, NDArray[Any]]
+
+    def error(self, name: str, message: str) -> InputError:
+        """What to raise if the array `name` cannot be used."""
+        return InputError(message, file=self.path, key=name, remedy=REMEDY)
+
+    def of_kind(self, name: str, kinds: str, shape: tuple[int, ...] | None) -> NDArray[Any]:
+        """An array of one of the dtype `kinds` and of `shape`, None for any one dimension."""
+        if name not in self.arrays:
+            raise self.error(name, "the array is missing")
+        array = self.arrays[name]
+        fits = array.ndim == 1 if shape is None else array.shape == shape
+        if not fits or array.dtype.kind not in kinds:
+            raise self.error(
+                name, f"an array of shape {array.shape} and type {array.dtype} does not fit"
+            )
+        return array
+
+    def floats(
+        self, name: str, shape: tuple[int, ...] | None, largest: float = LARGEST
+    ) -> NDArray[np.float64]:
+        """Finite numbers of magnitude at most `largest`."""
+        array = self.of_kind(name, "f", shape).astype(np.float64)
+        if not (np.isfinite(array) & (np.abs(array) <= largest)).all():
+            raise self.error(name, "a number is not finite or too large")
+        return array
+
+
+def read_npz(path: Path) -> NpzArrays:
+    """Read every array of a file, pickles forbidden.
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, damaged or no ``npz``.
+    """
+    try:
+        # Opened here, because NumPy leaves its own handle open on a damaged archive.
+        with path.open("rb") as stream:
+            loaded = np.load(stream, allow_pickle=False)
+            if not isinstance(loaded, np.lib.npyio.NpzFile):
+                raise InputError("is not an npz archive", file=path, remedy=REMEDY)
+            archive = cast("Mapping[str, NDArray[Any]]", loaded)
+            return NpzArrays(path, {name: archive[name] for name in archive})
+    except OSError as error:
+        raise InputError(
+            f"cannot be read: {error.strerror or error}", file=path, remedy=REMEDY
+        ) from None
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, KeyError) as error:
+        raise InputError(f"is damaged: {error}", file=path, remedy=REMEDY) from None

@@ -1,0 +1,100 @@
+"""A plan or a run as a folder: ``plan.json`` or ``run.json``, ``steps.csv`` and ``belief.npz``.
+
+The JSON file is withdrawn first and written last: where it stands, the other files belong to it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.errors import OutputError
+from planopt.files import write_text
+from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
+from planopt.planning.files.run_json import released_plans_json, simulation_json
+from planopt.planning.files.solution_json import solution_json, strict_text
+from planopt.planning.files.steps_file import STEPS_FILE, steps_of_plan, steps_of_run, steps_text
+from planopt.planning.loop.simulation import Simulation
+from planopt.planning.solution import Solution
+from planopt.problems.problem import Problem
+from planopt.problems.save import problem_to_dict
+
+PLAN_FILE, RUN_FILE = "plan.json", "run.json"
+
+
+def withdraw(folder: Path) -> None:
+    """Remove the JSON file of an earlier result, before anything beside it is changed."""
+    try:
+        for name in (PLAN_FILE, RUN_FILE):
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+
+
+def save_solution(solution: Solution, folder: Path) -> None:
+    """Save a plan so that it can be judged from its files alone.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written; no JSON file is left in it.
+    """
+    withdraw(folder)
+    write_text(folder / STEPS_FILE, steps_text(steps_of_plan(solution.plan)))
+    write_belief(folder / BELIEF_FILE, solution.belief, np.zeros(0, dtype=np.int64))
+    save_record(solution_json(solution), solution.problem, folder / PLAN_FILE)
+
+
+def save_simulation(simulation: Simulation, folder: Path) -> None:
+    """Save a run so that every released plan can be judged from its files alone.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written; no JSON file is left in it.
+    """
+    withdraw(folder)
+    run = simulation.run
+    write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log)))
+    known = known_before_steps(
+        simulation.belief, simulation.first_measurements, run.log.positions_m
+    )
+    write_belief(folder / BELIEF_FILE, simulation.belief, known)
+    data = {**simulation_json(simulation), "plans": released_plans_json(simulation.plans)}
+    save_record(data, simulation.problem, folder / RUN_FILE)
+
+
+def save_record(data: dict[str, Any], problem: Problem, path: Path) -> None:
+    """Write a JSON object with the problem in full beside its keys."""
+    write_text(path, strict_text({**data, "problem_file": problem_to_dict(problem)}))
+
+
+def known_before_steps(
+    belief: Belief, first: int, track_m: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """How many measurements each step was planned on; ``(steps,)``.
+
+    Measurements of the run are taken at the places driven to, in order, each place at most once
+    a visit; so going along both finds the step of each.
+
+    Parameters
+    ----------
+    belief
+        At the end of the run.
+    first
+        How many of its measurements were there before the run.
+    track_m
+        ``(steps + 1, 2)`` the places, the start first.
+    """
+    taken = belief.posterior.measurements.positions_m
+    count = first
+    known: list[int] = []
+    for place in track_m[1:]:
+        known.append(count)
+        if count < len(taken) and np.array_equal(taken[count], place):
+            count += 1
+    return np.array(known, dtype=np.int64)

@@ -1,0 +1,175 @@
+"""``steps.csv``: a row for every place of a plan or run, numbers to the last digit."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.planning.files.csv_rows import read_number, read_rows
+from planopt.planning.files.solution_json import REMEDY, finite_list
+from planopt.planning.loop.run import StepLog
+from planopt.planning.plan import Plan
+
+STEPS_FILE = "steps.csv"
+
+NUMBER_COLUMNS = ("t_s", "x_m", "y_m", "predicted_db", "deviation_db", "connectivity", "true_db")
+LABEL_COLUMNS = ("connected", "rung", "verdict")
+COLUMNS = ("robot", "step", *NUMBER_COLUMNS, *LABEL_COLUMNS)
+"""The columns (design, section 3)."""
+REQUIRED_NUMBERS = ("t_s", "x_m", "y_m")
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """The table by columns.
+
+    Attributes
+    ----------
+    robots, steps
+        Whose rows they are, and the number of each robot's step, row by row.
+    numbers
+        `NUMBER_COLUMNS` by name, NaN where a cell is empty; ``(n,)`` each.
+    labels
+        `LABEL_COLUMNS` by name.
+    """
+
+    robots: tuple[str, ...]
+    steps: tuple[int, ...]
+    numbers: dict[str, NDArray[np.float64]]
+    labels: dict[str, tuple[str, ...]]
+
+    def take(self, rows: slice) -> Steps:
+        """The table of some of the rows."""
+        return Steps(
+            self.robots[rows],
+            self.steps[rows],
+            {name: column[rows] for name, column in self.numbers.items()},
+            {name: column[rows] for name, column in self.labels.items()},
+        )
+
+    @property
+    def positions_m(self) -> NDArray[np.float64]:
+        """``(n, 2)``."""
+        return np.stack([self.numbers["x_m"], self.numbers["y_m"]], axis=1)
+
+
+def joined_steps(tables: Sequence[Steps]) -> Steps:
+    """One table of several robots', one below the other."""
+    return Steps(
+        tuple(robot for table in tables for robot in table.robots),
+        tuple(step for table in tables for step in table.steps),
+        {
+            name: np.concatenate([table.numbers[name] for table in tables])
+            for name in NUMBER_COLUMNS
+        },
+        {
+            name: tuple(cell for table in tables for cell in table.labels[name])
+            for name in LABEL_COLUMNS
+        },
+    )
+
+
+def steps_of_plan(plan: Plan) -> Steps:
+    """The table of a plan; what the truth is there, nobody knows."""
+    count = len(plan.t_s)
+    columns = (
+        plan.t_s,
+        *plan.positions_m.T,
+        plan.mean_dbm,
+        plan.deviation_db,
+        plan.connectivity,
+        np.full(count, np.nan),
+    )
+    labels = ([""] * count, [plan.rung.value] * count, [plan.verdict.value] * count)
+    return _steps(plan.robot, columns, labels)
+
+
+def steps_of_run(robot: str, log: StepLog) -> Steps:
+    """The table of a run."""
+    columns = (
+        log.t_s,
+        *log.positions_m.T,
+        log.predicted_dbm,
+        log.deviation_db,
+        log.connectivity,
+        log.true_dbm,
+    )
+    labels = (
+        ["1" if connected else "0" for connected in log.connected],
+        [rung.value for rung in log.rung],
+        [verdict.value for verdict in log.verdict],
+    )
+    return _steps(robot, columns, labels)
+
+
+def _steps(
+    robot: str, columns: tuple[NDArray[np.float64], ...], labels: tuple[list[str], ...]
+) -> Steps:
+    return Steps(
+        (robot,) * len(columns[0]),
+        tuple(range(len(columns[0]))),
+        dict(zip(NUMBER_COLUMNS, columns, strict=True)),
+        {name: tuple(cells) for name, cells in zip(LABEL_COLUMNS, labels, strict=True)},
+    )
+
+
+def steps_text(steps: Steps) -> str:
+    """The file: numbers to the last digit, empty where there is none."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    columns = [finite_list(steps.numbers[name]) for name in NUMBER_COLUMNS]
+    rows = zip(*columns, *(steps.labels[name] for name in LABEL_COLUMNS), strict=True)
+    for robot, step, row in zip(steps.robots, steps.steps, rows, strict=True):
+        cells = ("" if cell is None else cell for cell in row)
+        writer.writerow([robot, step, *cells])
+    return text.getvalue()
+
+
+def read_steps(path: Path) -> Steps:
+    """Read what :func:`steps_text` wrote.
+
+    Raises
+    ------
+    InputError
+        It is missing, not text, lacks a column or has a cell that is no number; with row and
+        column.
+    """
+    robots: list[str] = []
+    steps: list[int] = []
+    numbers: dict[str, list[float]] = {name: [] for name in NUMBER_COLUMNS}
+    labels: dict[str, list[str]] = {name: [] for name in LABEL_COLUMNS}
+    for line, row in read_rows(path, COLUMNS):
+        step = len(steps) and steps[-1] + 1
+        # The next robot's rows begin anew.
+        if robots and row["robot"] != robots[-1] and row["step"] == "0":
+            step = 0
+        if row["step"] != str(step):
+            raise InputError(
+                f"step {row['step']!r} where {step} should be",
+                file=path,
+                key="step",
+                row=line,
+                remedy=REMEDY,
+            )
+        steps.append(step)
+        robots.append(row["robot"])
+        for name in NUMBER_COLUMNS:
+            numbers[name].append(
+                read_number(row[name], name, path, line, may_miss=name not in REQUIRED_NUMBERS)
+            )
+        for name in LABEL_COLUMNS:
+            labels[name].append(row[name])
+    return Steps(
+        tuple(robots),
+        tuple(steps),
+        {name: np.array(column) for name, column in numbers.items()},
+        {name: tuple(column) for name, column in labels.items()},
+    )

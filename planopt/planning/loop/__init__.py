@@ -1,0 +1,1 @@
+"""The closed loop: move, measure, learn, and the log of it."""

@@ -1,0 +1,66 @@
+"""When a closed loop ends: at the goal, at a standstill, or after the steps that it may take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.loop.run import Outcome
+from planopt.planning.plan import Plan, Rung
+from planopt.planning.tolerances import STANDSTILL_M
+from planopt.problems.problem import Problem
+
+STALL_STEPS = 30
+"""A robot that learns nothing new for this many steps and stays within two longest steps of one
+place has stalled."""
+
+
+def ending(
+    problem: Problem,
+    track_m: Sequence[NDArray[np.float64]],
+    learnt: Sequence[bool],
+    plan: Plan | None,
+) -> tuple[Outcome, str] | None:
+    """How a run ends where its track does, and why in words; None if it goes on.
+
+    Parameters
+    ----------
+    problem
+        A problem that is to reach a goal.
+    track_m
+        Places (2,), the start first.
+    learnt
+        Whether something was measured after each step.
+    plan
+        The plan whose first step was the last one; None at the start.
+    """
+    here = track_m[-1]
+    if np.linalg.norm(here - np.asarray(problem.goal_m)) <= problem.constraints.goal_radius_m:
+        where = "the start is within" if plan is None else "within"
+        return Outcome.REACHED, f"{where} goal_radius_m of the goal"
+    if plan is not None:
+        stood = bool(np.linalg.norm(here - track_m[-2]) <= STANDSTILL_M)
+        if stood and not learnt[-1] and plan.rung is not Rung.SHIFTED:
+            # Same place, same belief: the next plan would be this one again.
+            return Outcome.STALLED, f"standing still with nothing new to learn{_detail(plan)}"
+        if not any(learnt[-STALL_STEPS:]) and _circling(track_m, problem.step_length_m):
+            return Outcome.STALLED, (
+                f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
+                f"with nothing new to learn{_detail(plan)}"
+            )
+    if len(learnt) >= problem.planner.max_steps:
+        return Outcome.STEP_LIMIT, f"not arrived after {problem.planner.max_steps} steps"
+    return None
+
+
+def _circling(track_m: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
+    if len(track_m) <= STALL_STEPS:
+        return False
+    recent = np.array(track_m[-STALL_STEPS - 1 :])
+    return bool(np.linalg.norm(recent - recent[0], axis=1).max() <= 2.0 * step_length_m)
+
+
+def _detail(plan: Plan) -> str:
+    return f": {plan.message}" if plan.message else ""

@@ -1,0 +1,62 @@
+"""The log of a run from the plans that were driven and what the truth was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.loop.run import StepLog
+from planopt.planning.plan import Plan, Rung, Verdict
+from planopt.problems.problem import Problem
+
+
+def step_log(
+    problem: Problem,
+    track_m: NDArray[np.float64],
+    true_dbm: NDArray[np.float64],
+    plans: Sequence[Plan],
+) -> StepLog:
+    """Tabulate a run; row 0 is the start, as the first plan saw it.
+
+    Parameters
+    ----------
+    problem
+        What was run.
+    track_m
+        ``(steps + 1, 2)`` where the robot was, the start first.
+    true_dbm
+        ``(steps + 1,)`` the true power there.
+    plans
+        The plan that each step was the first of.
+    """
+    first = plans[:1]
+
+    def column(at_start: float, values: list[float]) -> NDArray[np.float64]:
+        return np.array([at_start, *values], dtype=float)
+
+    relaxation = [
+        dict(zip(p.certificate.relaxed_steps, p.certificate.relaxation_db, strict=True)).get(1, 0.0)
+        for p in plans
+    ]
+    return StepLog(
+        t_s=problem.planner.step_s * np.arange(len(track_m), dtype=np.float64),
+        positions_m=track_m,
+        predicted_dbm=column(
+            first[0].mean_dbm[0] if first else np.nan, [p.mean_dbm[1] for p in plans]
+        ),
+        deviation_db=column(
+            first[0].deviation_db[0] if first else np.nan, [p.deviation_db[1] for p in plans]
+        ),
+        connectivity=column(
+            first[0].connectivity[0] if first else np.nan, [p.connectivity[1] for p in plans]
+        ),
+        true_dbm=true_dbm,
+        connected=true_dbm >= problem.stations[0].threshold_dbm,
+        step_s=column(0.0, [p.wall_s for p in plans]),
+        polish_gain_s=column(0.0, [p.gain for p in plans]),
+        relaxation_db=column(0.0, relaxation),
+        rung=(Rung.PLAN, *(p.rung for p in plans)),
+        verdict=(Verdict.VERIFIED, *(p.verdict for p in plans)),
+    )

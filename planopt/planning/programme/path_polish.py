@@ -1,0 +1,145 @@
+"""Polish a start path for any smooth value: same homotopy class, continuous places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.programme.ipopt import NlpPoint, call_nlp
+from planopt.planning.programme.ipopt_status import termination_of
+from planopt.planning.programme.kkt import Bounds, kkt_residual
+from planopt.planning.programme.path_nlp import PathNlp
+from planopt.planning.programme.path_row_values import path_row_values
+from planopt.planning.programme.path_value import EvaluatePath
+from planopt.planning.programme.polished import Polished
+from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
+from planopt.world.separation import SeparatingLines
+
+
+@dataclass(frozen=True)
+class PathTask:
+    """What one polish is to do.
+
+    Attributes
+    ----------
+    start_m
+        ``(2,)`` where the robot is.
+    path_m
+        ``(N, 2)`` the start path.
+    lines
+        Separating lines of the start path's N segments.
+    clearance_m, step_length_m
+        Limits.
+    bounds_m
+        The workspace ``(x_min, y_min, x_max, y_max)``.
+    evaluate
+        Value and margins by path.
+    scale
+        What a unit of value counts in the solver, so that its tolerances mean something.
+    bound_db
+        ``(N,)`` what the margins must reach, or None where no connectivity is bounded.
+    slack_limit_db
+        ``(N,)`` how much of it may be missing; zero where the bound is hard.
+    slack_weight
+        Cost of a missing dB.
+    """
+
+    start_m: NDArray[np.float64]
+    path_m: NDArray[np.float64]
+    lines: SeparatingLines
+    clearance_m: float
+    step_length_m: float
+    bounds_m: tuple[float, float, float, float]
+    evaluate: EvaluatePath
+    scale: float
+    bound_db: NDArray[np.float64] | None = None
+    slack_limit_db: NDArray[np.float64] | None = None
+    slack_weight: float = 0.0
+
+
+def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
+    """Solve the programme from the task's start path."""
+    n = nlp.horizon
+    bound = np.zeros(0) if task.bound_db is None else task.bound_db
+    slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
+    kept = np.isfinite(task.lines.gaps)
+    offsets = task.lines.offsets + np.where(kept, task.clearance_m + CLEARANCE_PAD_M, 0.0)
+    line = np.concatenate([task.lines.normals, offsets[:, :, None]], axis=2)
+    head = np.array([*task.start_m, task.scale, task.slack_weight])
+    x_min, y_min, x_max, y_max = task.bounds_m
+    variables = Bounds(
+        np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound))]),
+        np.concatenate([np.tile([x_max, y_max], n), slack_limit]),
+    )
+    plain = n * (2 * nlp.lines) - nlp.lines
+    longest = task.step_length_m - STEP_PAD_M
+    rows = Bounds(
+        np.concatenate([np.full(n, -np.inf), np.zeros(plain), bound]),
+        np.concatenate([np.full(n, longest**2), np.full(plain + len(bound), np.inf)]),
+    )
+    nlp.source.use(task.evaluate)
+    margins = task.evaluate(task.path_m).margins
+    missing = np.zeros(0) if margins is None else np.maximum(bound - margins.value, 0.0)
+    point = call_nlp(
+        nlp.solver,
+        n,
+        np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit)]),
+        np.concatenate([head, line.ravel()]),
+        (variables.lower, variables.upper),
+        (rows.lower, rows.upper),
+    )
+    lam = point.row_multipliers
+    ends = n * nlp.lines
+    multipliers = {
+        "speed": lam[:n],
+        "line_end": lam[n : n + ends].reshape(n, nlp.lines),
+        "line_start": lam[n + ends : n + plain].reshape(n - 1, nlp.lines),
+    }
+    if nlp.bounded:
+        multipliers["connectivity"] = lam[n + plain :]
+    return Polished(
+        path_m=point.positions_m,
+        slack_db=point.slack_db,
+        termination=termination_of(point.status),
+        iterations=point.iterations,
+        kkt_residual=_residual(task, point, line, rows, variables),
+        multipliers=multipliers,
+    )
+
+
+def _residual(
+    task: PathTask,
+    point: NlpPoint,
+    line: NDArray[np.float64],
+    row_bounds: Bounds,
+    variable_bounds: Bounds,
+) -> float:
+    """KKT residual with the rows' gradients written out in NumPy."""
+    n, slacks = len(task.path_m), len(point.slack_db)
+    if not (np.isfinite(point.positions_m).all() and np.isfinite(point.row_multipliers).all()):
+        return float("inf")
+    rows, jacobian = path_row_values(np.vstack([task.start_m, point.positions_m]), line)
+    at = task.evaluate(point.positions_m)
+    if at.margins is not None:
+        stage = np.arange(n)
+        connectivity = np.zeros((n, n, 2))
+        connectivity[stage, stage] = at.margins.gradient
+        rows = np.concatenate([rows, at.margins.value + point.slack_db])
+        jacobian = np.concatenate([jacobian, connectivity.reshape(n, 2 * n)])
+    slack_columns = np.zeros((len(jacobian), slacks))
+    if slacks:
+        slack_columns[-slacks:] = np.eye(slacks)
+    return kkt_residual(
+        np.concatenate(
+            [-task.scale * at.value.gradient.ravel(), np.full(slacks, task.slack_weight)]
+        ),
+        np.hstack([jacobian, slack_columns]),
+        rows,
+        row_bounds,
+        point.row_multipliers,
+        np.concatenate([point.positions_m.ravel(), point.slack_db]),
+        variable_bounds,
+        point.variable_multipliers,
+    )

@@ -1,0 +1,81 @@
+"""What a path is worth with exact derivatives, as a solver asks for it: memoised by point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.programme.stage_kernel import StageMargins
+
+
+@dataclass(frozen=True)
+class PathValue:
+    """A value of a path of N steps with derivatives by its positions.
+
+    Attributes
+    ----------
+    value
+        What the path is worth.
+    gradient
+        ``(N, 2)``.
+    hessian
+        ``(N, 3)``, xx, xy and yy of each stage, of a value that is a sum over stages; else
+        ``(2 N, 2 N)``.
+    """
+
+    value: float
+    gradient: NDArray[np.float64]
+    hessian: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Value and connectivity margins of one path; the margins only where they are bounded."""
+
+    value: PathValue
+    margins: StageMargins | None
+
+
+EvaluatePath = Callable[[NDArray[np.float64]], Evaluation]
+"""From positions (N, 2) to what they are worth."""
+
+
+class ValueSource:
+    """What the callbacks of a built solver evaluate: exchanged for each solve.
+
+    IPOPT asks for value, rows and their derivatives at one point in separate calls; the point is
+    evaluated once.
+    """
+
+    def __init__(self) -> None:
+        self._evaluate: EvaluatePath | None = None
+        self._key = b""
+        self._last: Evaluation | None = None
+
+    def use(self, evaluate: EvaluatePath) -> None:
+        """Evaluate this from now on, and forget what the last one gave."""
+        self._evaluate = evaluate
+        self._last = None
+
+    def at(self, flat: NDArray[np.float64]) -> PathValue:
+        """Value at positions flattened to (2 N,)."""
+        return self._at(flat).value
+
+    def margins_at(self, flat: NDArray[np.float64]) -> StageMargins:
+        """Margins at positions flattened to (2 N,)."""
+        margins = self._at(flat).margins
+        if margins is None:
+            raise AssertionError("a bounded programme was given no margins")
+        return margins
+
+    def _at(self, flat: NDArray[np.float64]) -> Evaluation:
+        key = flat.tobytes()
+        if self._last is None or key != self._key:
+            if self._evaluate is None:
+                raise AssertionError("a solver was called before its value was set")
+            self._last = self._evaluate(flat.reshape(-1, 2))
+            self._key = key
+        return self._last

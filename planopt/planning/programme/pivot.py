@@ -1,0 +1,66 @@
+"""The way beyond the horizon as one point of it: cost to go that a solver can differentiate.
+
+Round obstacles the shortest way from q is straight up to some corner: its length is the distance to
+any visible point of the way plus the length from there. The farthest visible point is the pivot,
+unless the path could come to it and beyond: then a farther point is, seen or not. Distance plus
+length never overestimates the way.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.plan import Pivot
+from planopt.planning.scene import Scene
+from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.search.road_map import way_from
+from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.world.clearance import swept_clearance_m
+
+LOOKAHEAD_STEPS = 5.0
+"""How far along the way a pivot is sought, in longest steps."""
+LATTICE_DETOUR = 0.03
+"""A lattice path is at most this share longer than the straight one (16 headings: 2.7 %). The pivot
+lies at least that far ahead, or a polished path would come to it and have nowhere to go."""
+
+
+def find_pivot(
+    scene: Scene,
+    start: GlobalStart,
+    node_margin_db: NDArray[np.float64] | None,
+    step_length_m: float,
+    clearance: float,
+) -> Pivot:
+    """Farthest point of the way that is seen from the start path's end, or one out of reach.
+
+    Parameters
+    ----------
+    scene, start
+        Where, and the start path with its cost to go.
+    node_margin_db
+        Margins of all nodes if the way must keep the bound: then no place seen lies beyond a
+        change between within and below it. None if it need not.
+    step_length_m, clearance
+        Longest step, and the clearance that a line of sight must keep.
+    """
+    end = int(start.nodes[-1])
+    way = way_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
+    if node_margin_db is not None:
+        within = node_margin_db[way] >= MARGIN_PAD_DB
+        changed = np.nonzero(within != within[0])[0]
+        way = way[: changed[0]] if changed.size else way
+    places = scene.road_map.nodes_m[way]
+    chosen = 0
+    if len(way) > 1:
+        # Fan of segments from the end to each place, as one path end, p1, end, p2, ...
+        fan = np.empty((2 * (len(way) - 1) + 1, 2))
+        fan[0::2] = places[0]
+        fan[1::2] = places[1:]
+        seen = swept_clearance_m(scene.index, fan)[0::2] >= clearance
+        farthest_seen = int(np.argmin(seen)) if not seen.all() else len(seen)
+        ahead = np.linalg.norm(places - places[0], axis=1)
+        room = LATTICE_DETOUR * len(start.nodes) * step_length_m
+        enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
+        chosen = max(farthest_seen, enough)
+    return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]))

@@ -1,0 +1,66 @@
+"""The chance constraint of every stage with exact gradient and Hessian, all stages at once.
+
+The constraint of a stage is ``mean - z_p deviation - threshold >= 0`` in dB (theory 4.1), with mean
+and deviation of :mod:`planopt.planning.worth.stage_prediction`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.nearest.neighbours import NeighbourModel
+from planopt.planning.worth.stage_prediction import stage_prediction
+from planopt.targets.rounding import Derivatives
+
+
+@dataclass(frozen=True)
+class StageMargins:
+    """Margins in dB with derivatives by position.
+
+    Attributes
+    ----------
+    value
+        ``(n,)`` dB.
+    gradient
+        ``(n, 2)`` dB/m.
+    hessian
+        ``(n, 3)`` dB/m^2: xx, xy, yy.
+    """
+
+    value: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+    hessian: NDArray[np.float64]
+
+
+def stage_margins(
+    model: NeighbourModel, positions_m: NDArray[np.float64], threshold_dbm: float, z: float
+) -> StageMargins:
+    """Margin of each stage k at ``positions_m[k]``, from ``model``'s k-th neighbour set.
+
+    Parameters
+    ----------
+    model
+        Neighbour sets of the n stages.
+    positions_m
+        ``(n, 2)``.
+    threshold_dbm
+        Upsilon_TH.
+    z
+        Standard normal quantile of p_min.
+    """
+    mean, deviation = stage_prediction(model, positions_m)
+    return margins_of(mean, deviation, threshold_dbm, z)
+
+
+def margins_of(
+    mean: Derivatives, deviation: Derivatives, threshold_dbm: float, z: float
+) -> StageMargins:
+    """``mean - z deviation - threshold`` of every stage."""
+    return StageMargins(
+        value=mean.value - z * deviation.value - threshold_dbm,
+        gradient=mean.gradient - z * deviation.gradient,
+        hessian=mean.hessian - z * deviation.hessian,
+    )

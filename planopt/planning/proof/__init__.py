@@ -1,0 +1,1 @@
+"""What is proven of a path, from the problem and the belief alone."""

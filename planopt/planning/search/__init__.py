@@ -1,0 +1,1 @@
+"""Global search: where a polish starts from."""

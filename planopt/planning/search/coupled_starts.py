@@ -1,0 +1,66 @@
+"""Starts where the places of a way belong together: a fan of ways, the best bent further."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.ground import Ground
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.search.rough_clearance import rough_clearance
+from planopt.planning.search.straight_starts import driven_ways, straight_starts
+from planopt.planning.search.way_search import search_ways
+from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+
+SEED = 0
+"""Every search begins anew from it: the same situation has the same starts."""
+
+VALUED = 4
+"""Ways that are handed on, to be valued by all measurements."""
+
+
+class CoupledStarts:
+    """Finds ways for one robot of a problem; keeps its raster of distances.
+
+    Parameters
+    ----------
+    problem
+        With one robot and a sum of terms.
+    ground
+        Its geometry.
+    """
+
+    def __init__(self, problem: Problem, ground: Ground) -> None:
+        self._problem = problem
+        self._index = ground.index
+        self._rough = rough_clearance(problem, ground.index)
+
+    def find_ways(
+        self, situation: Situation, known_m: list[NDArray[np.float64]]
+    ) -> list[NDArray[np.float64]]:
+        """The best ways (N, 2), told apart, best first by what is measured near them.
+
+        Parameters
+        ----------
+        situation
+            What is known.
+        known_m
+            Ways (N, 2) found otherwise, to be bent with the others.
+        """
+        fan = straight_starts(situation, self._index, self._rough, self._problem.planner.horizon)
+        ways = np.concatenate([np.asarray(known_m).reshape(-1, *fan.shape[1:]), fan])
+
+        def drive(turn: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
+            return driven_ways(situation, self._index, self._rough, turn, speed)
+
+        found, _ = search_ways(
+            situation.position_m,
+            ways,
+            self._problem.step_length_m - STEP_PAD_M,
+            drive,
+            LocalRanking(situation, ways),
+            np.random.default_rng(SEED),
+        )
+        return list(found[:VALUED])

@@ -1,0 +1,107 @@
+"""Global search over N steps: time-expanded dynamic programming on the lattice.
+
+Exact for an additive cost on the lattice. The first move goes from the robot's own position to any
+node in reach; every later move is one of the lattice's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.objectives.reach import step_cost_s
+from planopt.planning.search.road_map import RoadMap
+from planopt.world.lattice import REACH_TOLERANCE_M
+
+
+@dataclass(frozen=True)
+class LatticePath:
+    """The cheapest path found.
+
+    Attributes
+    ----------
+    nodes
+        ``(N,)`` node after each step.
+    cost_s
+        Its cost, penalties and cost to go included.
+    """
+
+    nodes: NDArray[np.intp]
+    cost_s: float
+
+
+def search_lattice(
+    road_map: RoadMap,
+    first_nodes: NDArray[np.intp],
+    first_length_m: NDArray[np.float64],
+    horizon: int,
+    step_s: float,
+    effort_weight_s2_m2: float,
+    goal_node: int,
+    node_penalty_s: NDArray[np.float64],
+    terminal_cost_s: NDArray[np.float64],
+) -> LatticePath | None:
+    """Find the cheapest path of `horizon` steps, or None if no node can be reached at all.
+
+    Parameters
+    ----------
+    road_map
+        The graph.
+    first_nodes, first_length_m
+        Nodes that the first step may end at, and how long it is to each.
+    horizon
+        N.
+    step_s, effort_weight_s2_m2
+        Cost of a step: :func:`planopt.objectives.reach.step_cost_s`.
+    goal_node
+        Staying there costs nothing.
+    node_penalty_s
+        ``(n,)`` added for every step that ends at a node.
+    terminal_cost_s
+        ``(n,)`` added for the last node.
+    """
+    if first_nodes.size == 0:
+        return None
+    count = len(road_map.nodes_m)
+    # A step is at most the longest move, so stage k cannot leave this disc about the first nodes.
+    reach = float(road_map.lengths_m.max()) + REACH_TOLERANCE_M
+    distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[first_nodes[0]], axis=1)
+    near = np.nonzero(distance <= reach * (horizon + 1))[0]
+    near = near[np.argsort(distance[near], kind="stable")]
+    radius = distance[near]
+    move_cost = step_cost_s(road_map.lengths_m, step_s, effort_weight_s2_m2)
+    stay = int(np.argmin(road_map.lengths_m))
+
+    cost = np.full(count + 1, np.inf)
+    cost[first_nodes] = (
+        step_cost_s(first_length_m, step_s, effort_weight_s2_m2) + node_penalty_s[first_nodes]
+    )
+    came_by: list[NDArray[np.intp]] = []
+    stages: list[NDArray[np.intp]] = []
+    for k in range(1, horizon):
+        stage = near[: np.searchsorted(radius, reach * (k + 2), side="right")]
+        arriving = cost[road_map.sources[stage]] + move_cost
+        move = arriving.argmin(axis=1)
+        best = arriving[np.arange(len(stage)), move] + node_penalty_s[stage]
+        at_goal = np.nonzero(stage == goal_node)[0]
+        rest = cost[goal_node] + node_penalty_s[goal_node]
+        if at_goal.size and rest <= best[at_goal[0]]:
+            best[at_goal[0]] = rest
+            move[at_goal[0]] = stay
+        cost = np.full(count + 1, np.inf)
+        cost[stage] = best
+        came_by.append(move)
+        stages.append(stage)
+
+    total = cost[:count] + terminal_cost_s
+    end = int(np.argmin(total))
+    if not np.isfinite(total[end]):
+        return None
+    nodes = np.empty(horizon, dtype=np.intp)
+    nodes[-1] = end
+    for k in range(horizon - 2, -1, -1):
+        row = int(np.nonzero(stages[k] == nodes[k + 1])[0][0])
+        nodes[k] = road_map.sources[nodes[k + 1], came_by[k][row]]
+    return LatticePath(nodes=nodes, cost_s=float(total[end]))

@@ -1,0 +1,151 @@
+"""What it is worth to end a step at a node: exact for terms that add up, a stand-in for others.
+
+Terms that couple the places of a path cannot be searched by dynamic programming. In their place
+stands what a place would be worth alone; the path that comes out is only a start.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.planning.search.node_field import NodeField
+from planopt.planning.search.reward_lattice import Window
+from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.planning.worth.local_worth import is_stagewise
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import (
+    LearningTerm,
+    MappingTerm,
+    MotionEnergyTerm,
+    Problem,
+    TrackingTerm,
+)
+from planopt.targets.sensor import sensing_information
+
+Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Rows and columns of single nodes."""
+
+MISSING_DB_SHARE = 10.0
+"""What a missing dB costs, in units of the largest reward of a step. A step that misses at all
+costs as much as all steps can gain: no reward is worth it."""
+
+
+class StageRewards:
+    """Rewards of one situation, as the lattice search asks for them.
+
+    Parameters
+    ----------
+    situation
+        What is known.
+    field
+        Predictions at the nodes, refreshed for the situation.
+    """
+
+    def __init__(self, situation: Situation, field: NodeField) -> None:
+        self._situation = situation
+        self._field = field
+        shape = field.mean_db.shape
+        self._alone: NDArray[np.float64] | None = None
+        for term in situation.problem.terms:
+            if isinstance(term, LearningTerm | MappingTerm):
+                alone = term.weight * _alone(term, situation, field)
+                self._alone = alone if self._alone is None else self._alone + alone
+        self._largest = self._largest_reward()
+        # Nodes that are not free, or out of reach, are left at these.
+        self._chance, self._fixed = np.zeros(shape), np.full(shape, -np.inf)
+        self._look_at(field.window)
+
+    def __call__(self, stage: int, window: Window) -> NDArray[np.float64]:
+        """Reward of ending step `stage` (1..N) at each node of the window."""
+        return self._rewards(window, stage - 1)
+
+    def along(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Reward of ending step k at the k-th of `nodes` (N, 2), given as (iy, ix); ``(N,)``."""
+        return self._rewards((nodes[:, 0], nodes[:, 1]), np.arange(len(nodes)))
+
+    def corrected(self, nodes: NDArray[np.intp]) -> None:
+        """Take notice of new predictions in the field, at `nodes` (n, 2)."""
+        self._look_at((nodes[:, 0], nodes[:, 1]))
+
+    def _rewards(self, where: Window | Nodes, stage: int | NDArray[np.intp]) -> NDArray[np.float64]:
+        reward = self._fixed[where].copy()
+        for term in self._situation.problem.terms:
+            if isinstance(term, TrackingTerm):
+                settings = self._situation.tracking(term)
+                sensing = sensing_information(
+                    settings.sensor, self._field.grid_m[where], settings.target_m[stage]
+                )
+                sensing *= self._chance[where]
+                sensing *= term.weight * settings.weight[stage]
+                reward += sensing
+        return reward
+
+    def _look_at(self, where: Window | Nodes) -> None:
+        """Turn predictions into what does not depend on the stage."""
+        problem = self._situation.problem
+        radio = problem.stations[0]
+        mean, deviation = self._field.mean_db[where], self._field.deviation_db[where]
+        known = np.isfinite(mean)
+        chance = connection_probability(mean, deviation, radio.threshold_dbm)
+        self._chance[where] = np.where(known, chance, 0.0)
+        fixed = np.zeros_like(mean) if self._alone is None else self._alone[where]
+        if problem.constraints.p_min > 0.0:
+            margin = bound_margin_db(
+                mean, deviation, radio.threshold_dbm, problem.constraints.p_min
+            )
+            missing = np.maximum(MARGIN_PAD_DB - margin, 0.0)
+            cost = MISSING_DB_SHARE * missing + problem.planner.horizon * (missing > 0.0)
+            fixed = fixed - self._largest * cost
+        self._fixed[where] = np.where(known, fixed, -np.inf)
+
+    def _largest_reward(self) -> float:
+        """The largest reward of a step."""
+        largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
+        for term in self._situation.problem.terms:
+            if isinstance(term, TrackingTerm):
+                largest += term.weight / term.noise_floor_m2
+        return max(largest, 1e-9)
+
+
+def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What moves of these lengths are worth in themselves: their energy, negative.
+
+    Where terms couple places, standing still is not a move: measuring at one place twice is worth
+    less than the stand-in says.
+    """
+    value = np.zeros(len(lengths_m))
+    for term in problem.terms:
+        if isinstance(term, MotionEnergyTerm):
+            moving = np.where(lengths_m > 0.0, problem.planner.step_s, 0.0)
+            value -= term.weight * (term.per_metre_j_m * lengths_m + term.power_w * moving)
+    if not is_stagewise(problem):
+        value[lengths_m == 0.0] = -np.inf
+    return value
+
+
+def _alone(
+    term: LearningTerm | MappingTerm, at: Situation, field: NodeField
+) -> NDArray[np.float64]:
+    """What measuring at each node would be worth if it were the only one; (ny, nx)."""
+    variance = field.deviation_db**2
+    if isinstance(term, LearningTerm):
+        trend, covariance = field.trend, at.posterior.theta_covariance
+        spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
+        latent = np.maximum(variance - spread, 1e-12)
+        if term.criterion == "T":
+            return np.einsum("yxi,yxi->yx", trend, trend) / latent
+        return np.log1p(spread / latent)
+    match term.form:
+        case "two_layer":
+            if at.steering_m is None:
+                return np.zeros_like(variance)
+            return -np.linalg.norm(field.grid_m - at.steering_m, axis=2)
+        case "path":
+            return np.maximum(variance - term.variance_threshold_db2, 0.0)
+        case "information":
+            floor = max(at.posterior.parameters.multipath_std_db, 1e-6)
+            return np.log(field.deviation_db / floor)
+        case "average":
+            return variance

@@ -1,0 +1,169 @@
+"""Where the polish of a sum of terms starts from: the best ways found by search, all told apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import bound_margin_db
+from planopt.planning.ground import Ground, first_moves
+from planopt.planning.search.coupled_starts import CoupledStarts
+from planopt.planning.search.node_field import NodeField
+from planopt.planning.search.reward_lattice import best_ends, move_table, path_to, search_rewards
+from planopt.planning.search.stage_rewards import StageRewards, move_values
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.local_worth import is_stagewise
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+from planopt.world.lattice_moves import LONGEST_MOVE
+
+STARTS = 2
+"""Starts that are handed on, best first."""
+
+THOROUGH_STARTS = 4
+"""The same where all are followed."""
+
+THOROUGH_ENDS = 3
+"""Ends of lattice paths that are then followed, the best of each part of the reachable places."""
+
+ENDS_APART_STEPS = 2.0
+"""How far apart such ends are along an axis, in longest steps (fast.md: 4 m)."""
+
+COUPLED_STARTS = 3
+"""The same where terms couple places, and values have more maxima."""
+
+CORRECTIONS = 6
+"""How often the lattice is searched again after the nodes of its path got better values."""
+
+SETTLED_SHARE = 1e-3
+"""It is not searched again for losing a smaller share of the path's worth: the polish decides."""
+
+EQUAL_M = 1e-6
+"""Paths that are nowhere farther apart than this are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A way that a polish may start from.
+
+    Attributes
+    ----------
+    path_m
+        ``(N, 2)``.
+    worth
+        What it is worth by all terms.
+    missing_db
+        By how much its steps miss the connectivity bound, in all.
+    """
+
+    path_m: NDArray[np.float64]
+    worth: float
+    missing_db: float
+
+
+class StartSearch:
+    """Finds starts for one robot of a problem; keeps its map of the channel.
+
+    Parameters
+    ----------
+    problem
+        With one robot and a sum of terms.
+    ground
+        Its geometry.
+    thorough
+        Find starts of several parts of the reachable places, not only the best.
+    """
+
+    def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
+        self._ends, self._starts = (THOROUGH_ENDS, THOROUGH_STARTS) if thorough else (1, STARTS)
+        self._problem = problem
+        self._ground = ground
+        self._field = NodeField(ground.road_map.lattice)
+        self._table = move_table(ground.road_map.lattice)
+        self._move_values = move_values(problem, ground.road_map.lengths_m)
+        self._coupled = None if is_stagewise(problem) else CoupledStarts(problem, ground)
+
+    def find_starts(
+        self, situation: Situation, shifted_m: NDArray[np.float64] | None
+    ) -> list[Start]:
+        """The best starts, best first: those that keep the bound before those that do not.
+
+        Parameters
+        ----------
+        situation
+            What is known.
+        shifted_m
+            ``(N, 2)`` the last plan, one step later, or None.
+        """
+        problem = self._problem
+        reach = problem.step_length_m * problem.planner.horizon
+        self._field.refresh(situation, reach)
+        paths = self._lattice_paths(situation)
+        if shifted_m is not None and len(shifted_m) == problem.planner.horizon:
+            paths.append(shifted_m)
+        if self._coupled is not None:
+            paths += self._coupled.find_ways(situation, paths)
+        worth = PathWorth(situation)
+        starts = [Start(path, worth(path), self._missing_db(situation, path)) for path in paths]
+        starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
+        count = self._starts if self._coupled is None else max(self._starts, COUPLED_STARTS)
+        kept: list[Start] = []
+        for start in starts:
+            if len(kept) < count and all(
+                np.abs(start.path_m - other.path_m).max() > EQUAL_M for other in kept
+            ):
+                kept.append(start)
+        return kept
+
+    def _lattice_paths(self, situation: Situation) -> list[NDArray[np.float64]]:
+        """The best paths on the lattice; the first with good values where it rests on them."""
+        nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
+        if not len(nodes):
+            return []
+        road_map = self._ground.road_map
+        first = np.stack([road_map.rows[nodes], road_map.columns[nodes]], axis=1)
+        first_value = move_values(self._problem, lengths)
+        rewards = StageRewards(situation, self._field)
+        paths: list[NDArray[np.intp]] = []
+        for _ in range(CORRECTIONS + 1):
+            found = search_rewards(
+                self._table,
+                first,
+                first_value,
+                self._move_values,
+                self._problem.planner.horizon,
+                rewards,
+            )
+            apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
+            paths = [path_to(found, end) for end in best_ends(found, self._ends, apart)]
+            if not paths or not self._loses(rewards, paths[0]):
+                break
+        return [self._field.places_m(path) for path in paths]
+
+    def _loses(self, rewards: StageRewards, path: NDArray[np.intp]) -> bool:
+        """Whether the path is worth less once its nodes have good values.
+
+        They get them where the bound rests on them.
+        """
+        if self._problem.constraints.p_min == 0.0:
+            return False
+        before = float(rewards.along(path).sum())
+        if not self._field.correct(path):
+            return False
+        rewards.corrected(path)
+        return float(rewards.along(path).sum()) < before - SETTLED_SHARE * abs(before)
+
+    def _missing_db(self, situation: Situation, path_m: NDArray[np.float64]) -> float:
+        if self._problem.constraints.p_min == 0.0:
+            return 0.0
+        power = situation.power(path_m)
+        margins = bound_margin_db(
+            power.mean_db,
+            power.deviation_db,
+            self._problem.stations[0].threshold_dbm,
+            self._problem.constraints.p_min,
+        )
+        return float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())

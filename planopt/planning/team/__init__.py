@@ -1,0 +1,1 @@
+"""Problems whose objective is a sum of terms, for one robot or several."""

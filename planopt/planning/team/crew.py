@@ -1,0 +1,105 @@
+"""The robots of a problem whose objective is a sum of terms, each ready to plan for itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.objectives.mapping import Region
+from planopt.planning.candidate import Judge
+from planopt.planning.ground import Ground, build_ground
+from planopt.planning.plan import Plan
+from planopt.planning.planners import Planner, planner_for
+from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.team.team_seeds import TeamSeeds
+from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.steering import Steering
+from planopt.problems.problem import MappingTerm, Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One robot: its own problem, ground and planner, and what finds where to steer to.
+
+    Attributes
+    ----------
+    problem
+        With this robot alone.
+    start_m
+        ``(2,)``.
+    ground
+        Its geometry.
+    planner
+        The one that the problem names.
+    steering
+        None where no term steers.
+    region
+        Where the map is wanted.
+    """
+
+    problem: Problem
+    start_m: NDArray[np.float64]
+    ground: Ground
+    planner: Planner
+    steering: Steering | None
+    region: Region
+
+    def plan(
+        self,
+        belief: Belief,
+        position_m: NDArray[np.float64],
+        target_m: NDArray[np.float64] | None,
+        warm: Plan | None,
+    ) -> tuple[Plan, Aim]:
+        """Plan from `position_m` (2,) on what this robot believes.
+
+        Parameters
+        ----------
+        belief
+            Of the channel.
+        position_m
+            Where the robot is.
+        target_m
+            ``(N, 2)`` where it expects the target; None without one.
+        warm
+            The plan that led here, or None.
+        """
+        situation = Situation(self.problem, belief.posterior, position_m, target_m, self.region)
+        if self.steering is not None:
+            place = self.steering.find_place(belief.posterior, position_m)
+            situation = replace(situation, steering_m=place)
+        judge = Judge(self.problem, self.ground.index, belief, position_m, PathWorth(situation))
+        plan = self.planner.plan(situation, judge, warm)
+        return plan, Aim(target_m, situation.steering_m)
+
+
+def build_crew(problem: Problem, seeds: TeamSeeds) -> tuple[Member, ...]:
+    """Every robot of `problem`, in its order; planners that draw use the streams of `seeds`.
+
+    Raises
+    ------
+    InputError
+        The problem names a planner that does not plan its terms.
+    """
+    region = workspace_region(problem)
+    return tuple(
+        _member(problem, number, region, generator)
+        for number, generator in enumerate(seeds.planners)
+    )
+
+
+def _member(
+    problem: Problem, number: int, region: Region, generator: np.random.Generator
+) -> Member:
+    own = problem_of_robot(problem, number)
+    start = np.asarray(own.robots[0].start_m)
+    ground = build_ground(own, start)
+    steered = [t for t in own.terms if isinstance(t, MappingTerm) and t.form == "two_layer"]
+    steering = Steering(own, ground, steered[0]) if steered else None
+    return Member(own, start, ground, planner_for(own, ground, generator), steering, region)

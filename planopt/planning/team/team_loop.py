@@ -1,0 +1,111 @@
+"""The closed loop for a sum of terms: every robot plans, moves, measures, and all look again.
+
+Robots plan one after the other, each on what it believes itself. What happens is fixed by the seed:
+the truth, the first measurements, the target's way and the sensors' noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.fields.truth import true_power_dbm
+from planopt.channel.one_thread import one_blas_thread
+from planopt.errors import InputError
+from planopt.planning.loop.channel_log import channel_log, channel_row
+from planopt.planning.loop.learning import learn_here
+from planopt.planning.loop.robot_run import completed_run
+from planopt.planning.loop.target_log import target_log
+from planopt.planning.loop.target_watch import observed, watch_target
+from planopt.planning.plan import Plan
+from planopt.planning.prepare import Prepared, prepare
+from planopt.planning.team.crew import build_crew
+from planopt.planning.team.team_run import TeamRun
+from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.region import workspace_region
+from planopt.problems.overrides import with_overrides
+from planopt.problems.problem import Problem
+
+
+@one_blas_thread()
+def simulate_team(
+    problem: Problem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    seed: int = 0,
+    prepared: Prepared | None = None,
+    on_step: Callable[[int], None] | None = None,
+) -> TeamRun:
+    """Drive a problem's robots in the true channel for `planner.max_steps` steps.
+
+    Parameters
+    ----------
+    problem
+        A problem whose objective is a sum of terms; it must have a truth.
+    horizon, planner
+        Override the problem's planner settings.
+    seed
+        Of everything that happens.
+    prepared
+        Truth and first belief if they are there already, for many runs of one seed.
+    on_step
+        Called after every step with its number, for progress display.
+    """
+    problem = with_overrides(problem, horizon=horizon, planner=planner)
+    prepared = prepared if prepared is not None else prepare(problem, seed)
+    if prepared.truth is None:
+        raise InputError(
+            "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
+        )
+    truth = prepared.truth
+    seeds = team_seeds(problem, seed)
+    watches = [watch_target(problem, seeds.target)]
+    crew = build_crew(problem, seeds)
+    region = workspace_region(problem)
+    tracks: list[list[NDArray[np.float64]]] = [[member.start_m] for member in crew]
+    plans: list[list[Plan]] = [[] for _ in crew]
+    aims: list[list[Aim]] = [[] for _ in crew]
+    beliefs = [prepared.belief for _ in crew]
+    rows = [channel_row(beliefs[0].posterior, truth, region.grid_m)]
+    delivered: list[NDArray[np.bool_]] = []
+    for step in range(1, problem.planner.max_steps + 1):
+        watch = watches[-1]
+        for number, member in enumerate(crew):
+            expected = None if watch is None else watch.expected_m(number, problem.planner.horizon)
+            warm = plans[number][-1] if plans[number] else None
+            plan, aim = member.plan(beliefs[number], tracks[number][-1], expected, warm)
+            plans[number].append(plan)
+            aims[number].append(aim)
+        for number in range(len(crew)):
+            tracks[number].append(plans[number][-1].positions_m[1])
+            beliefs[number] = learn_here(problem, truth, beliefs[number], tracks[number][-1])
+        here = np.array([track[-1] for track in tracks])
+        arrived = true_power_dbm(truth, here) >= problem.stations[0].threshold_dbm
+        delivered.append(arrived)
+        watches.append(
+            None if watch is None else observed(watch, step, here, arrived, seeds.target)
+        )
+        rows.append(channel_row(beliefs[0].posterior, truth, region.grid_m))
+        if on_step is not None:
+            on_step(step)
+    return TeamRun(
+        problem=problem,
+        seed=seed,
+        truth=truth,
+        runs=tuple(
+            completed_run(
+                member.problem, seed, np.array(track), true_power_dbm(truth, np.array(track)), made
+            )
+            for member, track, made in zip(crew, tracks, plans, strict=True)
+        ),
+        plans=tuple(tuple(made) for made in plans),
+        aims=tuple(tuple(known) for known in aims),
+        beliefs=tuple(beliefs),
+        first_measurements=len(prepared.belief.posterior.measurements),
+        target=target_log(watches, np.array(delivered)),
+        channel=channel_log(rows),
+    )

@@ -1,0 +1,121 @@
+"""The log of a closed loop whose objective is a sum of terms, of one robot or several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.fields.truth import Truth
+from planopt.planning.loop.run import Run
+from planopt.planning.plan import Plan
+from planopt.planning.worth.aim import Aim
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class TargetLog:
+    """A target over a run, row 0 at the start.
+
+    Attributes
+    ----------
+    true_m, station_mean_m
+        ``(steps + 1, 2)`` where it was, and where the station thought that it was.
+    station_variance_m2
+        ``(steps + 1,)`` trace of the station's covariance of its position.
+    delivered
+        ``(steps, robots)`` whose packets arrived.
+    """
+
+    true_m: NDArray[np.float64]
+    station_mean_m: NDArray[np.float64]
+    station_variance_m2: NDArray[np.float64]
+    delivered: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelLog:
+    """How well the channel was known after each step, row 0 at the start; of the first robot.
+
+    Attributes
+    ----------
+    rms_db
+        ``(steps + 1,)`` root mean square error of the predicted power over the workspace, the
+        error against path loss, shadowing and multipath.
+    anmse_db
+        ``(steps + 1,)`` the seed's average normalised mean square error, in dB; fragile where the
+        true power comes near 0 dBm, therefore beside `rms_db`.
+    theta_variance_db
+        ``(steps + 1,)`` trace of M over |theta|^2, in dB (the seed's Fig. 2).
+    """
+
+    rms_db: NDArray[np.float64]
+    anmse_db: NDArray[np.float64]
+    theta_variance_db: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TeamRun:
+    """One closed loop of all robots of a problem.
+
+    Attributes
+    ----------
+    problem, seed
+        As run (overrides applied).
+    truth
+        What was driven in, for pictures.
+    runs, plans, aims, beliefs
+        By robot: its log, its released plans, what each was made for, and what it believed at the
+        end.
+    first_measurements
+        How many of a belief's measurements were there before the run.
+    target
+        None where nothing is tracked.
+    channel
+        How well it was known.
+    """
+
+    problem: Problem
+    seed: int
+    truth: Truth
+    runs: tuple[Run, ...]
+    plans: tuple[tuple[Plan, ...], ...]
+    aims: tuple[tuple[Aim, ...], ...]
+    beliefs: tuple[Belief, ...]
+    first_measurements: int
+    target: TargetLog | None
+    channel: ChannelLog
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """What the run is judged by, of all robots together (design, section 3)."""
+        return team_metrics(self.runs, self.target, self.channel)
+
+    @property
+    def verified_rate(self) -> float:
+        """Share of all released steps whose plan was verified."""
+        return float(np.mean([run.verified_rate for run in self.runs]))
+
+
+def team_metrics(
+    runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
+) -> dict[str, float]:
+    """What a run is judged by, of all robots together, by name (design, section 3)."""
+    found: dict[str, float] = {}
+    if target is not None:
+        found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
+        found["final_trace_p"] = float(target.station_variance_m2[-1])
+        found["delivered"] = float(target.delivered.mean())
+    found["rms_db"] = float(channel.rms_db[-1])
+    found["anmse_db"] = float(channel.anmse_db[-1])
+    found["trace_m_db"] = float(channel.theta_variance_db[-1])
+    each = [run.metrics for run in runs]
+    found["path_m"] = float(sum(m.path_m for m in each))
+    found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
+    found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
+    found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
+    found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
+    return found

@@ -1,0 +1,1 @@
+"""What a path is worth by all terms of the objective."""

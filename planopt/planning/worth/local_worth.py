@@ -1,0 +1,190 @@
+"""The worth of a path near a start path, with exact derivatives, at a cost that does not grow.
+
+The channel is that of the measurements nearest to the start path; cusps are rounded. What a solver
+returns is valued again by :mod:`planopt.planning.worth.path_worth` and judged by the verifier.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import bound_quantile
+from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.information_derivatives import (
+    average_reduction_derivatives,
+    path_information_derivatives,
+    path_loss_derivatives,
+)
+from planopt.objectives.local_channel import LocalChannel, LocalGrid, local_channel, local_grid
+from planopt.objectives.motion_derivatives import path_length_derivatives
+from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
+from planopt.objectives.tracking_derivatives import (
+    connectivity_derivatives,
+    tracking_reward_derivatives,
+)
+from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue
+from planopt.planning.programme.stage_kernel import margins_of
+from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.stage_prediction import StagePredictor
+from planopt.problems.problem import (
+    LearningTerm,
+    MappingTerm,
+    MotionEnergyTerm,
+    Problem,
+    Term,
+    TrackingTerm,
+)
+from planopt.targets.rounding import Derivatives, rounded_length
+from planopt.targets.sensor import sensing_derivatives
+
+JOINT_NEIGHBOURS = 128
+"""Measurements shared by the places of a path in terms that couple them (fast.md: 100 to 200)."""
+
+LENGTH_ROUNDING_SHARE = 0.01
+"""Width of the rounding of a length at zero, as a share of the longest step."""
+
+
+def is_stagewise(problem: Problem) -> bool:
+    """Whether the worth is a sum over stages, each of its own place alone."""
+    return all(
+        isinstance(term, TrackingTerm)
+        or (isinstance(term, MappingTerm) and term.form == "two_layer")
+        for term in problem.terms
+    )
+
+
+def needs_stages(problem: Problem) -> bool:
+    """Whether predictions of single stages are needed: for tracking, or to bound connectivity."""
+    return problem.constraints.p_min > 0.0 or any(
+        isinstance(term, TrackingTerm) for term in problem.terms
+    )
+
+
+def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePath:
+    """Worth and margins about a start path (N, 2), for a solver."""
+    problem, posterior = situation.problem, situation.posterior
+    stagewise = is_stagewise(problem)
+    predict_stages = (
+        StagePredictor(neighbour_model(posterior, path_m, problem.planner.neighbours))
+        if needs_stages(problem)
+        else None
+    )
+    joint = None if stagewise else local_channel(posterior, path_m, JOINT_NEIGHBOURS)
+    grid = None
+    if joint is not None and any(
+        isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms
+    ):
+        grid = local_grid(joint, situation.region.grid_m, situation.region.weight)
+    threshold = problem.stations[0].threshold_dbm
+    bounded = problem.constraints.p_min > 0.0
+    z = bound_quantile(problem.constraints.p_min) if bounded else 0.0
+
+    def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
+        power = None if predict_stages is None else predict_stages(places_m)
+        margins = None
+        if bounded and power is not None:
+            margins = margins_of(*power, threshold, z)
+        parts = [
+            _weighted(term.weight, _derivatives(term, situation, places_m, power, joint, grid))
+            for term in problem.terms
+        ]
+        return Evaluation(_sum(parts, len(places_m), stagewise), margins)
+
+    return evaluate
+
+
+Part = Derivatives | PathDerivatives
+"""By stage, or of the whole path."""
+
+
+def _derivatives(
+    term: Term,
+    at: Situation,
+    places_m: NDArray[np.float64],
+    power: tuple[Derivatives, Derivatives] | None,
+    joint: LocalChannel | None,
+    grid: LocalGrid | None,
+) -> Part:
+    match term:
+        case TrackingTerm():
+            if power is None:
+                raise AssertionError("tracking needs predictions of the stages")
+            settings = at.tracking(term)
+            chance = connectivity_derivatives(*power, settings.threshold_dbm)
+            sensing = sensing_derivatives(settings.sensor, places_m, settings.target_m)
+            return tracking_reward_derivatives(chance, sensing, settings.weight)
+        case MappingTerm(form="two_layer"):
+            return _steering(at, places_m)
+        case MotionEnergyTerm():
+            return _motion(term, at, places_m)
+        case LearningTerm():
+            return path_loss_derivatives(_required(joint), places_m, at.criterion(term))
+        case MappingTerm(form="path"):
+            return path_uncertainty_derivatives(_required(joint), places_m, at.uncertainty(term))
+        case MappingTerm(form="information"):
+            return path_information_derivatives(_required(joint), places_m)
+        case MappingTerm():
+            if grid is None:
+                raise AssertionError("the spatial average needs a grid")
+            return average_reduction_derivatives(_required(joint), grid, places_m)
+
+
+def _required(joint: LocalChannel | None) -> LocalChannel:
+    if joint is None:
+        raise AssertionError("a term that couples places needs their joint channel")
+    return joint
+
+
+def _steering(at: Situation, places_m: NDArray[np.float64]) -> Derivatives:
+    """Minus the distance of every place to where the map is most uncertain."""
+    if at.steering_m is None:
+        count = len(places_m)
+        return Derivatives(np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
+    width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
+    distance = rounded_length(places_m - at.steering_m, width)
+    return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
+
+
+def _motion(
+    term: MotionEnergyTerm, at: Situation, places_m: NDArray[np.float64]
+) -> PathDerivatives:
+    """Minus the energy of the way; that of moving at all hardly depends on where to."""
+    width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
+    length = path_length_derivatives(at.position_m, places_m, width)
+    scale = -term.per_metre_j_m
+    return PathDerivatives(scale * length.value, scale * length.gradient, scale * length.hessian)
+
+
+def _weighted(weight: float, part: Part) -> Part:
+    if weight == 1.0:
+        return part
+    if isinstance(part, PathDerivatives):
+        return PathDerivatives(weight * part.value, weight * part.gradient, weight * part.hessian)
+    return Derivatives(weight * part.value, weight * part.gradient, weight * part.hessian)
+
+
+def _sum(parts: list[Part], stages: int, stagewise: bool) -> PathValue:
+    """Everything in one value, by stage or as a whole."""
+    if stagewise and len(parts) == 1:
+        return PathValue(float(np.sum(parts[0].value)), parts[0].gradient, parts[0].hessian)
+    value, gradient = 0.0, np.zeros((stages, 2))
+    hessian = np.zeros((stages, 3)) if stagewise else np.zeros((2 * stages, 2 * stages))
+    for part in parts:
+        value += float(np.sum(part.value))
+        gradient += part.gradient.reshape(stages, 2)
+        if stagewise or isinstance(part, PathDerivatives):
+            hessian += part.hessian
+        else:
+            _add_blocks(hessian, part.hessian)
+    return PathValue(value, gradient, hessian)
+
+
+def _add_blocks(hessian: NDArray[np.float64], blocks: NDArray[np.float64]) -> None:
+    """Add the stages' own 2 x 2 blocks (N, 3) to a full Hessian."""
+    x = 2 * np.arange(len(blocks))
+    hessian[x, x] += blocks[:, 0]
+    hessian[x, x + 1] += blocks[:, 1]
+    hessian[x + 1, x] += blocks[:, 1]
+    hessian[x + 1, x + 1] += blocks[:, 2]

@@ -1,0 +1,88 @@
+"""What a path is worth: the weighted sum of its terms, from all measurements.
+
+This is what plans are compared by and what is reported. Solvers work with
+:mod:`planopt.planning.worth.local_worth`, which is close to it and has derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import connection_probability
+from planopt.objectives.mapping import average_reduction, path_information, path_uncertainty
+from planopt.objectives.path_loss_learning import path_loss_gain
+from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import LearningTerm, MappingTerm, MotionEnergyTerm, Term, TrackingTerm
+from planopt.targets.sensor import sensing_information
+
+
+@dataclass(frozen=True)
+class PathWorth:
+    """The worth of paths in one situation."""
+
+    situation: Situation
+
+    def __call__(self, path_m: NDArray[np.float64]) -> float:
+        """Weighted sum of the terms for a path (N, 2)."""
+        return float(sum(self.by_term(path_m)))
+
+    def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
+        """What each term of the objective contributes, its weight included."""
+        return tuple(
+            term.weight * _value(term, self.situation, path_m)
+            for term in self.situation.problem.terms
+        )
+
+
+def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
+    match term:
+        case TrackingTerm():
+            return _tracking(term, at, path_m)
+        case LearningTerm():
+            return path_loss_gain(at.posterior, path_m, at.criterion(term))
+        case MappingTerm():
+            return _mapping(term, at, path_m)
+        case MotionEnergyTerm():
+            return -motion_energy_j(term, at, path_m)
+
+
+def _tracking(term: TrackingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
+    settings = at.tracking(term)
+    power = at.power(path_m)
+    chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
+    sensing = sensing_information(settings.sensor, path_m, settings.target_m)
+    return float(settings.weight @ (chance * sensing))
+
+
+def _mapping(term: MappingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
+    match term.form:
+        case "two_layer":
+            return steering_value(at, path_m)
+        case "path":
+            return path_uncertainty(at.posterior, path_m, at.uncertainty(term))
+        case "information":
+            return path_information(at.posterior, path_m)
+        case "average":
+            return average_reduction(at.posterior, path_m, at.region)
+
+
+def steering_value(at: Situation, path_m: NDArray[np.float64]) -> float:
+    """How much nearer the steps of a path come to where the map is most uncertain, in metres.
+
+    For one step its maximiser is the inner layer of the seed's (3).
+    """
+    if at.steering_m is None:
+        return 0.0
+    start = float(np.linalg.norm(at.position_m - at.steering_m))
+    return float((start - np.linalg.norm(path_m - at.steering_m, axis=1)).sum())
+
+
+def motion_energy_j(term: MotionEnergyTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
+    """k1 per metre and k2 while moving, in joules (theory 3.2)."""
+    lengths = np.linalg.norm(np.diff(np.vstack([at.position_m, path_m]), axis=0), axis=1)
+    moving = np.count_nonzero(lengths > STANDSTILL_M) * at.problem.planner.step_s
+    return float(term.per_metre_j_m * lengths.sum() + term.power_w * moving)

@@ -1,0 +1,88 @@
+"""What one step of planning a sum of terms knows: the channel, the robot's place, the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
+from planopt.objectives.mapping import Region, Uncertainty
+from planopt.objectives.path_loss_learning import Criterion, goal_criterion
+from planopt.objectives.tracking import Tracking
+from planopt.planning.proof.predictions import search_prediction
+from planopt.problems.problem import LearningTerm, MappingTerm, Problem, TrackingTerm
+from planopt.targets.sensor import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """Everything that the worth of a path depends on.
+
+    Attributes
+    ----------
+    problem
+        With the one robot that is planned for.
+    posterior
+        What is believed of the channel.
+    position_m
+        ``(2,)`` where the robot is.
+    target_m
+        ``(N, 2)`` where the target is expected at the end of each step; None without target.
+    region
+        Where the map is wanted, for the terms that look at the workspace.
+    steering_m
+        ``(2,)`` the place of the highest J_CH that the two-layer form steers to; None if there is
+        none above the threshold, or nothing steers.
+    """
+
+    problem: Problem
+    posterior: ChannelPosterior
+    position_m: NDArray[np.float64]
+    target_m: NDArray[np.float64] | None
+    region: Region
+    steering_m: NDArray[np.float64] | None = None
+    _power: dict[bytes, tuple[float, float]] = field(
+        default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
+    )
+    _tracking: dict[TrackingTerm, Tracking] = field(
+        default_factory=dict[TrackingTerm, Tracking], init=False, repr=False
+    )
+
+    def power(self, places_m: NDArray[np.float64]) -> Prediction:
+        """Prediction at `places_m` (n, 2) as searches look at it, made once for each place."""
+        keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
+        new = [row for row, key in enumerate(keys) if key not in self._power]
+        if new:
+            found = search_prediction(self.posterior, places_m[new])
+            values = zip(found.mean_db.tolist(), found.deviation_db.tolist(), strict=True)
+            self._power.update(zip([keys[row] for row in new], values, strict=True))
+        both = np.array([self._power[key] for key in keys]).reshape(-1, 2)
+        return Prediction(both[:, 0], both[:, 1])
+
+    def tracking(self, term: TrackingTerm) -> Tracking:
+        """The settings of a tracking term."""
+        if self.target_m is None:
+            raise AssertionError("a tracking term needs a target")
+        if term not in self._tracking:
+            self._tracking[term] = Tracking(
+                self.problem.stations[0].threshold_dbm,
+                Sensor(term.noise_curvature, term.noise_floor_m2, term.sweet_spot_m),
+                self.target_m,
+            )
+        return self._tracking[term]
+
+    def criterion(self, term: LearningTerm) -> Criterion:
+        """The settings of a learning term."""
+        if term.criterion == "V":
+            return goal_criterion(self.posterior, self.region.grid_m, self.region.weight)
+        return Criterion(term.criterion)
+
+    def uncertainty(self, term: MappingTerm) -> Uncertainty:
+        """The settings of a mapping term."""
+        x, y = self.position_m
+        return Uncertainty(
+            term.variance_threshold_db2, term.closeness_per_m, start_m=(float(x), float(y))
+        )

@@ -1,0 +1,116 @@
+"""Restricted maximum likelihood against brute force and known channels."""
+
+import math
+
+import numpy as np
+import pytest
+from simulated_channel import simulated, subset
+
+from planopt.channel.estimation.covariance_fit import covariance_bounds
+from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.reml import START_MEASUREMENTS, reml_fit, thinned
+from planopt.channel.estimation.restricted_likelihood import evaluate, likelihood_data
+from planopt.channel.mean_model import mean_model
+from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.parameters import ChannelParameters, Station
+
+CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
+
+
+@one_blas_thread()
+def fitted(measurements, variance=40.0):
+    """Model, bounds and REML fit."""
+    exact = ~measurements.censored
+    model = mean_model(measurements.positions_m, exact, CHANNEL.station, True)
+    limits = examine(measurements, CHANNEL.station).decorrelation_bounds_m
+    bounds = covariance_bounds(variance, limits)
+    return model, bounds, reml_fit(model, measurements, bounds, CHANNEL)
+
+
+@pytest.mark.parametrize(("count", "share"), [(60, 0.0), (60, 0.3), (START_MEASUREMENTS + 20, 0.2)])
+def test_nothing_on_a_grid_is_more_likely(count, share):
+    """No point of a dense grid within the bounds beats the optimum, sampled start or not."""
+    measurements = simulated(CHANNEL, 1, count, 300.0, share)
+    model, bounds, found = fitted(measurements)
+    data = likelihood_data(model, measurements, CHANNEL)
+    side = 7 if count < 100 else 3
+    grids = [
+        np.geomspace(*limits, side)
+        for limits in (bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m)
+    ]
+    values = [
+        evaluate(data, (xi2, om2, beta)).log_likelihood
+        for xi2 in grids[0]
+        for om2 in grids[1]
+        for beta in grids[2]
+    ]
+    assert found.log_likelihood >= max(values) - 1e-6
+    estimate = found.covariance
+    at = evaluate(
+        data,
+        (
+            estimate.shadow_variance_db2,
+            estimate.multipath_variance_db2,
+            estimate.decorrelation_m,
+        ),
+    )
+    assert at.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-6)
+    np.testing.assert_allclose(at.coefficients, found.coefficients, rtol=1e-5)
+
+
+def test_scaling_units():
+    """Powers twice as wide double xi and omega; lengths twice as long double beta."""
+    measurements = simulated(CHANNEL, 2, 120, 300.0)
+    _, _, found = fitted(measurements)
+    wide = type(measurements)(
+        measurements.positions_m, 2.0 * measurements.power_dbm, measurements.censored
+    )
+    _, _, twice = fitted(wide, 160.0)
+    assert twice.covariance.shadow_variance_db2 == pytest.approx(
+        4.0 * found.covariance.shadow_variance_db2, rel=1e-2
+    )
+    assert twice.covariance.decorrelation_m == pytest.approx(
+        found.covariance.decorrelation_m, rel=1e-2
+    )
+
+
+def test_a_parameter_at_its_bound_is_named_and_its_error_unknown():
+    """Pure noise has no shadowing to find; the other errors stay finite."""
+    quiet = ChannelParameters(-40.0, 3.0, 1e-4, 30.0, 4.0, CHANNEL.station)
+    fits = [fitted(simulated(quiet, seed, 60, 300.0), 16.0)[2].covariance for seed in range(6)]
+    at_bound = [fit for fit in fits if fit.warnings]
+    assert at_bound
+    for fit in at_bound:
+        names = [text.split()[0] for text in fit.warnings]
+        for name, error in zip(("xi", "omega", "beta"), fit.standard_errors, strict=True):
+            assert (error == math.inf) == (name in names)
+
+
+def test_standard_errors_are_the_spread_over_channels():
+    """Estimates of omega scatter over simulated channels as their standard error says."""
+    fits = [fitted(simulated(CHANNEL, seed, 150, 200.0))[2] for seed in range(40)]
+    omegas = [math.sqrt(fit.covariance.multipath_variance_db2) for fit in fits]
+    errors = [fit.covariance.standard_errors[1] for fit in fits]
+    assert np.std(omegas) == pytest.approx(np.median(errors), rel=0.35)
+    z = [
+        (fit.coefficients[1] - CHANNEL.n_pl) / math.sqrt(fit.coefficient_covariance[1, 1])
+        for fit in fits
+    ]
+    assert 0.7 < np.std(z) < 1.4
+
+
+def test_thinning_is_a_fixed_draw_in_order():
+    """Few are kept whole; of many the same subset is drawn each time, in order."""
+    np.testing.assert_array_equal(thinned(5, 10), np.arange(5))
+    rows = thinned(5000, 800)
+    np.testing.assert_array_equal(rows, thinned(5000, 800))
+    assert len(rows) == 800 and (np.diff(rows) > 0).all()
+
+
+def test_the_order_of_measurements_does_not_matter():
+    """A permutation, censored ones included, gives the same estimate."""
+    measurements = simulated(CHANNEL, 3, 80, 300.0, 0.25)
+    shuffled = subset(measurements, np.random.default_rng(0).permutation(80))
+    first, second = fitted(measurements)[2], fitted(shuffled)[2]
+    assert second.log_likelihood == pytest.approx(first.log_likelihood, abs=1e-4)
+    np.testing.assert_allclose(second.coefficients, first.coefficients, rtol=1e-2)

@@ -1,0 +1,198 @@
+"""Sites of intervals against quadrature, lattice sums and the limits of the interval's width."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import log_ndtr, ndtr
+from scipy.stats import multivariate_normal
+
+from planopt.channel.intervals.expectation_propagation import interval_sites
+from planopt.channel.intervals.sites import Intervals, LatentPrior
+
+PLACES = np.array([0.0, 1.0, 3.0])
+COVARIANCE = 16.0 * np.exp(-np.abs(np.subtract.outer(PLACES, PLACES)) / 2.0)
+THREE = LatentPrior.known_mean(np.array([-80.0, -82.0, -79.0]), COVARIANCE)
+
+
+def limits(upper):
+    """Mere upper limits."""
+    return Intervals(np.asarray(upper), np.full(len(upper), np.inf))
+
+
+def likelihood(f, upper, width, omega):
+    """Probability that f + noise is in the interval, without loss of digits in the tails."""
+    high, low = (upper - f) / omega, (upper - width - f) / omega
+    # By the tail that is the smaller one.
+    return np.where(low > 0.0, ndtr(-low) - ndtr(-high), ndtr(high) - ndtr(low))
+
+
+@pytest.mark.parametrize("upper", [-60.0, -79.0, -84.0, -100.0])
+@pytest.mark.parametrize("width", [0.01, 1.0, 6.0, 40.0, np.inf])
+@pytest.mark.parametrize("omega2", [4.0, 0.01])
+def test_one_interval_matches_the_exact_tilted_moments(upper, width, omega2):
+    """With one site EP is exact: mean, variance and evidence agree with quadrature."""
+    mean, deviation = -80.0, 5.0
+    prior = LatentPrior.known_mean(np.array([mean]), np.array([[deviation**2]]))
+    known = Intervals(np.array([upper]), np.array([width]))
+    found = interval_sites(prior, known, omega2)
+    omega = np.sqrt(omega2)
+    lower = max(upper - width, -250.0)
+    ends = max(lower - 12.0 * omega, mean - 45.0), min(upper + 12.0 * omega, mean + 45.0)
+    nearest = np.clip(mean, ends[0], ends[1])
+
+    def moment(power, about=0.0):
+        def integrand(f):
+            density = np.exp(0.5 * ((nearest - mean) ** 2 - (f - mean) ** 2) / deviation**2)
+            return (f - about) ** power * density * likelihood(f, upper, width, omega)
+
+        points = np.clip([lower, nearest, upper], *ends)
+        return quad(integrand, *ends, points=points, limit=500, epsrel=1e-11, epsabs=1e-300)[0]
+
+    mass = moment(0)
+    exact_mean = moment(1) / mass
+    exact_variance = moment(2, exact_mean) / mass
+    log_mass = np.log(mass) - 0.5 * ((nearest - mean) / deviation) ** 2
+    log_mass -= np.log(deviation) + 0.5 * np.log(2.0 * np.pi)
+    total = deviation**-2 + found.precision[0]
+    assert mean + found.shift[0] / total == pytest.approx(exact_mean, abs=2e-6)
+    assert 1.0 / total == pytest.approx(exact_variance, rel=2e-6)
+    assert found.log_evidence == pytest.approx(log_mass, abs=1e-6)
+
+
+@pytest.mark.parametrize("omega", [0.3, 1.0, 3.0])
+def test_two_intervals_against_numerical_integration(omega):
+    """Moments and evidence of two correlated values, each in its interval, one half-open."""
+    mean = np.array([-80.0, -79.0])
+    covariance = np.array([[16.0, 12.0], [12.0, 16.0]])
+    known = Intervals(np.array([-82.5, -78.0]), np.array([3.0, np.inf]))
+    found = interval_sites(LatentPrior.known_mean(mean, covariance), known, omega**2)
+    posterior = np.linalg.inv(np.linalg.inv(covariance) + np.diag(found.precision))
+    axis = np.linspace(-22.0, 22.0, 1101)
+    grid = np.stack(np.meshgrid(mean[0] + axis, mean[1] + axis, indexing="ij"), axis=-1)
+    weight = multivariate_normal(mean, covariance).pdf(grid)
+    for i in (0, 1):
+        weight *= likelihood(grid[..., i], known.upper_db[i], known.width_db[i], omega)
+    mass = weight.sum()
+    exact = np.einsum("ij,ijk->k", weight, grid) / mass
+    centred = grid - exact
+    spread = np.einsum("ij,ijk,ijl->kl", weight, centred, centred) / mass
+    np.testing.assert_allclose(mean + posterior @ found.shift, exact, atol=0.03)
+    np.testing.assert_allclose(posterior, spread, atol=0.05)
+    log_mass = np.log(mass * (axis[1] - axis[0]) ** 2)
+    assert found.log_evidence == pytest.approx(log_mass, abs=0.01)
+
+
+def test_evidence_of_three_correlated_limits_is_the_orthant_probability():
+    """EP's log evidence is close to the multivariate normal probability below the limits."""
+    upper = np.array([-81.0, -81.0, -81.0])
+    found = interval_sites(THREE, limits(upper), 1.0)
+    exact = multivariate_normal(THREE.mean_db, COVARIANCE + np.eye(3)).cdf(upper)
+    assert found.log_evidence == pytest.approx(np.log(exact), abs=0.01)
+
+
+@pytest.mark.parametrize("width", [np.inf, 3.0, 0.1])
+def test_slope_is_the_derivative_of_the_evidence_by_omega(width):
+    """At the fixed point the evidence moves with omega^2 through the likelihood alone."""
+    known = Intervals(np.array([-83.0, -81.0, -84.0]), np.full(3, width))
+    up, down = (interval_sites(THREE, known, 2.0 + d).log_evidence for d in (1e-4, -1e-4))
+    slope = interval_sites(THREE, known, 2.0).evidence_slope
+    assert slope == pytest.approx((up - down) / 2e-4, rel=1e-4)
+
+
+def test_narrow_intervals_are_gaussian_measurements():
+    """For r << omega the sites have the middle for value and variance omega^2 + r^2 / 12."""
+    middle = np.array([-83.0, -80.0, -90.0])
+    for width in (1e-9, 1e-3, 0.3):
+        known = Intervals(middle + 0.5 * width, np.full(3, width))
+        found = interval_sites(THREE, known, 4.0)
+        sites = found.as_measurements()
+        # What Sheppard's correction leaves out is of fourth order in r / omega.
+        error = (0.5 * width) ** 4
+        np.testing.assert_allclose(sites.values_db, middle, atol=1e-7 + error)
+        np.testing.assert_allclose(
+            sites.noise_variance_db2, 4.0 + width**2 / 12.0, rtol=1e-7 + error
+        )
+        exact = multivariate_normal(THREE.mean_db, COVARIANCE + (4.0 + width**2 / 12.0) * np.eye(3))
+        density = found.log_evidence - 3.0 * np.log(width)
+        assert density == pytest.approx(exact.logpdf(middle), abs=1e-6 + 3.0 * error)
+
+
+def test_without_noise_intervals_are_boxes():
+    """For omega << r the posterior is the prior truncated to the box: here a lattice sum."""
+    known = Intervals(np.array([-78.5, -80.0]), np.array([3.0, 3.0]))
+    mean, covariance = np.array([-80.0, -82.0]), np.array([[16.0, 14.0], [14.0, 16.0]])
+    found = interval_sites(LatentPrior.known_mean(mean, covariance), known, 1e-6)
+    inside = (np.arange(600) + 0.5) / 600 * 3.0 - 3.0
+    grid = np.stack(np.meshgrid(-78.5 + inside, -80.0 + inside, indexing="ij"), axis=-1)
+    weight = multivariate_normal(mean, covariance).pdf(grid)
+    exact = np.einsum("ij,ijk->k", weight, grid) / weight.sum()
+    posterior = np.linalg.inv(np.linalg.inv(covariance) + np.diag(found.precision))
+    np.testing.assert_allclose(mean + posterior @ found.shift, exact, atol=0.02)
+    deviations = np.sqrt(np.einsum("ij,ijk->k", weight, (grid - exact) ** 2) / weight.sum())
+    np.testing.assert_allclose(np.sqrt(np.diag(posterior)), deviations, rtol=0.03)
+    assert found.log_evidence == pytest.approx(np.log(weight.sum() * 2.5e-5), abs=0.01)
+
+
+def test_unknown_mean_is_a_wide_prior():
+    """A flat prior of delta equals columns in the covariance with a very wide normal one."""
+    columns = np.column_stack([np.ones(5), [0.0, 1.0, 3.0, 4.0, 9.0]])
+    distance = np.abs(np.subtract.outer(columns[:, 1], columns[:, 1]))
+    covariance, mean = 16.0 * np.exp(-distance / 2.0), np.full(5, -80.0)
+    known = Intervals(
+        np.array([-78.5, -80.0, -81.0, -84.5, -84.0]), np.array([3.0, 3.0, 1.0, 3.0, np.inf])
+    )
+    flat = LatentPrior(mean, covariance, columns, np.zeros((2, 2)), np.zeros(2))
+    found = interval_sites(flat, known, 1.0)
+    wide2 = 1e6
+    wide = LatentPrior.known_mean(mean, covariance + wide2 * columns @ columns.T)
+    expected = interval_sites(wide, known, 1.0)
+    np.testing.assert_allclose(found.precision, expected.precision, rtol=1e-4)
+    np.testing.assert_allclose(found.shift, expected.shift, atol=1e-4)
+    # The normal's density at 0 stands for the flat prior's 1.
+    constant = np.log(2.0 * np.pi * wide2)
+    assert found.log_evidence == pytest.approx(expected.log_evidence + constant, abs=1e-3)
+
+
+def test_score_and_information_of_the_mean_are_a_measurement_of_it():
+    """A prior of delta by natural parameters equals a normal one through the mean and covariance.
+
+    Their constants differ: the integral of the former is not one.
+    """
+    columns = np.ones((3, 1))
+    known = Intervals(np.array([-78.0, -80.0, -82.0]), np.array([1.0, 4.0, np.inf]))
+    linear = dataclasses.replace(
+        THREE, columns=columns, information=np.array([[0.2]]), score=np.array([0.3])
+    )
+    found = interval_sites(linear, known, 1.0)
+    plain = LatentPrior.known_mean(THREE.mean_db + 1.5, COVARIANCE + 5.0)
+    expected = interval_sites(plain, known, 1.0)
+    np.testing.assert_allclose(found.precision, expected.precision, rtol=1e-6)
+    np.testing.assert_allclose(
+        found.as_measurements().values_db, expected.as_measurements().values_db, rtol=1e-6
+    )
+    constant = 0.5 * np.log(2.0 * np.pi / 0.2) + 0.5 * 0.3**2 / 0.2
+    assert found.log_evidence == pytest.approx(expected.log_evidence + constant, abs=1e-7)
+    integrated, log_integral = linear.integrated()
+    assert log_integral == pytest.approx(constant)
+    np.testing.assert_allclose(integrated.mean_db, plain.mean_db, rtol=1e-14)
+    np.testing.assert_allclose(integrated.covariance_db2, plain.covariance_db2, rtol=1e-14)
+
+
+def test_starting_from_other_sites_changes_nothing():
+    """Sites of another mean and noise lead to the same fixed point, in fewer sweeps or more."""
+    known = Intervals(np.array([-83.0, -81.0, -84.0]), np.array([1.0, 3.0, np.inf]))
+    other = LatentPrior.known_mean(THREE.mean_db + 3.0, 1.3 * COVARIANCE)
+    cold = interval_sites(THREE, known, 1.0)
+    warm = interval_sites(THREE, known, 1.0, interval_sites(other, known, 2.0))
+    np.testing.assert_allclose(warm.precision, cold.precision, rtol=1e-5)
+    np.testing.assert_allclose(warm.shift, cold.shift, atol=1e-5)
+    assert warm.log_evidence == pytest.approx(cold.log_evidence, abs=1e-9)
+
+
+def test_a_value_known_beforehand_keeps_its_probability():
+    """Where f has no variance the evidence is the likelihood at its mean."""
+    prior = LatentPrior.known_mean(np.array([-80.0]), np.zeros((1, 1)))
+    found = interval_sites(prior, limits([-84.0]), 4.0)
+    assert found.log_evidence == pytest.approx(float(log_ndtr(-2.0)), abs=1e-9)

@@ -1,0 +1,163 @@
+"""Reading power logs, and what a bad one gets."""
+
+import numpy as np
+import pytest
+
+from planopt.channel.estimation.identifiability import examine
+from planopt.channel.logs.log_file import at_file_line, parse_station, read_log, read_power_log
+from planopt.channel.logs.log_format import LogFormat, parse_columns
+from planopt.channel.parameters import Station
+from planopt.errors import InputError
+
+
+def written(tmp_path, text, encoding="utf-8"):
+    """A log file."""
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def refused(path, **options):
+    """The error that reading gives."""
+    with pytest.raises(InputError) as caught:
+        read_log(path, LogFormat(**options))
+    assert caught.value.file == str(path)
+    return caught.value
+
+
+def test_reads_what_is_there(tmp_path):
+    """Other columns and order, comments, blank lines, quotes, spaces, CRLF and a mark are fine."""
+    path = written(
+        tmp_path,
+        '# a comment\r\nday, power_dbm ,"x_m",y_m\r\n1,-70.5,1,2\r\n'
+        '\r\n # more\r\n2,"-8e1",3,-4\r\n',
+        "utf-8-sig",
+    )
+    log = read_log(path)
+    np.testing.assert_array_equal(log.positions_m, [[1, 2], [3, -4]])
+    np.testing.assert_array_equal(log.power_dbm, [-70.5, -80])
+    assert not log.censored.any()
+
+
+def test_named_columns_flags_and_floor(tmp_path):
+    """Columns by other names; flags and floor both censor, and the floor is the limit."""
+    path = written(tmp_path, "e,n,rssi,cut\n0,0,-70,0\n1,0,-80,TRUE\n2,0,-99,false\n3,0,-95,1\n")
+    log = read_log(path, LogFormat(("e", "n", "rssi"), censored_column="cut", floor_dbm=-95.0))
+    np.testing.assert_array_equal(log.censored, [False, True, True, True])
+    np.testing.assert_array_equal(log.power_dbm, [-70, -80, -95, -95])
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "line", "column"),
+    [
+        ("", "empty", None, None),
+        ("# nothing\n\n", "empty", None, None),
+        ("x_m,y_m,power_dbm\n", "no rows", None, None),
+        ("x_m,y_m\n1,2\n", "'power_dbm' is missing; the file has x_m, y_m", 1, "power_dbm"),
+        ("x_m,y_m,x_m,power_dbm\n1,2,3,4\n", "'x_m' appears twice", 1, "x_m"),
+        ("# c\nx_m,y_m,power_dbm\n1,2,-70\n1,two,-70\n", "'two' is not a number", 4, "y_m"),
+        ("x_m,y_m,power_dbm\n1,2,nan\n", "'nan' is not a finite number", 2, "power_dbm"),
+        ("x_m,y_m,power_dbm\n1,2,-inf\n", "'-inf' is not a finite number", 2, "power_dbm"),
+        ("x_m,y_m,power_dbm\n1_0,2,-7\n", "'1_0' is not a finite number", 2, "x_m"),
+        ("x_m,y_m,power_dbm\n1, ,-70\n", "the cell is empty", 2, "y_m"),
+        ("x_m,y_m,power_dbm\n1,2\n", "2 cells where the header has 3", 2, None),
+        ("x_m,y_m,power_dbm\n1,2,-70,9\n", "4 cells where the header has 3", 2, None),
+        ('x_m,y_m,power_dbm\n1,2,"-70\n', "not a CSV row", 2, None),
+        ("x_m,y_m,power_dbm\n1,2,\0\n", "not a text file", None, None),
+    ],
+)
+def test_bad_content_is_located(tmp_path, text, words, line, column):
+    """File, line and column stand in the error, with the offending text."""
+    error = refused(written(tmp_path, text))
+    assert words in error.message
+    assert (error.row, error.key) == (line, column)
+
+
+def test_bad_flags(tmp_path):
+    """A flag column must exist and hold 0, 1, true or false."""
+    path = written(tmp_path, "x_m,y_m,power_dbm,cut\n1,2,-70,0\n1,2,-70,maybe\n")
+    error = refused(path, censored_column="cut")
+    assert "'maybe' is not a flag" in error.message
+    assert (error.row, error.key) == (3, "cut")
+    assert "is missing" in refused(path, censored_column="floor").message
+
+
+def test_times_receivers_and_what_holds_for_all(tmp_path):
+    """Receivers are numbered as they appear; steps and errors are those of every row."""
+    path = written(
+        tmp_path,
+        "t,who,x_m,y_m,power_dbm\n5,b,0,0,-70\n6, a ,1,0,-71\n7.5,b,2,0,-72\n9,c,3,0,-73\n",
+    )
+    log = read_power_log(
+        path,
+        LogFormat(time_column="t", receiver_column="who", resolution_db=1.0, position_std_m=2.5),
+    )
+    assert log.receivers == ("b", "a", "c")
+    found = log.measurements
+    np.testing.assert_array_equal(found.receiver, [0, 1, 0, 2])
+    np.testing.assert_array_equal(found.time_s, [5.0, 6.0, 7.5, 9.0])
+    np.testing.assert_array_equal(found.resolution_db, 1.0)
+    np.testing.assert_array_equal(found.position_std_m, 2.5)
+    plain = read_power_log(path)
+    assert plain.receivers == ()
+    for name in ("time_s", "receiver", "resolution_db", "position_std_m"):
+        np.testing.assert_array_equal(getattr(plain.measurements, name), np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("cells", "option", "words", "column"),
+    [
+        ("soon,a", {"time_column": "t"}, "'soon' is not a number", "t"),
+        ("inf,a", {"time_column": "t"}, "'inf' is not a finite number", "t"),
+        ("1, ", {"receiver_column": "who"}, "the cell is empty", "who"),
+    ],
+)
+def test_bad_times_and_receivers(tmp_path, cells, option, words, column):
+    """With file, line and column; a column that is missing, too."""
+    path = written(tmp_path, f"x_m,y_m,power_dbm,t,who\n0,0,-70,0,a\n1,0,-70,{cells}\n")
+    error = refused(path, **option)
+    assert words in error.message
+    assert (error.row, error.key) == (3, column)
+    for name in option:
+        missing = refused(path, **{name: "absent"})
+        assert "'absent' is missing" in missing.message
+        assert (missing.row, missing.key) == (1, "absent")
+
+
+def test_files_that_are_no_text(tmp_path):
+    """A missing file, a folder and bytes that are not UTF-8."""
+    assert "cannot be read" in refused(tmp_path / "absent.csv").message
+    assert "cannot be read" in refused(tmp_path).message
+    path = tmp_path / "binary.csv"
+    path.write_bytes(b"\x89PNG\xff\xfe")
+    assert "not a text file" in refused(path).message
+
+
+def test_an_index_becomes_a_line(tmp_path):
+    """The measurement at the station is located in the file, past comments and blank lines."""
+    path = written(tmp_path, "# c\nx_m,y_m,power_dbm\n1,2,-70\n\n# d\n0,0,-50\n3,4,-80\n")
+    with pytest.raises(InputError) as caught:
+        examine(read_log(path), Station((0.0, 0.0)))
+    error = at_file_line(caught.value, path)
+    assert (error.file, error.row) == (str(path), 6)
+    assert "log of zero distance" in str(error)
+    assert at_file_line(InputError("no row"), path).row is None
+
+
+def test_columns_option():
+    """Named columns replace defaults; anything else is refused."""
+    assert parse_columns("x=east, y=north,power=rssi") == ("east", "north", "rssi")
+    assert parse_columns("power=rssi") == ("x_m", "y_m", "rssi")
+    for text in ("", "east", "x=", "z=up", "x=a,,y=b"):
+        with pytest.raises(InputError, match="key columns"):
+            parse_columns(text)
+
+
+def test_station_option():
+    """Two or three finite numbers, or unknown."""
+    assert parse_station(" unknown ") is None
+    assert parse_station("1,-2.5") == Station((1.0, -2.5))
+    assert parse_station("1, 2, 30") == Station((1.0, 2.0), 30.0)
+    for text in ("", "1", "1,2,3,4", "1,two", "1,nan", "inf,0"):
+        with pytest.raises(InputError, match="key station"):
+            parse_station(text)

@@ -1,0 +1,91 @@
+"""Holding out groups: nothing leaks, and the channel beats path loss alone."""
+
+import numpy as np
+import pytest
+from simulated_channel import simulated
+
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.prediction import Prediction
+from planopt.channel.validation.calibration import calibrate
+from planopt.channel.validation.held_out import (
+    deal,
+    held_out_predictions,
+    learn_channel,
+    learn_marginal,
+    learn_path_loss,
+)
+from planopt.errors import InputError
+
+CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
+
+
+def test_nothing_leaks():
+    """What predicts a measurement never saw its group; each is predicted once, in order."""
+    count = 40
+    groups = np.repeat(np.arange(10), 4)
+    measurements = Measurements(
+        np.stack([np.arange(count), groups], axis=1).astype(float),
+        np.zeros(count),
+        np.zeros(count, dtype=bool),
+    )
+    seen = []
+
+    def learn(training):
+        def predict(readings):
+            assert not set(readings.positions_m[:, 1]) & set(training.positions_m[:, 1])
+            seen.append(len(readings))
+            return Prediction(readings.positions_m[:, 0], np.ones(len(readings)))
+
+        return {"one": predict}
+
+    fold_of = deal(groups, 3, np.random.default_rng(0))
+    found = held_out_predictions(measurements, fold_of, learn)
+    np.testing.assert_array_equal(found["one"].mean_db, np.arange(count))
+    assert sorted(seen) == [12, 12, 16]
+
+
+def test_groups_stay_together():
+    """Every group is in one fold, and every fold has a group, up to one group a fold."""
+    groups = np.array([4, 4, 7, 7, 7, 1, 2, 2])
+    for folds in (2, 3, 4):
+        fold_of = deal(groups, folds, np.random.default_rng(5))
+        assert set(fold_of) == set(range(folds))
+        assert all(len(set(fold_of[groups == label])) == 1 for label in groups)
+
+
+def test_channel_beats_path_loss():
+    """On the model's own channel: smaller error, and intervals that hold."""
+    measurements = simulated(CHANNEL, 3, 200, 200.0, 0.1)
+    # Squares of 50 m as groups.
+    groups = (measurements.positions_m // 50.0 @ [1.0, 10.0]).astype(int)
+    learners = {"line": learn_path_loss, "channel": learn_channel, "marginal": learn_marginal}
+    found = {
+        name: calibrate(prediction, measurements)
+        for name, prediction in held_out_predictions(
+            measurements,
+            deal(groups, 4, np.random.default_rng(1)),
+            lambda training: {
+                name: learn(training, CHANNEL.station) for name, learn in learners.items()
+            },
+        ).items()
+    }
+    assert found["channel"].rmse_db < 0.95 * found["line"].rmse_db
+    assert found["marginal"].rmse_db < 0.95 * found["line"].rmse_db
+    for calibration in found.values():
+        at_95 = next(one for one in calibration.coverage if one.level == 0.95)
+        assert 0.88 < at_95.share <= 1.0
+
+
+@pytest.mark.parametrize("folds", [1, 4])
+def test_bad_folds(folds):
+    """One fold, or more than groups."""
+    with pytest.raises(InputError):
+        deal(np.array([0, 1, 2, 2]), folds, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("fold_of", [np.zeros(40, int), np.arange(3)])
+def test_bad_fold_labels(fold_of):
+    """Nothing to learn from, or labels that do not belong."""
+    with pytest.raises(InputError):
+        held_out_predictions(simulated(CHANNEL, 3, 40, 200.0), fold_of, lambda _: {})

@@ -1,0 +1,90 @@
+"""Where what a file says and what was found again disagree."""
+
+import math
+
+import pytest
+
+from planopt.planning.check.agreement import disagreements, in_words, same_words
+
+
+def keys(said: object, found: object) -> list[str]:
+    """Where they disagree."""
+    return [difference.key for difference in disagreements(said, found)]
+
+
+def test_every_leaf_is_compared() -> None:
+    """Of tables in arrays in tables, each by its own key."""
+    said = {"a": [{"b": 1.0, "c": "x"}, {"b": 2.0, "c": None}], "d": True}
+    found = {"a": [{"b": 1.5, "c": "x"}, {"b": 2.0, "c": "y"}], "d": False}
+    assert keys(said, said) == []
+    assert keys(said, found) == ["a[0].b", "a[1].c", "d"]
+
+
+def test_keys_of_one_alone() -> None:
+    """A missing key and one too many are both disagreements; so is another length."""
+    assert keys({"a": 1}, {"b": 1}) == ["b", "a"]
+    assert keys({"a": [1, 2]}, {"a": [1]}) == ["a"]
+    missing, unknown = disagreements({"a": 1}, {"b": 2})
+    assert (missing.said, missing.found) == ("is missing", "2")
+    assert (unknown.said, unknown.found) == ("1", "no such key")
+
+
+@pytest.mark.parametrize(
+    ("said", "found", "name", "agree"),
+    [
+        (1.0, 1.0 + 5e-7, "x_m", True),
+        (1.0, 1.0 + 2e-6, "x_m", False),
+        (1e6, 1e6 + 5e-4, "cost_m", True),
+        (0.9, 0.90005, "connectivity", True),
+        (0.9, 0.9002, "connectivity", False),
+        (-30.0, -30.02, "parameters", True),
+        (-30.0, -30.05, "parameters", False),
+        (3, 3.0, "horizon", True),
+        (3, 4, "horizon", False),
+        (10**400, 3, "horizon", False),
+        (10**400, 10**400, "horizon", True),
+        (True, 1, "horizon", False),
+        (None, 0.0, "gap", False),
+        (None, None, "gap", True),
+        (math.nan, math.nan, "true_db", True),
+        (math.nan, 1.0, "true_db", False),
+        (math.inf, math.inf, "standard_errors", True),
+        ("a", b"a", "fit_method", False),
+        ({}, [], "robots", False),
+    ],
+)
+def test_how_well_values_must_agree(said: object, found: object, name: str, agree: bool) -> None:
+    """Exact numbers to a millionth, predictions to 1e-4, fits to a thousandth, labels wholly."""
+    assert (keys({name: said}, {name: found}) == []) is agree
+    assert (keys({name: found}, {name: said}) == []) is agree
+
+
+@pytest.mark.parametrize(
+    ("said", "found", "same"),
+    [
+        ("misses by 0.31 dB at step 3", "misses by 0.32 dB at step 3", True),
+        ("misses by 0.31 dB at step 3", "misses by 0.33 dB at step 3", False),
+        ("misses by 0.31 dB at step 3", "misses by 0.31 dB at step 4", False),
+        ("misses by 0.31 dB", "meets by 0.31 dB", False),
+        ("2 m", "1.999 m", True),
+        ("1.2e-05 m", "1.3e-05 m", True),
+        ("1.2e-05 m", "1.2e-04 m", False),
+        ("1 and 2", "1 and 2 and 3", False),
+    ],
+)
+def test_texts_with_numbers_in_them(said: str, found: str, same: bool) -> None:
+    """Another machine may round the last shown digit otherwise; whole numbers are names."""
+    assert same_words(said, found) is same
+
+
+def test_few_of_many_alike_are_shown() -> None:
+    """A wrong seed changes every row: three stand for all."""
+    said, found = {"x": [0.0] * 9, "y": 1}, {"x": [1.0] * 9, "y": 2}
+    words = in_words("run.json", disagreements(said, found))
+    assert words == [
+        "run.json, key x[0]: 0, found 1",
+        "run.json, key x[1]: 0, found 1",
+        "run.json, key x[2]: 0, found 1",
+        "run.json, key x[]: 6 more like these",
+        "run.json, key y: 1, found 2",
+    ]

@@ -1,0 +1,279 @@
+"""Plans and runs as folders."""
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planopt import load
+from planopt.errors import InputError, OutputError
+from planopt.planning.files import saved as saved_module
+from planopt.planning.files.read_saved import read_saved
+from planopt.planning.files.saved import (
+    known_before_steps,
+    save_simulation,
+    save_solution,
+    withdraw,
+)
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.simulation import Simulation
+from planopt.planning.solution import Solution
+from planopt.planning.solve import solve
+
+HEADER = (
+    "robot,step,t_s,x_m,y_m,predicted_db,deviation_db,connectivity,true_db,connected,rung,verdict"
+)
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    """A plan of three steps."""
+    return solve(load("open_field"), horizon=3)
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    """A run of six steps."""
+    problem = load("open_field")
+    return simulate(
+        replace(problem, planner=replace(problem.planner, max_steps=6)), horizon=4, seed=2
+    )
+
+
+@pytest.fixture
+def plan_folder(tmp_path: Path, solution: Solution) -> Path:
+    """The plan, saved."""
+    save_solution(solution, tmp_path / "plan")
+    return tmp_path / "plan"
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path, simulation: Simulation) -> Path:
+    """The run, saved."""
+    save_simulation(simulation, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def test_a_plan_has_the_files_of_the_contract(plan_folder: Path, solution: Solution) -> None:
+    """JSON with the problem, a table with the contract's columns, truth empty, no other file."""
+    assert {f.name for f in plan_folder.iterdir()} == {"plan.json", "steps.csv", "belief.npz"}
+    lines = (plan_folder / "steps.csv").read_text().splitlines()
+    assert lines[0] == HEADER and len(lines) == 5
+    rows = list(csv.DictReader(lines))
+    assert [float(row["x_m"]) for row in rows] == solution.plan.positions_m[:, 0].tolist()
+    assert {(row["true_db"], row["connected"]) for row in rows} == {("", "")}
+    data = json.loads((plan_folder / "plan.json").read_text())
+    assert data["problem_file"]["planner"]["horizon"] == 3
+
+
+def test_a_run_has_the_files_of_the_contract(run_folder: Path, simulation: Simulation) -> None:
+    """The table has the truth; the JSON has every released plan."""
+    assert {f.name for f in run_folder.iterdir()} == {"run.json", "steps.csv", "belief.npz"}
+    rows = list(csv.DictReader((run_folder / "steps.csv").read_text().splitlines()))
+    assert [float(row["true_db"]) for row in rows] == simulation.run.log.true_dbm.tolist()
+    assert {row["connected"] for row in rows} <= {"0", "1"}
+    assert len(json.loads((run_folder / "run.json").read_text())["plans"]) == 6
+
+
+def test_what_is_read_is_what_was_saved(plan_folder: Path, solution: Solution) -> None:
+    """Places, problem and measurements come back exactly, by folder and by file."""
+    for path in (plan_folder, plan_folder / "plan.json"):
+        back = read_saved(path)
+        assert back.steps is not None and back.belief is not None
+        assert np.array_equal(back.steps.positions_m, solution.plan.positions_m)
+        assert back.problem.robots == solution.problem.robots
+        assert np.array_equal(
+            back.belief.measurements.power_dbm, solution.belief.posterior.measurements.power_dbm
+        )
+
+
+def test_each_step_knows_what_was_measured_before_it(simulation: Simulation) -> None:
+    """A step's count grows by one after a step that ended where something was measured."""
+    track = simulation.run.log.positions_m
+    known = known_before_steps(simulation.belief, simulation.first_measurements, track)
+    taken = simulation.belief.posterior.measurements.positions_m[simulation.first_measurements :]
+    track = simulation.run.log.positions_m[1:]
+    measured = [bool((taken == place).all(axis=1).any()) for place in track]
+    assert known[0] == simulation.first_measurements
+    assert np.diff(known).tolist() == [int(m) for m in measured[:-1]]
+    assert known[-1] + int(measured[-1]) == len(simulation.belief.posterior.measurements)
+
+
+def test_an_earlier_result_is_withdrawn(run_folder: Path, solution: Solution) -> None:
+    """A plan saved over a run leaves no run.json beside files that are no longer its own."""
+    save_solution(solution, run_folder)
+    assert not (run_folder / "run.json").exists()
+    assert read_saved(run_folder).file.name == "plan.json"
+
+
+def test_nothing_half_written_stands_as_a_result(
+    plan_folder: Path, solution: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If saving fails on the way, no JSON file is left that would vouch for the rest."""
+
+    def fail(*_: object) -> None:
+        raise OutputError("disk full")
+
+    monkeypatch.setattr(saved_module, "write_belief", fail)
+    with pytest.raises(OutputError):
+        save_solution(solution, plan_folder)
+    assert {f.name for f in plan_folder.iterdir()} == {"steps.csv", "belief.npz"}
+
+
+def test_withdrawing_from_no_folder(tmp_path: Path) -> None:
+    """A file where the folder should be is an error of output."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError):
+        withdraw(tmp_path / "file")
+
+
+def edit_json(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
+    """Damage one key of a JSON file."""
+
+    def damage(folder: Path) -> None:
+        data = json.loads((folder / name).read_text())
+        change(data)
+        (folder / name).write_text(json.dumps(data))
+
+    return damage
+
+
+def edit_text(name: str, change: Callable[[str], str]) -> Callable[[Path], None]:
+    """Damage the text of a file."""
+    return lambda folder: (folder / name).write_text(change((folder / name).read_text())) and None
+
+
+def remove(name: str) -> Callable[[Path], None]:
+    """Remove a file."""
+    return lambda folder: (folder / name).unlink()
+
+
+PLAN_DAMAGE = {
+    "no json": (remove("plan.json"), "", None),
+    "no steps": (remove("steps.csv"), "steps.csv", None),
+    "no belief": (remove("belief.npz"), "belief.npz", None),
+    "truncated json": (edit_text("plan.json", lambda t: t[:500]), "plan.json", None),
+    "empty json": (edit_text("plan.json", lambda t: ""), "plan.json", None),
+    "json is a list": (edit_text("plan.json", lambda t: "[1]"), "plan.json", None),
+    "key missing": (edit_json("plan.json", lambda d: d.pop("verdict")), "plan.json", "verdict"),
+    "a number for a verdict": (
+        edit_json("plan.json", lambda d: d.update(verdict=1)),
+        "plan.json",
+        "verdict",
+    ),
+    "a key twice": (
+        edit_text("plan.json", lambda t: t.replace("{", '{"verdict": "verified", ', 1)),
+        "plan.json",
+        "verdict",
+    ),
+    "too deep": (edit_text("plan.json", lambda t: "[" * 100_000), "plan.json", None),
+    "text for a number": (
+        edit_json("plan.json", lambda d: d["robots"][0]["x_m"].__setitem__(1, "a")),
+        "plan.json",
+        "robots[0].x_m[1]",
+    ),
+    "NaN": (
+        edit_text("plan.json", lambda t: t.replace("[32.0,", "[NaN,", 1)),
+        "plan.json",
+        "robots[0].x_m[0]",
+    ),
+    "other lengths": (
+        edit_json("plan.json", lambda d: d["robots"][0]["y_m"].pop()),
+        "plan.json",
+        "robots[0]",
+    ),
+    "no problem": (
+        edit_json("plan.json", lambda d: d.pop("problem_file")),
+        "plan.json",
+        "problem_file",
+    ),
+    "bad problem": (
+        edit_json("plan.json", lambda d: d["problem_file"]["robots"][0].update(speed_max_m_s=-1)),
+        "plan.json",
+        "robots[0].speed_max_m_s",
+    ),
+    "row missing": (
+        edit_text("steps.csv", lambda t: t[: t.rstrip().rfind("\n") + 1]),
+        "steps.csv",
+        None,
+    ),
+    "row out of order": (
+        edit_text("steps.csv", lambda t: t.replace("rover,2,", "rover,7,")),
+        "steps.csv",
+        "step",
+    ),
+    "row cut": (edit_text("steps.csv", lambda t: t.rstrip()[:-20]), "steps.csv", None),
+    "column renamed": (edit_text("steps.csv", lambda t: t.replace("x_m", "x")), "steps.csv", None),
+    "text in a cell": (
+        edit_text("steps.csv", lambda t: t.replace("rover,0,0.0,32.0", "rover,0,0.0,here")),
+        "steps.csv",
+        "x_m",
+    ),
+    "infinite cell": (
+        edit_text("steps.csv", lambda t: t.replace("rover,0,0.0,32.0", "rover,0,0.0,inf")),
+        "steps.csv",
+        "x_m",
+    ),
+    "empty cell": (
+        edit_text("steps.csv", lambda t: t.replace("rover,0,0.0,32.0", "rover,0,0.0,")),
+        "steps.csv",
+        "x_m",
+    ),
+    "not text": (
+        lambda folder: (folder / "steps.csv").write_bytes(b"\xff\xfe\x00") and None,
+        "steps.csv",
+        None,
+    ),
+    "empty steps": (edit_text("steps.csv", lambda t: ""), "steps.csv", None),
+}
+
+
+@pytest.mark.parametrize("name", PLAN_DAMAGE)
+def test_a_damaged_plan_is_an_error(plan_folder: Path, name: str) -> None:
+    """Missing, truncated and wrong files are errors that name file and key."""
+    damage, file, key = PLAN_DAMAGE[name]
+    damage(plan_folder)
+    with pytest.raises(InputError) as raised:
+        read_saved(plan_folder)
+    assert raised.value.file == str(plan_folder / file)
+    assert raised.value.key == key
+
+
+RUN_DAMAGE = {
+    "plan missing": (edit_json("run.json", lambda d: d["plans"].pop()), "run.json", "plans"),
+    "plan cut": (
+        edit_json("run.json", lambda d: d["plans"][1]["y_m"].pop()),
+        "run.json",
+        "plans[1]",
+    ),
+    "negative seed": (edit_json("run.json", lambda d: d.update(seed=-1)), "run.json", "seed"),
+}
+
+
+@pytest.mark.parametrize("name", RUN_DAMAGE)
+def test_a_damaged_run_is_an_error(run_folder: Path, name: str) -> None:
+    """A run whose plans do not go with its steps is an error that names file and key."""
+    damage, file, key = RUN_DAMAGE[name]
+    damage(run_folder)
+    with pytest.raises(InputError) as raised:
+        read_saved(run_folder)
+    assert raised.value.file == str(run_folder / file)
+    assert raised.value.key == key
+
+
+def test_a_run_with_the_belief_of_a_plan_is_an_error(run_folder: Path, plan_folder: Path) -> None:
+    """A belief without counts for the steps does not belong to a run."""
+    (plan_folder / "belief.npz").replace(run_folder / "belief.npz")
+    with pytest.raises(InputError) as raised:
+        read_saved(run_folder)
+    assert raised.value.key == "known_before_step"
+
+
+def test_a_named_file_that_is_not_there(tmp_path: Path) -> None:
+    """The JSON file itself, when it does not exist."""
+    with pytest.raises(InputError, match="cannot be read"):
+        read_saved(tmp_path / "plan.json")

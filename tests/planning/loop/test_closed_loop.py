@@ -1,0 +1,264 @@
+"""The closed loop: arrival, standstill, what is measured, and a log that agrees with itself."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scenes import (
+    CUP,
+    bad_band,
+    bad_disc,
+    bad_everywhere,
+    good_everywhere,
+    prepared_of,
+    small_problem,
+)
+
+from planopt import load
+from planopt.channel.fields.truth import true_power_dbm
+from planopt.errors import InputError
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.run import Outcome, StepLog
+from planopt.planning.loop.simulation import Simulation, exit_code
+from planopt.planning.plan import Rung, Verdict
+from planopt.problems.problem import LoggedMeasurements
+
+SEEDS = (0, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def driven() -> dict[int, Simulation]:
+    """The library's open field on a few seeds."""
+    problem = load("open_field")
+    return {seed: simulate(problem, seed=seed) for seed in SEEDS}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_goal_is_reached(driven, seed):
+    """Within the radius, every released step verified."""
+    done = driven[seed]
+    problem, log = done.problem, done.run.log
+    assert done.run.outcome is Outcome.REACHED
+    assert exit_code(done) == 0
+    goal = np.asarray(problem.robots[0].goal_m)
+    away = np.linalg.norm(log.positions_m - goal, axis=1)
+    assert away[-1] <= problem.constraints.goal_radius_m < away[:-1].min()
+    assert done.run.metrics.goal_time_s == pytest.approx(2.0 * (len(away) - 1))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_log_agrees_with_itself(driven, seed):
+    """One row a step and one for the start; each row is what its plan predicted."""
+    done = driven[seed]
+    log, plans = done.run.log, done.plans
+    rows = len(plans) + 1
+    assert all(len(getattr(log, column.name)) == rows for column in fields(StepLog))
+    assert (log.positions_m[0] == done.problem.robots[0].start_m).all()
+    for k, plan in enumerate(plans):
+        assert (plan.positions_m[0] == log.positions_m[k]).all()
+        assert (plan.positions_m[1] == log.positions_m[k + 1]).all()
+        assert plan.mean_dbm[1] == log.predicted_dbm[k + 1]
+        assert plan.deviation_db[1] == log.deviation_db[k + 1]
+        assert plan.connectivity[1] == log.connectivity[k + 1]
+        assert log.rung[k + 1] is plan.rung
+        assert log.verdict[k + 1] is plan.verdict
+        assert log.polish_gain_s[k + 1] == plan.lattice_objective - plan.objective >= 0.0
+        assert log.step_s[k + 1] == plan.wall_s >= plan.solve_s
+    assert (log.t_s == 2.0 * np.arange(rows)).all()
+    assert (log.true_dbm == true_power_dbm(done.truth, log.positions_m)).all()
+    threshold = done.problem.stations[0].threshold_dbm
+    assert (log.connected == (log.true_dbm >= threshold)).all()
+    assert log.rung[0] is Rung.PLAN and log.verdict[0] is Verdict.VERIFIED
+    assert sum(done.run.rungs.values()) == rows - 1
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_speed_and_bound_are_kept_on_the_way(driven, seed):
+    """What was driven, not only what was planned."""
+    done = driven[seed]
+    log = done.run.log
+    lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
+    assert lengths.max() <= done.problem.step_length_m + 1e-5
+    held = log.relaxation_db[1:] == 0.0
+    assert (log.connectivity[1:][held] >= 0.8 - 1e-6).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_measured(driven, seed):
+    """Each driven place that is far enough from every earlier one, with the truth there."""
+    done = driven[seed]
+    measured, first = done.belief.posterior.measurements, done.first_measurements
+    assert first == 120
+    spacing = done.problem.channel.measure_spacing_m
+    known = list(measured.positions_m[:first])
+    expected = []
+    for place in done.run.log.positions_m[1:]:
+        if min(np.linalg.norm(np.array(known) - place, axis=1)) >= spacing:
+            known.append(place)
+            expected.append(place)
+    assert len(expected) > 5
+    assert (measured.positions_m[first:] == np.array(expected)).all()
+    truth = true_power_dbm(done.truth, np.array(expected))
+    assert (measured.power_dbm[first:] == truth).all()
+
+
+def test_same_seed_same_run(driven):
+    """Bit for bit, but for the measured times."""
+    again = simulate(load("open_field"), seed=1)
+    for column in fields(StepLog):
+        if column.name != "step_s":
+            one, other = (getattr(s.run.log, column.name) for s in (driven[1], again))
+            assert np.array_equal(one, other)
+    assert again.run.metrics == driven[1].run.metrics
+    one, other = (s.belief.posterior.measurements for s in (driven[1], again))
+    assert np.array_equal(one.power_dbm, other.power_dbm)
+
+
+def test_other_seed_other_run(driven):
+    """The truth differs, and so do the readings."""
+    one, other = (driven[k].belief.posterior.measurements.power_dbm[:120] for k in (0, 1))
+    assert not np.array_equal(one, other)
+
+
+def small_run(problem, power_at=good_everywhere, **options) -> Simulation:
+    """Drive in a power that the test chose."""
+    return simulate(problem, prepared=prepared_of(problem, power_at), **options)
+
+
+def test_every_step_is_reported():
+    """Numbers from 1 on, one after each step."""
+    seen = []
+    done = small_run(small_problem(CUP), on_step=seen.append)
+    assert done.run.outcome is Outcome.REACHED
+    assert seen == list(range(1, len(done.plans) + 1))
+
+
+def test_overrides():
+    """They are those of the run, and of the problem that it answers."""
+    done = small_run(small_problem(), horizon=2, planner="lattice", cost_to_go="geodesic")
+    run = done.run
+    assert (run.horizon, run.planner, run.cost_to_go) == (2, "lattice", "geodesic")
+    assert done.problem.planner.horizon == 2
+    assert len(done.plans[0].positions_m) == 3
+    assert run.rungs == {"plan": len(done.plans)}
+
+
+def test_step_limit():
+    """A loop that has not arrived by then ends and says so."""
+    done = small_run(small_problem(max_steps=3))
+    assert done.run.outcome is Outcome.STEP_LIMIT
+    assert "3 steps" in done.run.reason
+    assert len(done.plans) == 3
+    assert np.isnan(done.run.metrics.goal_time_s)
+    assert exit_code(done) == 4
+
+
+def test_start_within_the_goal_radius():
+    """Nothing is planned and nothing measured."""
+    done = small_run(small_problem(goal_m=(5.5, 15.0)))
+    assert done.run.outcome is Outcome.REACHED
+    assert done.plans == ()
+    assert done.run.log.positions_m.shape == (1, 2)
+    assert done.run.metrics.goal_time_s == 0.0
+    assert exit_code(done) == 0
+
+
+def test_standing_before_a_gap_is_a_stall():
+    """The shortest way is closed and nothing is learnt any more: it ends, with a reason."""
+    problem = small_problem(start_m=(14.0, 15.0), cost_to_go="geodesic")
+    done = small_run(problem, bad_band(18.0, 24.0))
+    assert done.run.outcome is Outcome.STALLED
+    assert "nothing new to learn" in done.run.reason
+    assert len(done.plans) < problem.planner.max_steps
+    assert done.run.log.positions_m[:, 0].max() < 20.0
+    assert exit_code(done) == 4
+
+
+def test_circling_is_a_stall(monkeypatch):
+    """To and fro over known ground without end is one too."""
+    import planopt.planning.loop.closed_loop as closed_loop
+
+    class Pacing(closed_loop.ReachPlanner):
+        def plan(self, belief, position_m, warm=None):
+            plan = super().plan(belief, position_m, None)
+            there = np.array([5.0, 15.0]) if position_m[0] > 5.5 else np.array([6.0, 15.0])
+            return replace(plan, positions_m=np.vstack([position_m, there, there]))
+
+    monkeypatch.setattr(closed_loop, "ReachPlanner", Pacing)
+    done = small_run(small_problem(horizon=2, planner="lattice"))
+    assert done.run.outcome is Outcome.STALLED
+    assert "of one place for 30 steps" in done.run.reason
+    assert 30 <= len(done.plans) <= 32
+
+
+def test_bound_that_is_met_nowhere():
+    """It is never verified, and the exit code says at least so."""
+    done = small_run(small_problem(max_steps=6), bad_everywhere)
+    assert done.run.verified_rate == 0.0
+    assert exit_code(done) in (3, 4)
+
+
+def test_way_round_a_hole():
+    """The bound is kept by prediction throughout, for a way some metres longer."""
+    done = small_run(small_problem(horizon=8), bad_disc(20.0, 15.0, 6.0))
+    assert exit_code(done) == 0
+    assert done.run.metrics.path_m > 31.0
+    assert done.run.metrics.predicted_min_connectivity >= 0.9 - 1e-6
+
+
+@pytest.mark.parametrize("horizon", [4, 8])
+def test_gap_that_must_be_crossed(horizon):
+    """No way keeps the bound: the gap is crossed by relaxed steps that say why, to the goal."""
+    problem = small_problem(
+        bounds_m=(0.0, 0.0, 28.0, 6.0),
+        start_m=(3.0, 3.0),
+        goal_m=(25.0, 3.0),
+        horizon=horizon,
+        max_steps=200,
+    )
+    done = small_run(problem, bad_band(6.0, 10.0))
+    assert exit_code(done) == 0
+    relaxed = [plan for plan in done.plans if plan.certificate.relaxed_steps]
+    assert relaxed
+    assert any(plan.certificate.no_connected_way for plan in relaxed)
+    assert (done.run.log.relaxation_db > 0.0).any()
+    assert done.run.metrics.longest_outage_m <= 12.0
+
+
+def test_simulation_needs_a_truth():
+    """There is nothing to drive in."""
+    problem = small_problem()
+    prepared = replace(prepared_of(problem), truth=None)
+    with pytest.raises(InputError, match=r"channel\.truth"):
+        simulate(problem, prepared=prepared)
+
+
+def test_first_measurements_from_a_log(tmp_path):
+    """The log is what is known at first; the drawn truth is what is driven in."""
+    problem = load("open_field")
+    taken = simulate(replace(problem, planner=replace(problem.planner, max_steps=1)), seed=3)
+    measured = taken.belief.posterior.measurements
+    rows = np.column_stack([measured.positions_m[:60], measured.power_dbm[:60]])
+    path = tmp_path / "log.csv"
+    np.savetxt(path, rows, delimiter=",", header="east,north,rssi", comments="", fmt="%.17g")
+    setup = LoggedMeasurements(path, ("east", "north", "rssi"), None, None)
+    logged = replace(problem, channel=replace(problem.channel, measurements=setup))
+    done = simulate(logged, seed=3)
+    assert done.first_measurements == 60
+    assert np.array_equal(done.truth.raster.values, taken.truth.raster.values)
+    assert np.array_equal(
+        done.belief.posterior.measurements.power_dbm[:60], measured.power_dbm[:60]
+    )
+    assert done.run.outcome in (Outcome.REACHED, Outcome.STALLED)
+
+
+@pytest.mark.parametrize("horizon", [4, 8])
+def test_a_gap_without_a_way_round_is_crossed(horizon):
+    """However much time the horizon leaves to wait before it, and every step is verified."""
+    problem = small_problem(horizon=horizon, max_steps=400)
+    done = small_run(problem, bad_band(18.0, 24.0))
+    assert done.run.outcome is Outcome.REACHED
+    assert done.run.verified_rate == 1.0
+    assert any(plan.certificate.no_connected_way for plan in done.plans)

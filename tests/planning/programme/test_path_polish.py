@@ -1,0 +1,201 @@
+"""The programme over any path value against SciPy, and what its structures have in common."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import planopt.planning.programme.path_polish as module
+from planopt.planning.plan import Termination
+from planopt.planning.programme.path_nlp import build_path_nlp
+from planopt.planning.programme.path_polish import PathTask, polish_path
+from planopt.planning.programme.path_value import Evaluation, PathValue, ValueSource
+from planopt.planning.programme.stage_kernel import StageMargins
+from planopt.world.separation import SeparatingLines
+
+N = 4
+HILL = np.array([3.0, 1.5])
+
+
+def no_lines(count=1):
+    """Lines that keep nothing away."""
+    shape = (N, count)
+    return SeparatingLines(
+        np.zeros((*shape, 2)), np.full(shape, -1.0), np.full(shape, np.inf), np.full(shape, -1)
+    )
+
+
+def one_line():
+    """Every segment stays above y = 0.5 (and the clearance)."""
+    normals = np.zeros((N, 1, 2))
+    normals[:, :, 1] = 1.0
+    return SeparatingLines(normals, np.full((N, 1), 0.5), np.ones((N, 1)), np.zeros((N, 1), int))
+
+
+def bell(positions, weights):
+    """A bell over `HILL` with derivatives, per stage."""
+    offset = positions - HILL
+    height = weights * np.exp(-0.1 * (offset**2).sum(axis=1))
+    gradient = -0.2 * offset * height[:, None]
+    xx = height * (0.04 * offset[:, 0] ** 2 - 0.2)
+    yy = height * (0.04 * offset[:, 1] ** 2 - 0.2)
+    xy = height * 0.04 * offset[:, 0] * offset[:, 1]
+    return height, gradient, np.stack([xx, xy, yy], axis=1)
+
+
+def margins(positions):
+    """Connectivity falls with x."""
+    count = len(positions)
+    return StageMargins(
+        2.0 - positions[:, 0], np.tile([-1.0, 0.0], (count, 1)), np.zeros((count, 3))
+    )
+
+
+def evaluate(weights, stagewise, bounded):
+    """The sum of bells as a solver asks for it."""
+
+    def at(positions):
+        value, gradient, blocks = bell(positions, weights)
+        hessian = blocks
+        if not stagewise:
+            hessian = np.zeros((2 * N, 2 * N))
+            for k, (xx, xy, yy) in enumerate(blocks):
+                hessian[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[xx, xy], [xy, yy]]
+        return Evaluation(
+            PathValue(float(value.sum()), gradient, hessian),
+            margins(positions) if bounded else None,
+        )
+
+    return at
+
+
+def task(weights, stagewise, bounded, lines, **changes):
+    """A task from a path along the x axis."""
+    settings = {
+        "start_m": np.array([0.0, 0.6]),
+        "path_m": np.column_stack([0.3 * np.arange(1, N + 1), np.full(N, 0.7)]),
+        "lines": lines,
+        "clearance_m": 0.1,
+        "step_length_m": 1.0,
+        "bounds_m": (-5.0, -5.0, 5.0, 5.0),
+        "evaluate": evaluate(weights, stagewise, bounded),
+        "scale": 1.0,
+        "bound_db": np.zeros(N) if bounded else None,
+        "slack_limit_db": np.zeros(N) if bounded else None,
+    }
+    return PathTask(**{**settings, **changes})
+
+
+def by_scipy(weights, bounded, floor):
+    """The same programme by SLSQP."""
+    start = np.array([0.0, 0.6])
+
+    def steps(x):
+        return np.diff(np.vstack([start, x.reshape(N, 2)]), axis=0)
+
+    limits = [{"type": "ineq", "fun": lambda x: 1.0 - (steps(x) ** 2).sum(axis=1)}]
+    if floor is not None:
+        limits.append({"type": "ineq", "fun": lambda x: x[1::2] - floor})
+    if bounded:
+        limits.append({"type": "ineq", "fun": lambda x: 2.0 - x[0::2]})
+    x0 = task(weights, True, False, no_lines()).path_m.ravel()
+    found = minimize(
+        lambda x: -bell(x.reshape(N, 2), weights)[0].sum(),
+        x0,
+        jac=lambda x: -bell(x.reshape(N, 2), weights)[1].ravel(),
+        constraints=limits,
+        method="SLSQP",
+        options={"ftol": 1e-12, "maxiter": 300},
+    )
+    return found.x.reshape(N, 2), -found.fun
+
+
+@pytest.mark.parametrize("stagewise", [True, False])
+@pytest.mark.parametrize("bounded", [True, False])
+@pytest.mark.parametrize("floor", [None, 0.601])
+def test_optimum_is_that_of_scipy(stagewise, bounded, floor):
+    """With and without bound, line and block structure: one optimum, no residual."""
+    weights = np.array([1.0, 0.5, 2.0, 1.0])
+    lines = no_lines() if floor is None else one_line()
+    nlp = build_path_nlp(N, 1, stagewise, bounded)
+    found = polish_path(nlp, task(weights, stagewise, bounded, lines))
+    path, value = by_scipy(weights, bounded, floor)
+    assert found.termination is Termination.CONVERGED
+    # The solver stops at a tolerance of 1e-4.
+    assert bell(found.path_m, weights)[0].sum() == pytest.approx(value, rel=1e-4)
+    np.testing.assert_allclose(found.path_m, path, atol=5e-3)
+    assert found.kkt_residual < 1e-3
+    assert ("connectivity" in found.multipliers) == bounded
+
+
+def test_a_bound_out_of_reach_is_missed_by_the_least():
+    """With slack the missing dB are paid for, and told."""
+    weights = np.ones(N)
+    nlp = build_path_nlp(N, 1, True, True)
+    far = task(
+        weights,
+        True,
+        True,
+        no_lines(),
+        bound_db=np.full(N, 3.5),
+        slack_limit_db=np.full(N, np.inf),
+        slack_weight=100.0,
+    )
+    found = polish_path(nlp, far)
+    assert found.termination is Termination.CONVERGED
+    # As far to the left as the speed allows: x = -1, -1.5, -1.5, -1.5.
+    np.testing.assert_allclose(found.slack_db, [0.5, 0.0, 0.0, 0.0], atol=1e-3)
+
+
+def test_a_moved_point_shows_in_the_residual(monkeypatch):
+    """The residual is computed at the point that is returned."""
+    weights = np.ones(N)
+    nlp = build_path_nlp(N, 1, True, False)
+    call = module.call_nlp
+
+    def moved(*arguments):
+        point = call(*arguments)
+        return replace(point, positions_m=point.positions_m + np.array([0.0, 0.1]))
+
+    monkeypatch.setattr(module, "call_nlp", moved)
+    assert polish_path(nlp, task(weights, True, False, no_lines())).kkt_residual > 0.01
+
+
+def test_a_failed_call_leaves_nothing_behind():
+    """A value that is no number ends one solve and does not touch the next."""
+    weights = np.ones(N)
+    nlp = build_path_nlp(N, 1, True, False)
+    before = polish_path(nlp, task(weights, True, False, no_lines()))
+
+    def broken(positions):
+        return Evaluation(PathValue(np.nan, np.full((N, 2), np.nan), np.full((N, 3), np.nan)), None)
+
+    failed = polish_path(nlp, task(weights, True, False, no_lines(), evaluate=broken))
+    assert failed.termination is not Termination.CONVERGED
+    after = polish_path(nlp, task(weights, True, False, no_lines()))
+    np.testing.assert_array_equal(after.path_m, before.path_m)
+
+
+def test_a_point_is_evaluated_once():
+    """However many quantities a solver asks for."""
+    calls = []
+
+    def counted(positions):
+        calls.append(positions)
+        return evaluate(np.ones(N), True, True)(positions)
+
+    source = ValueSource()
+    with pytest.raises(AssertionError, match="before its value was set"):
+        source.at(np.zeros(2 * N))
+    source.use(counted)
+    source.at(np.zeros(2 * N))
+    source.margins_at(np.zeros(2 * N))
+    assert len(calls) == 1
+    source.at(np.ones(2 * N))
+    assert len(calls) == 2
+    source.use(evaluate(np.ones(N), True, False))
+    with pytest.raises(AssertionError, match="no margins"):
+        source.margins_at(np.ones(2 * N))

@@ -1,0 +1,563 @@
+"""Polished paths against closed forms, one constraint at a time, and after failures."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reach_tasks import (
+    bowl_margins,
+    constant_margins,
+    no_lines,
+    reach_task,
+    slope_margins,
+    with_line,
+)
+from scipy.optimize import brentq, minimize
+
+from planopt.channel.connectivity import bound_margin_db, bound_quantile
+from planopt.channel.kriging import predict
+from planopt.channel.measurements import Measurements
+from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import condition
+from planopt.planning.plan import Termination
+from planopt.planning.programme import polish as polish_module
+from planopt.planning.programme.polish import polish
+from planopt.planning.programme.reach_nlp import build_reach_nlp
+from planopt.planning.programme.stage_kernel import stage_margins
+from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
+from planopt.world.clearance import index_obstacles, swept_clearance_m
+from planopt.world.separation import pack_pieces, separating_lines
+from planopt.world.workspace import Obstacle, Workspace
+
+N, LINES = 3, 2
+ALONG = np.outer(np.arange(1, N + 1), [1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def nlp():
+    """Three steps, two lines a segment, shared by all tests: reuse must not matter."""
+    return build_reach_nlp(N, LINES)
+
+
+def solved(nlp, task, tolerance=1e-4):
+    """The polished task, converged and with a small residual."""
+    polished = polish(nlp, task)
+    assert polished.termination is Termination.CONVERGED
+    assert polished.kkt_residual < tolerance
+    return polished
+
+
+def same(one, two):
+    """Whether two results are the same to the last bit."""
+    return (
+        one.path_m.tobytes() == two.path_m.tobytes()
+        and one.slack_db.tobytes() == two.slack_db.tobytes()
+        and one.kkt_residual == two.kkt_residual
+        and one.iterations == two.iterations
+        and one.termination is two.termination
+        and all(one.multipliers[k].tobytes() == v.tobytes() for k, v in two.multipliers.items())
+    )
+
+
+# Speed and effort.
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.3, 2.0), st.floats(0.3, 3.0), st.floats(0.0, 6.28))
+def test_cruising_in_a_straight_line(nlp, effort, rate, heading):
+    """Below the speed limit each step is rate / (2 effort) long, in the pivot's direction."""
+    length = rate / (2.0 * effort)
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    task = reach_task(
+        N,
+        LINES,
+        step_length_m=length + 1.0,
+        effort_s_m2=effort,
+        rate_s_m=rate,
+        pivot_m=80.0 * direction,
+    )
+    polished = solved(nlp, task)
+    expected = np.outer(np.arange(1, N + 1) * length, direction)
+    np.testing.assert_allclose(polished.path_m, expected, atol=1e-3)
+    assert all(np.abs(m).max() < 1e-4 for m in polished.multipliers.values())
+
+
+def test_the_speed_limit_and_its_multiplier(nlp):
+    """At the limit L each step's multiplier is rate / (2 L) - effort, and no step is longer."""
+    polished = solved(nlp, reach_task(N, LINES))
+    np.testing.assert_allclose(polished.path_m, 2.0 * ALONG, atol=1e-4)
+    np.testing.assert_allclose(polished.multipliers["speed"], 1.0 / 4.0 - 0.1, atol=1e-5)
+    path = np.vstack([np.zeros(2), polished.path_m])
+    longest = np.linalg.norm(np.diff(path, axis=0), axis=1).max()
+    assert longest <= 2.0 - 0.5 * STEP_PAD_M
+
+
+def test_the_speed_limit_is_padded(nlp, monkeypatch):
+    """The solver is asked for steps shorter by the pad, so that its tolerance eats no more."""
+    asked = []
+    call = polish_module.call_nlp
+
+    def spy(*arguments):
+        asked.append(arguments[-1][1][:N])
+        return call(*arguments)
+
+    monkeypatch.setattr(polish_module, "call_nlp", spy)
+    polish(nlp, reach_task(N, LINES))
+    np.testing.assert_array_equal(asked, np.full((1, N), (2.0 - STEP_PAD_M) ** 2))
+
+
+def test_a_pivot_within_reach_is_reached(nlp):
+    """Not far enough ahead for full steps: equal steps to it, up to the pivot's rounding."""
+    polished = solved(nlp, reach_task(N, LINES, pivot_m=np.array([4.0, 3.0]), effort_s_m2=0.01))
+    expected = np.outer(np.arange(1, N + 1) / N, [4.0, 3.0])
+    np.testing.assert_allclose(polished.path_m, expected, atol=5e-3)
+
+
+def test_every_pivot_within_reach_is_reached():
+    """The same for ten steps, pivots before and beyond the start path's end."""
+    nlp = build_reach_nlp(10, 0)
+    path = np.outer(np.arange(1, 11), [1.0, 0.0])
+    for ahead in (3.0, 5.0, 8.0, 9.0, 9.7, 10.0, 10.1, 10.3, 11.0, 13.0):
+        for aside in (0.0, 0.3):
+            pivot = np.array([ahead, aside])
+            polished = solved(nlp, reach_task(10, 0, path_m=path, pivot_m=pivot))
+            assert np.linalg.norm(polished.path_m[-1] - pivot) < 5e-3
+
+
+def test_the_workspace_is_kept(nlp):
+    """The bounds stop the path, and their multiplier balances the cost (the residual sees it)."""
+    polished = solved(nlp, reach_task(N, LINES, bounds_m=(-9.0, -9.0, 3.0, 9.0)))
+    assert polished.path_m[:, 0].max() <= 3.0 + 1e-6
+    np.testing.assert_allclose(polished.path_m[-1], [3.0, 0.0], atol=1e-3)
+
+
+def test_an_arrived_path_stays_and_the_rest_is_free(nlp):
+    """From the arrival on positions are those of the start path; before it they even out."""
+    path = np.array([[0.5, 1.0], [2.0, 0.0], [2.0, 0.0]])
+    polished = solved(nlp, reach_task(N, LINES, path_m=path, arrival=2))
+    np.testing.assert_array_equal(polished.path_m[1:], path[1:])
+    np.testing.assert_allclose(polished.path_m[0], [1.0, 0.0], atol=1e-4)
+
+
+def test_a_path_that_arrives_at_once_has_nothing_to_choose(nlp):
+    """All positions fixed: solved as it is where it keeps the rows, infeasible where not."""
+    path = np.tile([1.0, 1.0], (N, 1))
+    task = reach_task(N, LINES, path_m=path, arrival=1)
+    polished = solved(nlp, task)
+    np.testing.assert_array_equal(polished.path_m, path)
+    broken = polish(nlp, replace(task, bound_db=np.full(N, 11.0)))
+    assert broken.termination is Termination.INFEASIBLE
+    assert broken.kkt_residual == pytest.approx(1.0)
+
+
+# Lines.
+
+
+def test_a_line_at_a_segments_end(nlp):
+    """A half-plane on the first segment binds its end: y_1 = b with multiplier -2 effort b."""
+    b = 0.5
+    task = reach_task(
+        N,
+        LINES,
+        effort_s_m2=0.5,
+        pivot_m=np.array([50.0, b]),
+        path_m=ALONG + np.array([0.0, b]),
+        lines=with_line(no_lines(N, LINES), 0, [0.0, 1.0], b - CLEARANCE_PAD_M),
+    )
+    polished = solved(nlp, task)
+    np.testing.assert_allclose(polished.path_m, ALONG + np.array([0.0, b]), atol=2e-3)
+    # The start's own end is not constrained: it is where the robot is.
+    assert polished.multipliers["line_start"].shape == (N - 1, LINES)
+    assert polished.multipliers["line_end"][0, 0] == pytest.approx(-2.0 * 0.5 * b, abs=1e-3)
+    assert np.abs(polished.multipliers["line_end"].ravel()[1:]).max() < 1e-4
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.3])
+def test_a_line_at_a_segments_start(nlp, clearance):
+    """A slanted line on the second segment binds q_1 only: q_1 = l e_x + (b - n_x l) n."""
+    effort, length, normal, offset = 0.5, 1.0, np.array([0.6, 0.8]), 1.2
+    task = reach_task(
+        N,
+        LINES,
+        clearance_m=clearance,
+        effort_s_m2=effort,
+        pivot_m=np.array([1e5, 0.0]),
+        path_m=ALONG + np.array([0.0, 3.0]),
+        lines=with_line(no_lines(N, LINES), 1, normal, offset),
+        step_length_m=5.0,
+    )
+    polished = solved(nlp, task)
+    b = offset + clearance + CLEARANCE_PAD_M
+    first = np.array([length, 0.0]) + (b - normal[0] * length) * normal
+    np.testing.assert_allclose(polished.path_m[0], first, atol=1e-3)
+    np.testing.assert_allclose(polished.path_m[1:], first + ALONG[:-1], atol=1e-3)
+    # Stationarity in q_1: 2 effort q_1 - (rate, 0) + lambda n = 0 with rate = 2 effort l.
+    multiplier = -2.0 * effort * (b - normal[0] * length)
+    assert polished.multipliers["line_start"][0, 0] == pytest.approx(multiplier, abs=1e-3)
+    assert np.abs(polished.multipliers["line_end"]).max() < 1e-4
+
+
+def test_round_an_obstacle(nlp):
+    """Over a box the swept path keeps the clearance, a line is touched, and SLSQP agrees."""
+    box = shapely.box(0.8, -3.0, 2.2, 1.0)
+    workspace = Workspace((-9.0, -9.0, 9.0, 9.0), (Obstacle("box", box),))
+    path = np.array([[0.2, 1.8], [2.8, 1.8], [4.0, 0.5]])
+    ends = np.vstack([np.zeros((1, 2)), path])
+    lines = separating_lines(pack_pieces(workspace), ends[:-1], ends[1:], LINES, 10.0)
+    task = reach_task(
+        N,
+        LINES,
+        path_m=path,
+        lines=lines,
+        clearance_m=0.4,
+        step_length_m=3.0,
+        effort_s_m2=0.5,
+        pivot_m=np.array([8.0, 0.0]),
+        bounds_m=workspace.bounds_m,
+    )
+    polished = solved(nlp, task)
+    swept = np.vstack([np.zeros(2), polished.path_m])
+    clearance = swept_clearance_m(index_obstacles(workspace), swept)
+    assert clearance.min() >= 0.4
+
+    def cost(flat):
+        q = np.vstack([np.zeros(2), flat.reshape(N, 2)])
+        return 0.5 * (np.diff(q, axis=0) ** 2).sum() + np.linalg.norm(q[-1] - [8.0, 0.0])
+
+    def gaps(flat):
+        q = np.vstack([np.zeros(2), flat.reshape(N, 2)])
+        speed = 3.0**2 - (np.diff(q, axis=0) ** 2).sum(1)
+        parts = [speed]
+        for k in range(N):
+            n, b = lines.normals[k, 0], lines.offsets[k, 0] + 0.4 + CLEARANCE_PAD_M
+            parts.append([n @ q[k + 1] - b] + ([n @ q[k] - b] if k else []))
+        return np.concatenate(parts)
+
+    other = minimize(
+        cost,
+        path.ravel(),
+        method="SLSQP",
+        constraints={"type": "ineq", "fun": gaps},
+        options={"ftol": 1e-12, "maxiter": 300},
+    )
+    assert other.success
+    assert gaps(polished.path_m.ravel())[N:].min() == pytest.approx(0.0, abs=1e-4)
+    np.testing.assert_allclose(polished.path_m.ravel(), other.x, atol=5e-3)
+    assert cost(polished.path_m.ravel()) == pytest.approx(other.fun, abs=1e-4)
+
+
+def test_an_obstacle_on_the_other_side_changes_nothing(nlp):
+    """A line that the free optimum keeps anyway leaves path and cost where they were."""
+    free = solved(nlp, reach_task(N, LINES))
+    lines = with_line(no_lines(N, LINES), 1, [0.0, 1.0], -5.0)
+    beside = solved(nlp, reach_task(N, LINES, lines=lines))
+    np.testing.assert_allclose(beside.path_m, free.path_m, atol=1e-4)
+
+
+def test_a_mirrored_task_has_a_mirrored_path(nlp):
+    """Turning everything upside down turns the path."""
+    task = reach_task(
+        N,
+        LINES,
+        pivot_m=np.array([9.0, 4.0]),
+        margins=bowl_margins([2.0, 2.0], 9.0),
+        bound_db=np.full(N, 3.0),
+        lines=with_line(no_lines(N, LINES), 1, [-0.6, 0.8], 0.2),
+    )
+    flip = np.array([1.0, -1.0])
+    mirrored = replace(
+        task,
+        pivot_m=task.pivot_m * flip,
+        margins=bowl_margins([2.0, -2.0], 9.0),
+        path_m=task.path_m * flip,
+        lines=with_line(no_lines(N, LINES), 1, [-0.6, -0.8], 0.2),
+    )
+    np.testing.assert_allclose(
+        solved(nlp, task).path_m * flip, solved(nlp, mirrored).path_m, atol=1e-5
+    )
+
+
+# Connectivity.
+
+
+def test_a_slope_stops_the_path_where_the_bound_does(nlp):
+    """Margin 6 - x with 2 dB asked for: x_3 = 4, and the multipliers balance the cost."""
+    task = reach_task(N, LINES, margins=slope_margins([-1.0, 0.0], 6.0), bound_db=np.full(N, 2.0))
+    polished = solved(nlp, task)
+    np.testing.assert_allclose(polished.path_m, 4.0 / 3.0 * ALONG, atol=1e-3)
+    # d/dx_3: 2 effort step - rate + lambda * slope = 0, lambda negative at a lower bound.
+    expected = 2.0 * 0.1 * 4.0 / 3.0 - 1.0
+    assert polished.multipliers["connectivity"][-1] == pytest.approx(expected, abs=1e-3)
+    assert np.abs(polished.multipliers["connectivity"][:-1]).max() < 1e-3
+    assert polished.slack_db.max() <= 1e-6
+
+
+def test_a_bound_of_one_stage_only(nlp):
+    """The bound is each stage's own: asked of the second only, the path bends there."""
+    bound = np.array([-np.inf, 2.0, -np.inf])
+    task = reach_task(
+        N, LINES, margins=slope_margins([0.0, 1.0], 0.0), bound_db=bound, step_length_m=5.0
+    )
+    polished = solved(nlp, task)
+    assert polished.path_m[1, 1] == pytest.approx(2.0, abs=1e-4)
+    assert polished.path_m[0, 1] == pytest.approx(1.0, abs=1e-2)
+
+
+def test_inside_a_circle(nlp):
+    """Margin 9 - |q|^2 with 5 asked for: the last place is on the circle of radius 2."""
+    task = reach_task(
+        N,
+        LINES,
+        margins=bowl_margins([0.0, 0.0], 9.0),
+        bound_db=np.full(N, 5.0),
+        pivot_m=np.array([30.0, 40.0]),
+        path_m=0.1 * ALONG,
+    )
+    polished = solved(nlp, task)
+    np.testing.assert_allclose(polished.path_m[-1], [1.2, 1.6], atol=1e-3)
+
+
+def test_a_field_of_one_measurement(nlp):
+    """Station, measurement and way on one line: it ends where the exact margin is the bound."""
+    parameters = ChannelParameters(-30.0, 3.0, 4.0, 8.0, 1.0, Station((-6.0, 0.0), 2.0))
+    one = Measurements(np.array([[1.0, 0.0]]), np.array([-54.0]), np.array([False]))
+    posterior = condition(parameters, one, theta="known")
+    p_min, threshold = 0.9, -68.0
+    z = bound_quantile(p_min)
+
+    def exact(x):
+        power = predict(posterior, np.array([[x, 0.0]]))
+        return float(bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)[0])
+
+    assert exact(3.0) > 0.0 > exact(20.0)
+    end = brentq(exact, 3.0, 20.0)
+    path = np.outer(np.arange(1, N + 1), [end / 4.0, 0.0])
+    model = neighbour_model(posterior, path, 4)
+    task = reach_task(
+        N,
+        LINES,
+        path_m=path,
+        step_length_m=20.0,
+        effort_s_m2=0.01,
+        margins=lambda q: stage_margins(model, q, threshold, z),
+    )
+    polished = solved(nlp, task)
+    assert polished.path_m[-1, 0] == pytest.approx(end, abs=0.02)
+    assert abs(exact(polished.path_m[-1, 0])) < 0.02
+    np.testing.assert_allclose(polished.path_m[:, 1], 0.0, atol=1e-3)
+
+
+# Elastic.
+
+
+def test_elastic_minimises_the_missing_db(nlp):
+    """A peak out of reach: every stage as near to it as speed allows, the rest is slack."""
+    task = reach_task(
+        N,
+        LINES,
+        margins=bowl_margins([0.0, 10.0], 0.0),
+        bound_db=np.zeros(N),
+        slack_limit_db=np.full(N, np.inf),
+        elastic=True,
+    )
+    polished = solved(nlp, task)
+    np.testing.assert_allclose(polished.path_m, ALONG[:, ::-1] * 2.0, atol=1e-3)
+    np.testing.assert_allclose(polished.slack_db, [64.0, 36.0, 16.0], atol=0.02)
+    np.testing.assert_allclose(polished.multipliers["connectivity"], -1.0, atol=1e-3)
+
+
+def test_elastic_misses_nothing_where_nothing_is_missing(nlp):
+    """With the bound within reach the slack is zero, although the start misses it."""
+    task = reach_task(
+        N,
+        LINES,
+        path_m=ALONG + np.array([0.0, 2.0]),
+        margins=slope_margins([0.0, -1.0], 0.5),
+        slack_limit_db=np.full(N, np.inf),
+        elastic=True,
+    )
+    polished = solved(nlp, task)
+    assert polished.slack_db.max() < 1e-4
+    assert (polished.path_m[:, 1] <= 0.5 + 1e-4).all()
+
+
+def test_elastic_gives_only_where_it_may(nlp):
+    """A stage without slack keeps its bound; the others miss what the compromise costs."""
+    task = reach_task(
+        N,
+        LINES,
+        margins=slope_margins([0.0, 1.0], -3.0),
+        slack_limit_db=np.array([np.inf, 0.0, np.inf]),
+        elastic=True,
+    )
+    polished = solved(nlp, task)
+    assert polished.slack_db[1] <= 1e-6
+    assert polished.path_m[1, 1] >= 3.0 - 1e-5
+    # Its own two metres are all that the first step can climb.
+    np.testing.assert_allclose(polished.slack_db[[0, 2]], [1.0, 0.0], atol=1e-3)
+
+
+def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
+    """Without slack the same is refused, and by how much is in the residual."""
+    task = reach_task(N, LINES, bound_db=np.full(N, 11.0))
+    polished = polish(nlp, task)
+    assert polished.termination is Termination.INFEASIBLE
+    assert polished.kkt_residual >= 0.99
+
+
+def test_slack_up_to_a_limit(nlp):
+    """Half a dB may be missing: the path goes that much farther down the slope."""
+    task = reach_task(
+        N,
+        LINES,
+        margins=slope_margins([-1.0, 0.0], 6.0),
+        bound_db=np.full(N, 2.0),
+        slack_limit_db=np.full(N, 0.5),
+    )
+    polished = solved(nlp, task)
+    assert polished.path_m[-1, 0] == pytest.approx(4.5, abs=1e-3)
+    assert polished.slack_db.max() <= 0.5 + 1e-6
+
+
+# Residual and reuse.
+
+HARD = {
+    "margins": bowl_margins([2.0, 2.0], 9.0),
+    "bound_db": np.full(N, 3.0),
+    "lines": with_line(no_lines(N, LINES), 1, [-0.6, 0.8], 0.2),
+    "pivot_m": np.array([9.0, 4.0]),
+}
+
+
+@pytest.mark.parametrize("which", range(N + (2 * N - 1) * LINES + N))
+def test_a_perturbed_multiplier_shows_in_the_residual(nlp, monkeypatch, which):
+    """Had the solver returned any row's multiplier wrong, the residual would say so."""
+    call = polish_module.call_nlp
+
+    def wrong(*arguments):
+        point = call(*arguments)
+        multipliers = point.row_multipliers.copy()
+        multipliers[which] += 0.3
+        return replace(point, row_multipliers=multipliers)
+
+    task = reach_task(N, LINES, **HARD)
+    assert solved(nlp, task).kkt_residual < 1e-5
+    monkeypatch.setattr(polish_module, "call_nlp", wrong)
+    assert polish(nlp, task).kkt_residual > 0.05
+
+
+def test_a_moved_point_shows_in_the_residual(nlp, monkeypatch):
+    """So it would for a place or a slack that is not the solution's."""
+    call = polish_module.call_nlp
+
+    def moved(*arguments):
+        point = call(*arguments)
+        return replace(point, positions_m=point.positions_m + np.array([0.0, 0.1]))
+
+    task = reach_task(N, LINES, **HARD)
+    monkeypatch.setattr(polish_module, "call_nlp", moved)
+    assert polish(nlp, task).kkt_residual > 0.01
+
+
+def test_the_same_solve_twice_is_the_same(nlp):
+    """Bit for bit, from this solver and from a new one."""
+    task = reach_task(N, LINES, **HARD)
+    first = polish(nlp, task)
+    assert same(polish(nlp, task), first)
+    assert same(polish(build_reach_nlp(N, LINES), task), first)
+
+
+FAILURES = {
+    "margins not a number": ({"margins": constant_margins(np.nan)}, Termination.NUMERICAL_FAILURE),
+    "bound out of reach": ({"bound_db": np.full(N, 1e3)}, Termination.INFEASIBLE),
+    "start not a number": ({"path_m": np.full((N, 2), np.nan)}, Termination.NUMERICAL_FAILURE),
+    "start far off": (
+        {"path_m": ALONG + np.array([0.0, 1e6]), "bounds_m": (-1e7, -1e7, 1e7, 1e7)},
+        None,
+    ),
+    "lines that contradict each other": (
+        {
+            "lines": with_line(
+                with_line(no_lines(N, LINES), 0, [0.0, 1.0], 1.5), 1, [0.0, -1.0], 1.5
+            )
+        },
+        Termination.INFEASIBLE,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_a_failed_solve_leaves_nothing_behind(nlp, name):
+    """The next solve is what it would have been, and the failed one is not taken for solved."""
+    changes, termination = FAILURES[name]
+    task = reach_task(N, LINES, **HARD)
+    before = polish(nlp, task)
+    failed = polish(nlp, replace(task, **changes))
+    if termination is not None:
+        assert failed.termination is termination
+        assert failed.kkt_residual > 0.1
+    assert same(polish(nlp, task), before)
+
+
+def test_margins_that_are_not_a_number_have_no_residual(nlp):
+    """Nothing says how far from a solution such a point is."""
+    polished = polish(nlp, reach_task(N, LINES, margins=constant_margins(np.nan)))
+    assert polished.kkt_residual == np.inf
+
+
+def test_margins_that_turn_into_no_number_on_the_way(nlp):
+    """A field that ends in the middle of the way: never a crash, never a point with a NaN."""
+
+    def ends(positions_m):
+        here = constant_margins(10.0)(positions_m)
+        return replace(here, value=np.where(positions_m[:, 0] < 3.5, here.value, np.nan))
+
+    polished = polish(nlp, reach_task(N, LINES, margins=ends))
+    assert np.isfinite(polished.path_m).all()
+    assert polished.termination is not Termination.CONVERGED or polished.path_m[:, 0].max() < 3.5
+
+
+def test_nothing_is_printed(nlp, capfd):
+    """Not by a solve that works, nor by one that fails in any way: at the level of files."""
+    build_reach_nlp(2, 1)
+    polish(nlp, reach_task(N, LINES, **HARD))
+    for changes, _ in FAILURES.values():
+        polish(nlp, replace(reach_task(N, LINES, **HARD), **changes))
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err == ""
+
+
+def test_a_new_process_prints_nothing():
+    """IPOPT's banner comes once a process, so that only a first solve could show it."""
+    program = (
+        "from reach_tasks import reach_task\n"
+        "from planopt.planning.programme.polish import polish\n"
+        "from planopt.planning.programme.reach_nlp import build_reach_nlp\n"
+        "assert polish(build_reach_nlp(1, 0), reach_task(1, 0)).termination == 'converged'\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parent,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_one_step_without_lines():
+    """The smallest structure: one step straight to the limit, empty tables of lines."""
+    polished = solved(build_reach_nlp(1, 0), reach_task(1, 0))
+    np.testing.assert_allclose(polished.path_m, [[2.0, 0.0]], atol=1e-4)
+    assert polished.multipliers["line_end"].shape == (1, 0)
+    assert polished.multipliers["line_start"].shape == (0, 0)

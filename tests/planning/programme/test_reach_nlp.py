@@ -1,0 +1,165 @@
+"""The built programme: its rows, its derivatives, its solver."""
+
+import numpy as np
+import pytest
+from reach_tasks import bowl_margins, constant_margins
+
+from planopt.planning.programme.ipopt import call_nlp
+from planopt.planning.programme.margin_source import MarginSource
+from planopt.planning.programme.path_rows import PathCallback
+from planopt.planning.programme.reach_nlp import (
+    PIVOT_ROUNDING_M,
+    build_reach_nlp,
+)
+from planopt.planning.programme.stage_kernel import StageMargins
+
+N, LINES = 3, 2
+ROWS = N + N * LINES + (N - 1) * LINES  # speed, line ends, line starts; then connectivity
+
+
+def saddle(positions_m):
+    """Margins with every second derivative different from zero and from stage to stage."""
+    x, y = positions_m.T
+    k = np.arange(1.0, len(x) + 1.0)
+    return StageMargins(
+        k * x**2 * y + y**3 - x,
+        np.stack([2.0 * k * x * y - 1.0, k * x**2 + 3.0 * y**2], axis=1),
+        np.stack([2.0 * k * y, 2.0 * k * x, 6.0 * y], axis=1),
+    )
+
+
+@pytest.fixture(scope="module")
+def nlp():
+    """Three steps, two lines a segment."""
+    return build_reach_nlp(N, LINES)
+
+
+@pytest.fixture
+def point(nlp):
+    """Random positions, slacks and parameters, the margins set."""
+    generator = np.random.default_rng(4)
+    nlp.source.use(saddle)
+    x = generator.standard_normal(3 * N)
+    head = np.array([0.3, -0.2, 5.0, 4.0, 0.7, 1.3, 0.9, 2.5])
+    return x, np.concatenate([head, generator.standard_normal(3 * N * LINES)])
+
+
+def objective(x, p):
+    """The docstring's cost in NumPy."""
+    q = np.vstack([p[:2], x[: 2 * N].reshape(N, 2)])
+    to_pivot = np.sqrt(((q[-1] - p[2:4]) ** 2).sum() + PIVOT_ROUNDING_M**2)
+    effort = p[4] * (np.diff(q, axis=0) ** 2).sum()
+    return p[6] * (effort + p[5] * to_pivot) + p[7] * x[2 * N :].sum()
+
+
+def rows(x, p):
+    """The docstring's rows in NumPy."""
+    q = np.vstack([p[:2], x[: 2 * N].reshape(N, 2)])
+    lines = p[8:].reshape(N, LINES, 3)
+    ends = [n @ q[k + 1] - b for k in range(N) for *n, b in lines[k]]
+    starts = [n @ q[k] - b for k in range(1, N) for *n, b in lines[k]]
+    speed = (np.diff(q, axis=0) ** 2).sum(1)
+    return np.concatenate([speed, ends, starts, saddle(q[1:]).value + x[2 * N :]])
+
+
+def differences(function, x, h=1e-6):
+    """Jacobian by central differences."""
+    steps = h * np.eye(len(x))
+    return np.stack([(function(x + s) - function(x - s)) / (2.0 * h) for s in steps], axis=-1)
+
+
+def test_cost_and_gradient(nlp, point):
+    """What the solver is given is the documented cost and its gradient."""
+    x, p = point
+    value, gradient = nlp.solver.get_function("nlp_grad_f")(x, p)
+    assert float(value) == pytest.approx(objective(x, p), rel=1e-12)
+    expected = differences(lambda at: objective(at, p), x)
+    np.testing.assert_allclose(np.asarray(gradient).ravel(), expected, atol=1e-7)
+
+
+def test_rows_and_jacobian(nlp, point):
+    """The documented rows in the documented order, and their Jacobian."""
+    x, p = point
+    value, jacobian = nlp.solver.get_function("nlp_jac_g")(x, p)
+    assert value.numel() == ROWS + N
+    np.testing.assert_allclose(np.asarray(value).ravel(), rows(x, p), rtol=1e-12)
+    np.testing.assert_allclose(
+        np.asarray(jacobian), differences(lambda at: rows(at, p), x), atol=1e-7
+    )
+
+
+def test_hessian_of_the_lagrangian(nlp, point):
+    """Upper triangle of the second derivatives, multipliers of either sign."""
+    x, p = point
+    multipliers = np.random.default_rng(5).standard_normal(ROWS + N)
+    triangle = np.asarray(nlp.solver.get_function("nlp_hess_l")(x, p, 1.7, multipliers))
+
+    def gradient(at):
+        cost = differences(lambda y: objective(y, p), at, 1e-4)
+        return 1.7 * cost + multipliers @ differences(lambda y: rows(y, p), at, 1e-4)
+
+    full = differences(gradient, x, 1e-4)
+    np.testing.assert_array_equal(triangle, np.triu(triangle))
+    np.testing.assert_allclose(triangle, np.triu(full), atol=1e-5)
+
+
+def test_stages_see_only_their_own_margin():
+    """The three callbacks give values, gradients and Hessians flattened stage by stage."""
+    source = MarginSource(2)
+    source.use(saddle)
+    flat = np.array([0.5, -1.0, 2.0, 3.0])
+    expected = saddle(flat.reshape(2, 2))
+    for quantity, width in (("value", 1), ("gradient", 2), ("hessian", 3)):
+        callback = PathCallback(
+            f"c_{quantity}", 2, 2 * width, lambda at, q=quantity: getattr(source.at(at), q)
+        )
+        found = np.asarray(callback(flat)).ravel()
+        np.testing.assert_array_equal(found, getattr(expected, quantity).ravel())
+
+
+@pytest.mark.parametrize(("horizon", "lines"), [(1, 0), (1, 2), (2, 1), (5, 0)])
+def test_every_structure_solves(horizon, lines):
+    """One step, no lines: as many variables and multipliers as the structure says."""
+    nlp = build_reach_nlp(horizon, lines)
+    nlp.source.use(bowl_margins([0.0, 0.0], 100.0))
+    parameters = np.zeros(8 + 3 * horizon * lines)
+    parameters[:8] = [0.0, 0.0, 9.0, 0.0, 0.1, 1.0, 1.0, 0.0]
+    plain = horizon + (2 * horizon - 1) * lines
+    lower = np.concatenate([np.full(horizon, -np.inf), np.zeros(plain)])
+    upper = np.concatenate([np.ones(horizon), np.full(plain, np.inf)])
+    bound = np.concatenate([np.full(2 * horizon, 50.0), np.zeros(horizon)])
+    found = call_nlp(
+        nlp.solver,
+        nlp.horizon,
+        np.zeros(3 * horizon),
+        parameters,
+        (np.where(bound > 0.0, -bound, 0.0), bound),
+        (lower, upper),
+    )
+    assert found.status == "Solve_Succeeded"
+    assert found.iterations > 0
+    expected = np.outer(np.arange(1, horizon + 1), [1.0, 0.0])
+    np.testing.assert_allclose(found.positions_m, expected, atol=1e-4)
+    assert found.slack_db.shape == (horizon,)
+    assert found.row_multipliers.shape == (plain + horizon,)
+    assert found.variable_multipliers.shape == (3 * horizon,)
+
+
+def test_two_solvers_do_not_share_margins():
+    """Each solver evaluates its own source."""
+    one, two = build_reach_nlp(1, 0), build_reach_nlp(1, 0)
+    one.source.use(constant_margins(5.0))
+    two.source.use(constant_margins(-5.0))
+    statuses = [
+        call_nlp(
+            nlp.solver,
+            nlp.horizon,
+            np.zeros(3),
+            np.array([0.0, 0.0, 9.0, 0.0, 0.1, 1.0, 1.0, 0.0]),
+            (np.array([-9.0, -9.0, 0.0]), np.array([9.0, 9.0, 0.0])),
+            (np.array([-np.inf, 0.0]), np.array([1.0, np.inf])),
+        ).status
+        for nlp in (one, two)
+    ]
+    assert statuses[0] == "Solve_Succeeded"
+    assert statuses[1] == "Infeasible_Problem_Detected"

@@ -1,0 +1,122 @@
+"""The global start: a lattice path that keeps the bound wherever one can."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.stats
+from scenes import (
+    CUP,
+    WALL,
+    bad_band,
+    bad_disc,
+    belief_of,
+    good_everywhere,
+    kriged,
+    search_of,
+    small_problem,
+)
+
+from planopt.planning.proof.verify import verify
+from planopt.planning.search.global_search import GlobalStart
+
+
+def found(problem, power_at=good_everywhere) -> GlobalStart:
+    """The start path from the problem's start."""
+    search, belief, _ = search_of(problem, power_at)
+    start = search.find_start(
+        np.asarray(problem.robots[0].start_m), belief.posterior.measurements.positions_m
+    )
+    assert start is not None
+    return start
+
+
+@pytest.mark.parametrize("cost_to_go", ["geodesic", "connected"])
+@pytest.mark.parametrize("horizon", [1, 5, 25])
+def test_path_is_one_that_can_be_driven(cost_to_go, horizon):
+    """N nodes, and the verifier has nothing against it."""
+    problem = small_problem(CUP, cost_to_go=cost_to_go, horizon=horizon, start_m=(18.0, 15.0))
+    search, belief, scene = search_of(problem)
+    at = np.asarray(problem.robots[0].start_m)
+    start = search.find_start(at, belief.posterior.measurements.positions_m)
+    assert start.path_m.shape == (horizon, 2)
+    assert (scene.road_map.nodes_m[start.nodes] == start.path_m).all()
+    certificate, _ = verify(
+        problem, scene.index, belief.posterior, at, np.vstack([at, start.path_m])
+    )
+    assert certificate.reasons == ()
+    assert not start.crossing
+
+
+def test_margins_are_exact_along_the_path():
+    """Kriging written out, at every node of it."""
+    problem, power = small_problem(horizon=10), bad_disc(14.0, 15.0, 3.0)
+    start = found(problem, power)
+    mean, deviation = kriged(belief_of(problem, power), start.path_m)
+    margin = mean - scipy.stats.norm.ppf(0.9) * deviation + 80.0
+    assert np.allclose(start.margin_db, margin, atol=1e-6)
+    assert (margin >= 0.0).all()
+
+
+def test_below_the_bound_only_as_long_as_must_be():
+    """Out of a hole by the straightest way: no more steps below than the fastest needs."""
+    start = found(small_problem(horizon=8), bad_disc(5.0, 15.0, 5.0))
+    below = np.nonzero(start.margin_db < 0.0)[0]
+    assert list(below) == [0, 1]
+
+
+def test_beyond_is_the_way_on():
+    """From the path's end to the goal, as far as a faster path could come; none past the goal."""
+    problem = small_problem(WALL, horizon=4)
+    start = found(problem)
+    assert 0 < len(start.beyond_m)
+    way = np.vstack([start.path_m[-1:], start.beyond_m])
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= 2.0
+    arriving = found(small_problem(start_m=(34.0, 15.0), horizon=4))
+    assert len(arriving.beyond_m) == 0
+    assert np.allclose(arriving.path_m[-1], (35.0, 15.0))
+
+
+def test_beyond_ends_where_the_bound_does():
+    """The way on is only worth something as long as it can be gone."""
+    problem = small_problem(start_m=(9.0, 15.0), cost_to_go="geodesic", horizon=3)
+    start = found(problem, bad_band(18.0, 24.0))
+    assert start.beyond_m.size == 0 or start.beyond_m[:, 0].max() < 19.0
+
+
+def test_no_node_in_reach():
+    """From far outside there is no first move."""
+    search, belief, _ = search_of(small_problem())
+    measured = belief.posterior.measurements.positions_m
+    assert search.find_start(np.array([90.0, 90.0]), measured) is None
+
+
+def test_geodesic_goes_straight_connected_goes_round():
+    """Before a wide hole in the bound the two costs to go part."""
+    power = bad_band(18.0, 24.0, open_above_m=20.0)
+    ends = {
+        cost: found(small_problem(start_m=(12.0, 15.0), cost_to_go=cost, horizon=5), power).path_m[
+            -1
+        ]
+        for cost in ("geodesic", "connected")
+    }
+    assert ends["connected"][1] > ends["geodesic"][1] + 2.0
+
+
+def test_gap_without_a_way_round_is_measured_then_crossed():
+    """Standing before it again and again, learning nothing: in the end it is crossed."""
+    problem = small_problem(
+        bounds_m=(0.0, 0.0, 28.0, 6.0), start_m=(5.0, 3.0), goal_m=(25.0, 3.0), horizon=6
+    )
+    search, belief, _ = search_of(problem, bad_band(6.0, 10.0))
+    measured = belief.posterior.measurements.positions_m
+    at, crossed = np.array([5.0, 3.0]), False
+    for _ in range(60):
+        start = search.find_start(at, measured)
+        crossed = crossed or start.crossing
+        at = start.path_m[0]
+        measured = np.vstack([measured, at])
+        if at[0] > 11.0:
+            break
+    assert crossed
+    assert at[0] > 11.0

@@ -1,0 +1,96 @@
+"""Values of many ways at once: those of the exact worth, one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
+
+from planopt.channel.posterior import condition
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.worth.path_worth import PathWorth
+
+
+def mapping(form):
+    """A mapping term."""
+    return {"kind": "mapping", "form": form, "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
+
+
+def ways_of(situation, count=7):
+    """Ways in all directions."""
+    rng = np.random.default_rng(2)
+    shape = (count, situation.problem.planner.horizon, 2)
+    return situation.position_m + np.cumsum(rng.normal(size=shape), axis=1)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (TRACKING,),
+        *[({**LEARNING, "criterion": kind},) for kind in "DTAV"],
+        *[(mapping(form),) for form in ("two_layer", "path", "information", "average")],
+        (TRACKING, {**LEARNING, "weight": 3.0}, {**mapping("path"), "weight": 0.2}, ENERGY),
+    ],
+)
+@pytest.mark.parametrize("horizon", [1, 6])
+def test_values_are_the_exact_worths(terms, horizon):
+    """All 40 measurements are near: nothing but rounding is between the two."""
+    situation, _ = situation_of(terms_problem(*terms, horizon=horizon))
+    ways, worth = ways_of(situation), PathWorth(situation)
+    exact = [worth(way) for way in ways]
+    np.testing.assert_allclose(LocalRanking(situation, ways)(ways), exact, rtol=2e-4, atol=2e-4)
+
+
+def test_without_a_place_to_steer_to_two_layer_is_worth_nothing():
+    """As the exact worth has it."""
+    situation, _ = situation_of(terms_problem(mapping("two_layer")))
+    situation = replace(situation, steering_m=None)
+    ways = ways_of(situation)
+    np.testing.assert_array_equal(LocalRanking(situation, ways)(ways), np.zeros(len(ways)))
+
+
+def chances(situation, ways, threshold_dbm):
+    """P(connected) at every place of the ways."""
+    found = situation.posterior.connectivity(ways.reshape(-1, 2), threshold_dbm)
+    return found.reshape(ways.shape[:2])
+
+
+def test_ways_that_miss_the_bound_come_last():
+    """Whatever they are worth."""
+    situation, _ = situation_of(terms_problem(LEARNING))
+    ways = ways_of(situation, 60)
+    chance = chances(situation, ways, -32.0)
+    station = replace(situation.problem.stations[0], threshold_dbm=-32.0)
+    free = replace(situation, problem=replace(situation.problem, stations=(station,)))
+    bounded = replace(free.problem, constraints=replace(free.problem.constraints, p_min=0.5))
+    situation = replace(situation, problem=bounded)
+    values, worths = LocalRanking(situation, ways)(ways), LocalRanking(free, ways)(ways)
+    kept = (chance >= 0.5).all(axis=1)
+    assert 0 < kept.sum() < len(ways)
+    np.testing.assert_allclose(values[kept], worths[kept])
+    badly = (chance < 0.4).any(axis=1)
+    assert values[kept].min() > values[badly].max()
+
+
+def test_order_of_measurements_changes_nothing():
+    """A channel is a set of measurements."""
+    situation, _ = situation_of(terms_problem(LEARNING, mapping("information")))
+    before = situation.posterior
+    order = np.random.default_rng(0).permutation(len(before.measurements))
+    shuffled = condition(before.parameters, before.measurements.take(order))
+    ways = ways_of(situation)
+    np.testing.assert_allclose(
+        LocalRanking(replace(situation, posterior=shuffled), ways)(ways),
+        LocalRanking(situation, ways)(ways),
+        rtol=1e-4,
+    )
+
+
+def test_more_ways_change_no_value():
+    """Each way is valued by itself."""
+    situation, _ = situation_of(terms_problem(mapping("average")))
+    ways = ways_of(situation)
+    value = LocalRanking(situation, ways)
+    np.testing.assert_allclose(value(ways[2:4]), value(ways)[2:4], rtol=1e-4)

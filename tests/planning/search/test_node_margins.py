@@ -1,0 +1,100 @@
+"""Margins at lattice nodes: the cached map, corrected by the exact posterior where asked."""
+
+import numpy as np
+import pytest
+import shapely
+from scenes import small_road_map
+
+from planopt.channel.kriging import predict
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import condition, extend
+from planopt.planning.search.node_margins import NodeMargins
+
+PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 4.0, 2.0, Station((3.0, -4.0), 6.0))
+THRESHOLD, P_MIN = -70.0, 0.9
+Z_90 = 1.2815515655446004
+
+
+def data(count, seed=0):
+    """Random powers on the lattice's rectangle."""
+    generator = np.random.default_rng(seed)
+    positions = generator.uniform((0.0, 0.0), (10.0, 8.0), (count, 2))
+    power = -68.0 + 4.0 * np.sin(positions[:, 0]) + generator.standard_normal(count)
+    return Measurements(positions, power, np.zeros(count, dtype=bool))
+
+
+def exact(posterior, places):
+    """Margin by the full posterior, the bound written out."""
+    power = predict(posterior, places)
+    return power.mean_db - Z_90 * power.deviation_db - THRESHOLD
+
+
+@pytest.fixture
+def road_map():
+    """A lattice with a block in it."""
+    return small_road_map(shapely.box(4.0, 3.0, 6.0, 5.0), spacing_m=0.5)
+
+
+@pytest.fixture
+def margins(road_map):
+    """Margins of its nodes."""
+    return NodeMargins(road_map, THRESHOLD, P_MIN)
+
+
+def test_few_measurements_make_the_map_exact(road_map, margins):
+    """Where a tile takes every measurement there is, all nodes have the exact margin."""
+    posterior = condition(PARAMETERS, data(20))
+    margins.refresh(posterior)
+    np.testing.assert_allclose(margins.margin_db, exact(posterior, road_map.nodes_m), atol=1e-8)
+
+
+def test_many_measurements_are_near_and_exact_where_corrected(road_map, margins):
+    """The map is off by little; corrected nodes are exact, the others stay as they were."""
+    posterior = condition(PARAMETERS, data(200))
+    margins.refresh(posterior)
+    before = margins.margin_db.copy()
+    wanted = exact(posterior, road_map.nodes_m)
+    assert 0.0 < np.abs(before - wanted).max() < 1.0
+    nodes = np.array([3, 50, 3, 17])
+    assert margins.correct(nodes)
+    np.testing.assert_allclose(margins.margin_db[nodes], wanted[nodes], atol=1e-9)
+    others = np.setdiff1d(np.arange(len(before)), nodes)
+    np.testing.assert_array_equal(margins.margin_db[others], before[others])
+
+
+def test_correcting_again_tells_that_nothing_is_new(margins):
+    """True only while some node was not exact before; no node at all is nothing new."""
+    margins.refresh(condition(PARAMETERS, data(200)))
+    assert margins.correct(np.array([1, 2]))
+    assert not margins.correct(np.array([2, 1, 1]))
+    assert margins.correct(np.array([1, 3]))
+    assert not margins.correct(np.array([], dtype=np.intp))
+
+
+def test_a_new_belief_forgets_the_corrections(road_map, margins):
+    """After a refresh every margin is the new belief's, and exact values count as new again."""
+    posterior = condition(PARAMETERS, data(200))
+    margins.refresh(posterior)
+    everyone = np.arange(len(road_map.nodes_m))
+    margins.correct(everyone)
+    more = extend(posterior, data(3, seed=9))
+    margins.refresh(more)
+    assert margins.correct(everyone)
+    np.testing.assert_allclose(margins.margin_db, exact(more, road_map.nodes_m), atol=1e-9)
+
+
+def test_the_margin_at_a_place_is_exact(margins):
+    """Off the lattice too."""
+    posterior = condition(PARAMETERS, data(200))
+    margins.refresh(posterior)
+    place = np.array([3.21, 1.234])
+    assert margins.at(place[None])[0] == pytest.approx(exact(posterior, place[None])[0], abs=1e-9)
+
+
+def test_without_a_belief_there_is_no_margin(margins):
+    """Asking before the first refresh is a mistake of the caller."""
+    with pytest.raises(AssertionError, match="refresh first"):
+        margins.at(np.zeros((1, 2)))
+    with pytest.raises(AssertionError, match="refresh first"):
+        margins.correct(np.array([0]))

@@ -1,0 +1,74 @@
+"""Rewards of lattice nodes: those of the path's worth, cut off where nothing is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+from planopt.planning.search.node_field import NodeField
+from planopt.planning.search.stage_rewards import StageRewards
+from planopt.planning.worth.path_worth import PathWorth
+
+
+def rewards_of(problem, reach_m=6.0):
+    """Rewards about the start, the field and the situation."""
+    situation, belief = situation_of(problem)
+    _, ground = judge_of(situation, belief)
+    field = NodeField(ground.road_map.lattice)
+    field.refresh(situation, reach_m)
+    return StageRewards(situation, field), field, situation
+
+
+def nodes_near(field, count=5):
+    """Nodes (count, 2) near the middle of what is in reach, free of the obstacle."""
+    rows, columns = field.window
+    row, column = (rows.start + rows.stop) // 2, (columns.start + columns.stop) // 2
+    return np.column_stack([row + np.arange(count) - 2, np.full(count, column - 1)])
+
+
+def test_rewards_along_a_path_are_the_windows_and_its_worth():
+    """Stage by stage; with good predictions at the nodes their sum is the path's worth."""
+    rewards, field, situation = rewards_of(terms_problem(TRACKING))
+    nodes = nodes_near(field)
+    windows = [
+        rewards(k + 1, (slice(row, row + 1), slice(column, column + 1)))[0, 0]
+        for k, (row, column) in enumerate(nodes)
+    ]
+    np.testing.assert_allclose(rewards.along(nodes), windows, rtol=1e-12)
+    assert field.correct(nodes)
+    assert not field.correct(nodes)
+    rewards.corrected(nodes)
+    worth = PathWorth(situation)(field.places_m(nodes))
+    assert rewards.along(nodes).sum() == pytest.approx(worth, rel=1e-9)
+
+
+def test_nothing_is_gained_out_of_reach_or_in_obstacles():
+    """The window has every node within reach along both axes; others are worth minus infinity."""
+    rewards, field, situation = rewards_of(terms_problem(TRACKING))
+    ny, nx = field.mean_db.shape
+    worth = rewards(1, (slice(0, ny), slice(0, nx)))
+    rows, columns = field.window
+    within = (np.abs(field.grid_m - situation.position_m) <= 6.0).all(axis=2)
+    assert within[rows, columns].all() and within.sum() == within[rows, columns].size
+    assert np.isneginf(worth[~within]).all()
+    known = np.isfinite(field.mean_db) & within
+    np.testing.assert_array_equal(np.isfinite(worth), known)
+    assert known.sum() > 50
+
+
+@pytest.mark.parametrize("terms", [(TRACKING,), (TRACKING, LEARNING)])
+def test_a_step_that_misses_the_bound_costs_more_than_all_can_gain(terms):
+    """However little it misses."""
+    problem = terms_problem(*terms, p_min=0.9)
+    radio = replace(problem.stations[0], threshold_dbm=-33.0)
+    rewards, field, _ = rewards_of(replace(problem, stations=(radio,)))
+    everywhere = field.window
+    worth = rewards(1, everywhere)
+    finite = worth[np.isfinite(worth)]
+    kept = finite[finite >= 0.0]
+    missed = finite[finite < 0.0]
+    assert len(kept) and len(missed)
+    assert kept.max() * problem.planner.horizon + missed.max() <= 0.0

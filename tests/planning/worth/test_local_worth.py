@@ -1,0 +1,105 @@
+"""The worth that a solver sees: its derivatives, and how near it is to the exact worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
+
+from planopt.planning.worth.local_worth import is_stagewise, local_worth
+from planopt.planning.worth.path_worth import PathWorth
+
+
+def mapping(form):
+    """A mapping term."""
+    return {
+        "kind": "mapping",
+        "form": form,
+        "variance_threshold_db2": 2.0,
+        "closeness_per_m": 0.02,
+    }
+
+
+SUMS = [
+    (TRACKING,),
+    (mapping("two_layer"),),
+    (LEARNING,),
+    ({**LEARNING, "criterion": "T"},),
+    ({**LEARNING, "criterion": "A"},),
+    ({**LEARNING, "criterion": "V"},),
+    (mapping("information"),),
+    (mapping("path"),),
+    (mapping("average"),),
+    (TRACKING, {**LEARNING, "weight": 3.0}, {**ENERGY, "weight": 0.7}),
+]
+
+
+def a_path(situation):
+    """A path that does not stand still, with room for differences."""
+    rng = np.random.default_rng(1)
+    steps = np.array([0.9, 0.8]) + 0.3 * rng.normal(size=(situation.problem.planner.horizon, 2))
+    return situation.position_m + np.cumsum(steps, axis=0)
+
+
+def full(hessian, stages):
+    """The Hessian as a full matrix."""
+    if hessian.shape == (2 * stages, 2 * stages):
+        return hessian
+    matrix = np.zeros((2 * stages, 2 * stages))
+    for k, (xx, xy, yy) in enumerate(hessian):
+        matrix[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[xx, xy], [xy, yy]]
+    return matrix
+
+
+@pytest.mark.parametrize("terms", SUMS)
+@pytest.mark.parametrize("p_min", [0.0, 0.8])
+def test_derivatives_are_those_of_the_value(terms, p_min):
+    """Gradient, Hessian and margins by central differences; stagewise sums have no cross terms."""
+    problem = terms_problem(*terms, p_min=p_min)
+    situation, _ = situation_of(problem)
+    path = a_path(situation)
+    evaluate = local_worth(situation, path)
+    at = evaluate(path)
+    n, step = len(path), 1e-4
+    gradient, hessian = np.empty(2 * n), np.empty((2 * n, 2 * n))
+    for i in range(2 * n):
+        moved = np.zeros(2 * n)
+        moved[i] = step
+        more, less = (evaluate(path + sign * moved.reshape(n, 2)) for sign in (1, -1))
+        gradient[i] = (more.value.value - less.value.value) / (2 * step)
+        hessian[i] = (more.value.gradient - less.value.gradient).ravel() / (2 * step)
+        if p_min:
+            slope = (more.margins.value - less.margins.value) / (2 * step)
+            assert slope[i // 2] == pytest.approx(at.margins.gradient.ravel()[i], abs=1e-6)
+    scale = np.abs(gradient).max()
+    np.testing.assert_allclose(at.value.gradient.ravel(), gradient, atol=1e-6 * scale)
+    found = full(at.value.hessian, n)
+    np.testing.assert_allclose(found, hessian, atol=1e-5 * max(np.abs(hessian).max(), scale))
+    assert (at.margins is None) == (p_min == 0.0)
+    assert is_stagewise(problem) == (at.value.hessian.shape == (n, 3))
+
+
+@pytest.mark.parametrize("terms", SUMS)
+def test_value_is_near_the_exact_worth(terms):
+    """With all 40 measurements near, only the rounded cusps are between them."""
+    problem = terms_problem(*terms)
+    situation, _ = situation_of(problem)
+    path, other = a_path(situation), a_path(situation)[::-1]
+    evaluate, worth = local_worth(situation, path), PathWorth(situation)
+    # Constants may differ: what a start costs is not a solver's matter.
+    local = evaluate(path).value.value - evaluate(other).value.value
+    exact = worth(path) - worth(other)
+    assert local == pytest.approx(exact, rel=0.02, abs=0.02)
+
+
+def test_worth_is_the_weighted_sum_of_its_terms():
+    """Twice the weight is twice the term."""
+    once, twice = ({**TRACKING, "weight": w} for w in (1.0, 2.0))
+    situation, _ = situation_of(terms_problem(once, LEARNING, ENERGY))
+    doubled, _ = situation_of(terms_problem(twice, LEARNING, ENERGY))
+    path = a_path(situation)
+    parts, more = PathWorth(situation).by_term(path), PathWorth(doubled).by_term(path)
+    assert more[0] == pytest.approx(2.0 * parts[0])
+    assert more[1:] == pytest.approx(parts[1:])
+    assert PathWorth(situation)(path) == pytest.approx(sum(parts))
+    assert parts[2] < 0.0

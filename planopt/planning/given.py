@@ -13,7 +13,8 @@ from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
-from planopt.problems.problem import LoggedMeasurements, ModelTruth, Problem, RasterTruth
+from planopt.problems.channel_setup import LoggedMeasurements, ModelTruth, RasterTruth
+from planopt.problems.problem import Problem
 from planopt.world.clearance import clearance_m, index_obstacles
 from planopt.world.raster_files import read_raster
 

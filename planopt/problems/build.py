@@ -7,21 +7,18 @@ from pathlib import Path
 from planopt.channel.multipath.multipath_models import Rician
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
-from planopt.problems.problem import (
+from planopt.problems.channel_setup import (
     ChannelSetup,
-    Constraints,
     LoggedMeasurements,
     ModelTruth,
-    PlannerSettings,
-    Problem,
-    RadioStation,
     RasterTruth,
-    ReachObjective,
-    ReportSettings,
-    Robot,
     SampledMeasurements,
-    TermsObjective,
 )
+from planopt.problems.constraints import Constraints
+from planopt.problems.objective import ReachObjective, TermsObjective
+from planopt.problems.problem import Problem
+from planopt.problems.radio_station import RadioStation
+from planopt.problems.robot import Robot
 from planopt.problems.schema import ObstacleTable, ProblemFile
 from planopt.problems.schema_channel import (
     ChannelTable,
@@ -30,6 +27,7 @@ from planopt.problems.schema_channel import (
     ModelTruthTable,
     RasterTruthTable,
 )
+from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.world.footprints import footprint
 from planopt.world.readers import obstacle_from_wkt, read_obstacles
 from planopt.world.workspace import Obstacle, Workspace

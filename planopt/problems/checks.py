@@ -11,13 +11,13 @@ import numpy as np
 import shapely
 
 from planopt.errors import InputError
-from planopt.problems.problem import (
+from planopt.problems.channel_setup import (
     LoggedMeasurements,
     ModelTruth,
-    Problem,
     RasterTruth,
     SampledMeasurements,
 )
+from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,
     clearance_m,

@@ -9,9 +9,11 @@ from pydantic import ValidationError
 
 from planopt.errors import InputError
 from planopt.problems.messages import input_error
-from planopt.problems.problem import PlannerSettings, Problem, ReachObjective
+from planopt.problems.objective import ReachObjective
+from planopt.problems.problem import Problem
 from planopt.problems.schema import PlannerTable
 from planopt.problems.schema_objective import ObjectiveTable
+from planopt.problems.settings import PlannerSettings
 from planopt.problems.tables import Table
 
 AnyTable = TypeVar("AnyTable", bound=Table)

@@ -15,19 +15,11 @@ from typing import Any, cast
 import shapely
 
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
+from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements, ModelTruth, RasterTruth
 from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import (
-    ChannelSetup,
-    LearningTerm,
-    LoggedMeasurements,
-    MappingTerm,
-    ModelTruth,
-    MotionEnergyTerm,
-    Problem,
-    RadioStation,
-    RasterTruth,
-    TrackingTerm,
-)
+from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTerm, TrackingTerm
+from planopt.problems.problem import Problem
+from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.world.workspace import Obstacle
 

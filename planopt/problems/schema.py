@@ -12,13 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.problems.problem import (
-    MAX_HORIZON,
-    MIN_HORIZON,
-    PlannerName,
-    ReportSettings,
-    Task,
-)
+from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
 from planopt.problems.schema_objective import (
     LearningTable,
@@ -27,6 +21,7 @@ from planopt.problems.schema_objective import (
     TargetTable,
     TrackingTable,
 )
+from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, ReportSettings
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
 
 SCHEMA_VERSION = 1

@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from planopt.channel.multipath.multipath_field import MultipathKind, multipath_of
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.errors import InputError
-from planopt.problems.problem import FitMethod
+from planopt.problems.channel_setup import FitMethod
 from planopt.problems.tables import Decibels, FileName, Table
 
 MIN_DEVIATION_DB = 0.001

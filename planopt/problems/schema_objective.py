@@ -6,18 +6,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from planopt.problems.problem import (
+from planopt.problems.objective import (
     CostToGo,
     LearningCriterion,
     LearningTerm,
     MappingForm,
     MappingTerm,
     MotionEnergyTerm,
-    Target,
     Term,
     TrackingTerm,
 )
 from planopt.problems.tables import Name, Pair, Table
+from planopt.problems.target import Target
 
 Weight = Annotated[float, Field(ge=0, le=1e9)]
 Deviation = Annotated[float, Field(ge=0, le=1e6)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from planopt.planning.plan import Plan, Verdict
-from planopt.problems.problem import Constraints
+from planopt.problems.constraints import Constraints
 from planopt.report.style import spaced
 
 MEANING = {

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Plan
-from planopt.problems.problem import Problem, TrackingTerm
+from planopt.problems.objective import TrackingTerm
+from planopt.problems.problem import Problem
 from planopt.report.panel import Panel
 from planopt.report.style import BAND_WORDS, BAND_Z, BLACK, dress, legend_above, spaced
 from planopt.report.team_looks import robot_colour, robot_marker

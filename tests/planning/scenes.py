@@ -25,16 +25,13 @@ from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.search.road_map import RoadMap, build_road_map
-from planopt.problems.problem import (
-    ChannelSetup,
-    Constraints,
-    LoggedMeasurements,
-    PlannerSettings,
-    Problem,
-    RadioStation,
-    ReachObjective,
-    Robot,
-)
+from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
+from planopt.problems.constraints import Constraints
+from planopt.problems.objective import ReachObjective
+from planopt.problems.problem import Problem
+from planopt.problems.radio_station import RadioStation
+from planopt.problems.robot import Robot
+from planopt.problems.settings import PlannerSettings
 from planopt.world.lattice import build_lattice
 from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle, Workspace

@@ -17,7 +17,7 @@ from planopt.errors import InputError
 from planopt.planning.given import draw_truth, free_places
 from planopt.planning.loop.learn import learn
 from planopt.planning.prepare import prepare
-from planopt.problems.problem import RasterTruth, SampledMeasurements
+from planopt.problems.channel_setup import RasterTruth, SampledMeasurements
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters
 

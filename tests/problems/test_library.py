@@ -12,9 +12,9 @@ from scipy.stats import norm
 from planopt.channel.multipath.multipath_models import Rician
 from planopt.errors import InputError
 from planopt.problems import library
+from planopt.problems.channel_setup import ModelTruth, RasterTruth, SampledMeasurements
 from planopt.problems.library import find_problem, list_problems
 from planopt.problems.load import load
-from planopt.problems.problem import ModelTruth, RasterTruth, SampledMeasurements
 from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [

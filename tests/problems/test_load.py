@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from planopt.errors import InputError
+from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
 from planopt.problems.library import library_folder
 from planopt.problems.load import load
-from planopt.problems.problem import LoggedMeasurements, Problem, RasterTruth
+from planopt.problems.problem import Problem
 
 OPEN_FIELD = (library_folder() / "open_field.toml").read_text(encoding="utf-8")
 

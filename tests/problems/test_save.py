@@ -12,9 +12,10 @@ import pytest
 
 from planopt.channel.multipath.multipath_models import Nakagami, Rician
 from planopt.errors import InputError
+from planopt.problems.channel_setup import LoggedMeasurements
 from planopt.problems.library import list_problems
 from planopt.problems.load import load
-from planopt.problems.problem import LoggedMeasurements, Problem
+from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 Tables = dict[str, Any]

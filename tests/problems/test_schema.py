@@ -10,13 +10,9 @@ from typing import Any
 import pytest
 
 from planopt.errors import InputError
-from planopt.problems.problem import (
-    LearningTerm,
-    ModelTruth,
-    Problem,
-    SampledMeasurements,
-    TrackingTerm,
-)
+from planopt.problems.channel_setup import ModelTruth, SampledMeasurements
+from planopt.problems.objective import LearningTerm, TrackingTerm
+from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.problems.schema import json_schema
 

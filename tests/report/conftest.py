@@ -17,16 +17,13 @@ from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
 from planopt.planning.solution import Solution
-from planopt.problems.problem import (
-    ChannelSetup,
-    Constraints,
-    PlannerSettings,
-    Problem,
-    RadioStation,
-    ReachObjective,
-    Robot,
-    SampledMeasurements,
-)
+from planopt.problems.channel_setup import ChannelSetup, SampledMeasurements
+from planopt.problems.constraints import Constraints
+from planopt.problems.objective import ReachObjective
+from planopt.problems.problem import Problem
+from planopt.problems.radio_station import RadioStation
+from planopt.problems.robot import Robot
+from planopt.problems.settings import PlannerSettings
 from planopt.studies.comparison import Comparison, Row
 from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle, Workspace

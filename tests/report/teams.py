@@ -9,14 +9,9 @@ import numpy as np
 
 from planopt.planning.team.team_run import ChannelLog, TargetLog, TeamRun
 from planopt.planning.worth.aim import Aim
-from planopt.problems.problem import (
-    LearningTerm,
-    MappingTerm,
-    Robot,
-    Target,
-    TermsObjective,
-    TrackingTerm,
-)
+from planopt.problems.objective import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
+from planopt.problems.robot import Robot
+from planopt.problems.target import Target
 
 TERMS = {
     "track": TrackingTerm(1.0, 0.008, 0.08, 1.0),

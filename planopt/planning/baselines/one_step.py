@@ -22,7 +22,8 @@ from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import nearest_measured_m
-from planopt.problems.problem import LearningTerm, MappingTerm, Problem
+from planopt.problems.objective import LearningTerm, MappingTerm
+from planopt.problems.problem import Problem
 
 RINGS, HEADINGS = 10, 48
 """Places within a step: on so many circles in so many directions, and the robot's own."""

@@ -33,7 +33,8 @@ from planopt.planning.team.team_tables import (
     TARGET_FILE,
     target_columns,
 )
-from planopt.problems.problem import Problem, TrackingTerm
+from planopt.problems.objective import TrackingTerm
+from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.problems.problem import Problem, TrackingTerm
+from planopt.problems.objective import TrackingTerm
+from planopt.problems.problem import Problem
 from planopt.targets.information_filter import (
     InformationState,
     information_state,

@@ -25,7 +25,13 @@ from planopt.objectives.path_loss_learning import theta_information
 from planopt.objectives.tracking import tracking_reward
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.situation import Situation
-from planopt.problems.problem import LearningTerm, MappingTerm, MotionEnergyTerm, Term, TrackingTerm
+from planopt.problems.objective import (
+    LearningTerm,
+    MappingTerm,
+    MotionEnergyTerm,
+    Term,
+    TrackingTerm,
+)
 
 ANCHORS = 64
 """Places among those of all ways that measurements are chosen near to."""

@@ -15,13 +15,8 @@ from planopt.planning.search.reward_lattice import Window
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.worth.local_worth import is_stagewise
 from planopt.planning.worth.situation import Situation
-from planopt.problems.problem import (
-    LearningTerm,
-    MappingTerm,
-    MotionEnergyTerm,
-    Problem,
-    TrackingTerm,
-)
+from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTerm, TrackingTerm
+from planopt.problems.problem import Problem
 from planopt.targets.sensor import sensing_information
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]

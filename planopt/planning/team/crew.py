@@ -20,7 +20,8 @@ from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import Steering
-from planopt.problems.problem import MappingTerm, Problem
+from planopt.problems.objective import MappingTerm
+from planopt.problems.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,14 +28,14 @@ from planopt.planning.programme.path_value import EvaluatePath, Evaluation, Path
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_prediction import StagePredictor
-from planopt.problems.problem import (
+from planopt.problems.objective import (
     LearningTerm,
     MappingTerm,
     MotionEnergyTerm,
-    Problem,
     Term,
     TrackingTerm,
 )
+from planopt.problems.problem import Problem
 from planopt.targets.rounding import Derivatives, rounded_length
 from planopt.targets.sensor import sensing_derivatives
 

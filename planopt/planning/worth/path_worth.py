@@ -16,7 +16,13 @@ from planopt.objectives.mapping import average_reduction, path_information, path
 from planopt.objectives.path_loss_learning import path_loss_gain
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.situation import Situation
-from planopt.problems.problem import LearningTerm, MappingTerm, MotionEnergyTerm, Term, TrackingTerm
+from planopt.problems.objective import (
+    LearningTerm,
+    MappingTerm,
+    MotionEnergyTerm,
+    Term,
+    TrackingTerm,
+)
 from planopt.targets.sensor import sensing_information
 
 

@@ -13,7 +13,8 @@ from planopt.objectives.mapping import Region, Uncertainty
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.planning.proof.predictions import search_prediction
-from planopt.problems.problem import LearningTerm, MappingTerm, Problem, TrackingTerm
+from planopt.problems.objective import LearningTerm, MappingTerm, TrackingTerm
+from planopt.problems.problem import Problem
 from planopt.targets.sensor import Sensor
 
 

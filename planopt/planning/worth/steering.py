@@ -20,7 +20,8 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.search.road_map import shortest_ways, way_from
 from planopt.planning.worth.region import workspace_region
-from planopt.problems.problem import MappingTerm, Problem
+from planopt.problems.objective import MappingTerm
+from planopt.problems.problem import Problem
 
 TILE = 1
 """Places of the region are far apart: each has its own neighbours."""

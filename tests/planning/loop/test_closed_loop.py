@@ -23,7 +23,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.run import Outcome, StepLog
 from planopt.planning.loop.simulation import Simulation, exit_code
 from planopt.planning.plan import Rung, Verdict
-from planopt.problems.problem import LoggedMeasurements
+from planopt.problems.channel_setup import LoggedMeasurements
 
 SEEDS = (0, 1, 2)
 

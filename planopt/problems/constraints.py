@@ -1,0 +1,24 @@
+"""What every plan of a problem must keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """What every plan must keep.
+
+    Attributes
+    ----------
+    p_min
+        Least probability of connection at every step where that is possible; 0 asks for none.
+    clearance_m
+        Least distance of the whole swept path from every obstacle.
+    goal_radius_m
+        The goal is reached within this distance of it.
+    """
+
+    p_min: float
+    clearance_m: float
+    goal_radius_m: float

@@ -1,0 +1,126 @@
+"""What a problem asks for: a goal, or a weighted sum of terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+CostToGo = Literal["geodesic", "connected"]
+
+
+LearningCriterion = Literal["T", "D", "A", "V"]
+
+
+MappingForm = Literal["two_layer", "path", "information", "average"]
+
+
+@dataclass(frozen=True)
+class ReachObjective:
+    """Reach the goal in least time and effort.
+
+    The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds.
+
+    Attributes
+    ----------
+    effort_weight_s2_m2
+        Seconds of travel that one second at 1 m/s is worth, in s^2/m^2.
+    cost_to_go
+        What the way beyond the horizon costs: ``geodesic`` (shortest way round the obstacles) or
+        ``connected`` (shortest way that keeps the predicted connectivity bound).
+    """
+
+    effort_weight_s2_m2: float
+    cost_to_go: CostToGo
+
+
+@dataclass(frozen=True)
+class TrackingTerm:
+    """Expected information on the target that reaches the station (seed, (4); theory 4.6).
+
+    Each step is worth P(connected) / g(r), with r the distance to the target's predicted position
+    and ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    noise_curvature, noise_floor_m2, sweet_spot_m
+        The seed's varpi, nu (m^2) and r_s.
+    """
+
+    weight: float
+    noise_curvature: float
+    noise_floor_m2: float
+    sweet_spot_m: float
+
+
+@dataclass(frozen=True)
+class LearningTerm:
+    """Information on path loss gathered along the way (seed, (2); theory 4.4).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    criterion
+        ``T`` (the seed's trace), ``D``, ``A`` or ``V`` (prediction over the workspace).
+    """
+
+    weight: float
+    criterion: LearningCriterion
+
+
+@dataclass(frozen=True)
+class MappingTerm:
+    """Uncertainty of the channel removed along the way (seed, (3); theory 4.5).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    form
+        ``two_layer`` (the seed's: steer to the maximiser of J_CH), ``path`` (J_CH summed along the
+        path), ``information`` or ``average`` (over the workspace, the seed's footnote 3).
+    variance_threshold_db2
+        sigma_TH^2 in dB^2.
+    closeness_per_m
+        zeta of ``psi(d) = exp(-zeta d)``.
+    """
+
+    weight: float
+    form: MappingForm
+    variance_threshold_db2: float
+    closeness_per_m: float
+
+
+@dataclass(frozen=True)
+class MotionEnergyTerm:
+    """Energy of motion, a cost (theory 3.2): k1 |v| + k2 while moving, in joules.
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms, per joule; the energy is subtracted.
+    per_metre_j_m, power_w
+        k1 and k2.
+    """
+
+    weight: float
+    per_metre_j_m: float
+    power_w: float
+
+
+Term = TrackingTerm | LearningTerm | MappingTerm | MotionEnergyTerm
+
+
+@dataclass(frozen=True)
+class TermsObjective:
+    """A weighted sum of named terms over the horizon, to be maximised.
+
+    Attributes
+    ----------
+    terms
+        At least one; the first is the task's.
+    """
+
+    terms: tuple[Term, ...]

@@ -1,0 +1,50 @@
+"""How the plans of a problem are found and drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+MIN_HORIZON, MAX_HORIZON = 1, 500
+
+
+PlannerName = Literal["auto", "lattice", "one_step", "random", "lawnmower"]
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """How plans are found.
+
+    Attributes
+    ----------
+    name
+        ``auto`` (lattice, polish, verify), ``lattice`` (no polish), and for tasks other than reach
+        ``one_step`` (the seed's dense local search), ``random`` and ``lawnmower``.
+    horizon
+        Steps ahead, N.
+    step_s
+        Duration of a step in seconds.
+    neighbours
+        Measurements that the solver conditions each stage on (design: 32 to 64).
+    max_steps
+        A closed loop that has not arrived by then ends.
+    """
+
+    name: PlannerName
+    horizon: int
+    step_s: float
+    neighbours: int
+    max_steps: int
+
+
+@dataclass(frozen=True)
+class ReportSettings:
+    """What is drawn.
+
+    Attributes
+    ----------
+    figures
+        Whether pictures are drawn beside the results.
+    """
+
+    figures: bool = True

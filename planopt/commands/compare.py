@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from planopt.commands.options import JsonOption, OutOption, ProblemArgument
+from planopt.commands.options import PLANNERS, JsonOption, OutOption, ProblemArgument
 from planopt.commands.output import NO_PLAN, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
 
@@ -26,7 +26,12 @@ def compare(
     problem: ProblemArgument,
     horizons: Annotated[str, typer.Option("--horizons", metavar="N,N,...", help="Steps ahead.")],
     planners: Annotated[
-        str | None, typer.Option("--planners", metavar="A,B", help="auto, lattice.")
+        str | None,
+        typer.Option(
+            "--planners",
+            metavar="A,B",
+            help=f"Any of {PLANNERS}.",
+        ),
     ] = None,
     costs_to_go: Annotated[
         str | None,

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+PLANNERS = "auto, nlp, scp, lattice, one_step, random and lawnmower"
+
 ProblemArgument = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")
 ]
@@ -14,7 +16,8 @@ HorizonOption = Annotated[
     int | None, typer.Option("--horizon", metavar="N", help="Steps ahead, 1 to 500.")
 ]
 PlannerOption = Annotated[
-    str | None, typer.Option("--planner", metavar="NAME", help="auto or lattice.")
+    str | None,
+    typer.Option("--planner", metavar="NAME", help=f"One of {PLANNERS}."),
 ]
 CostToGoOption = Annotated[
     str | None, typer.Option("--cost-to-go", metavar="NAME", help="geodesic or connected.")

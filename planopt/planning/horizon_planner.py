@@ -13,6 +13,7 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
@@ -63,9 +64,13 @@ class HorizonPlanner:
         self._search = StartSearch(problem, ground, thorough)
         self._bounded = problem.constraints.p_min > 0.0
         self._nlp: PathNlp | None = None
-        if problem.planner.name == "auto":
+        if problem.planner.name in METHODS:
             self._nlp = build_path_nlp(
-                problem.planner.horizon, LINES_PER_SEGMENT, is_stagewise(problem), self._bounded
+                problem.planner.horizon,
+                LINES_PER_SEGMENT,
+                is_stagewise(problem),
+                self._bounded,
+                METHODS[problem.planner.name],
             )
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:

@@ -48,7 +48,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
         For planners that draw; others leave it alone.
     """
     match problem.planner.name:
-        case "auto" | "lattice":
+        case "auto" | "nlp" | "scp" | "lattice":
             return HorizonPlanner(problem, ground)
         case "one_step":
             return OneStepPlanner(problem, ground)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.pivot import find_pivot
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.refine import Refiner
@@ -44,8 +45,9 @@ class ReachPlanner:
         self._margins = NodeMargins(scene.road_map, radio.threshold_dbm, problem.constraints.p_min)
         self._search = GlobalSearch(problem, scene, self._margins)
         self._nlp: ReachNlp | None = None
-        if problem.planner.name == "auto":
-            self._nlp = build_reach_nlp(problem.planner.horizon, LINES_PER_SEGMENT)
+        if problem.planner.name in METHODS:
+            method = METHODS[problem.planner.name]
+            self._nlp = build_reach_nlp(problem.planner.horizon, LINES_PER_SEGMENT, method)
 
     def plan(
         self, belief: Belief, position_m: NDArray[np.float64], warm: Plan | None = None

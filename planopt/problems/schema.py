@@ -140,8 +140,9 @@ class PlannerTable(Table):
 
     name: PlannerName = Field(
         default="auto",
-        description="auto (lattice, polish, verify), lattice (no polish), and for tasks other than "
-        "reach one_step, random or lawnmower.",
+        description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
+        "programming), auto (the better of them, nlp), lattice (no polish), and for tasks other "
+        "than reach one_step, random or lawnmower.",
     )
     horizon: int = Field(
         default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead, the seed's N."
@@ -215,8 +216,11 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         return "task reach has no targets"
     if tables.constraints.p_min == 0.0:
         return "task reach needs constraints.p_min above 0"
-    if tables.planner.name not in ("auto", "lattice"):
-        return f"planner.name {tables.planner.name} is not for task reach: use auto or lattice"
+    if tables.planner.name in ("one_step", "random", "lawnmower"):
+        return (
+            f"planner.name {tables.planner.name} is not for task reach: use auto, nlp, scp or "
+            "lattice"
+        )
     return None
 
 

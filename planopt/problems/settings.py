@@ -8,7 +8,7 @@ from typing import Literal
 MIN_HORIZON, MAX_HORIZON = 1, 500
 
 
-PlannerName = Literal["auto", "lattice", "one_step", "random", "lawnmower"]
+PlannerName = Literal["auto", "nlp", "scp", "lattice", "one_step", "random", "lawnmower"]
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,10 @@ class PlannerSettings:
     Attributes
     ----------
     name
-        ``auto`` (lattice, polish, verify), ``lattice`` (no polish), and for tasks other than reach
-        ``one_step`` (the seed's dense local search), ``random`` and ``lawnmower``.
+        ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
+        programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
+        tasks other than reach ``one_step`` (the seed's dense local search), ``random`` and
+        ``lawnmower``.
     horizon
         Steps ahead, N.
     step_s

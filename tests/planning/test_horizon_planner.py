@@ -16,8 +16,8 @@ from planopt.planning.given import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.prepare import prepare
-from planopt.planning.programme import path_polish
-from planopt.planning.programme.ipopt import NlpPoint
+from planopt.planning.programme import ipopt
+from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.search.start_search import StartSearch
 
@@ -95,9 +95,9 @@ def test_bound_that_cannot_be_kept_is_relaxed_with_proof():
 
 def failing(_solver, n, start, _parameters, _variables, rows):
     """A solver that gives up with nothing."""
-    lost, rowless = np.full(len(start), np.nan), np.full(len(rows[0]), np.nan)
+    lost, rowless = np.full(len(start), np.nan), np.full(len(rows.lower), np.nan)
     return NlpPoint(
-        lost[: 2 * n].reshape(n, 2), lost[2 * n :], rowless, lost, "Invalid_Number_Detected", 1
+        lost[: 2 * n].reshape(n, 2), lost[2 * n :], rowless, lost, Termination.NUMERICAL_FAILURE, 1
     )
 
 
@@ -105,7 +105,7 @@ def test_a_failed_polish_falls_back_to_the_lattice(monkeypatch):
     """And the next one is not touched by it."""
     problem = terms_problem(TRACKING)
     before, *_ = planned(problem)
-    monkeypatch.setattr(path_polish, "call_nlp", failing)
+    monkeypatch.setattr(ipopt, "call_nlp", failing)
     plan, *_ = planned(problem)
     assert (plan.rung, plan.verdict) == (Rung.LATTICE, Verdict.VERIFIED)
     assert plan.termination is Termination.NUMERICAL_FAILURE

@@ -18,17 +18,17 @@ from scenes import (
     small_problem,
 )
 
-import planopt.planning.programme.polish as polish_module
 import planopt.planning.refine as refine_module
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.run import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.programme.ipopt import NlpPoint
+from planopt.planning.programme import ipopt
+from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.reach_nlp import IPOPT_OPTIONS
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 
-CALL = polish_module.call_nlp
+CALL = ipopt.call_nlp
 
 
 def falling_back(status, change):
@@ -36,20 +36,20 @@ def falling_back(status, change):
 
     def call(solver, horizon, start, parameters, variable_bounds, row_bounds):
         point = CALL(solver, horizon, start, parameters, variable_bounds, row_bounds)
-        return replace(point, positions_m=change(point.positions_m), status=status)
+        return replace(point, positions_m=change(point.positions_m), termination=status)
 
     return call
 
 
 def not_numbers(_solver, n, _start, _parameters, _variable_bounds, row_bounds):
     """What a solver leaves after an evaluation error."""
-    rows = len(row_bounds[0])
+    rows = len(row_bounds.lower)
     return NlpPoint(
         np.full((n, 2), np.nan),
         np.full(n, np.nan),
         np.full(rows, np.nan),
         np.full(3 * n, np.nan),
-        "Invalid_Number_Detected",
+        Termination.NUMERICAL_FAILURE,
         3,
     )
 
@@ -62,25 +62,25 @@ def in_zigzag(positions_m):
 # Name: (solver, how the step's termination is reported).
 FAILURES = {
     "no numbers": (not_numbers, Termination.NUMERICAL_FAILURE),
-    "wild points": (falling_back("Solve_Succeeded", in_zigzag), Termination.CONVERGED),
+    "wild points": (falling_back(Termination.CONVERGED, in_zigzag), Termination.CONVERGED),
     "into the wall": (
-        falling_back("Solve_Succeeded", lambda q: q * (1.0, 0.0) + (0.0, 15.0)),
+        falling_back(Termination.CONVERGED, lambda q: q * (1.0, 0.0) + (0.0, 15.0)),
         Termination.CONVERGED,
     ),
     "out of the workspace": (
-        falling_back("Solve_Succeeded", lambda q: q + (0.0, 40.0)),
+        falling_back(Termination.CONVERGED, lambda q: q + (0.0, 40.0)),
         Termination.CONVERGED,
     ),
     "out of time": (
-        falling_back("Maximum_CpuTime_Exceeded", lambda q: q + 3.0),
+        falling_back(Termination.TIME_LIMIT, lambda q: q + 3.0),
         Termination.TIME_LIMIT,
     ),
     "infeasible": (
-        falling_back("Infeasible_Problem_Detected", lambda q: 0.0 * q),
+        falling_back(Termination.INFEASIBLE, lambda q: 0.0 * q),
         Termination.INFEASIBLE,
     ),
     "out of iterations": (
-        falling_back("Maximum_Iterations_Exceeded", in_zigzag),
+        falling_back(Termination.ITERATION_LIMIT, in_zigzag),
         Termination.ITERATION_LIMIT,
     ),
 }
@@ -92,7 +92,7 @@ PROBLEM = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
 def failure(request, monkeypatch):
     """One of the failures, in force; its termination."""
     solver, termination = FAILURES[request.param]
-    monkeypatch.setattr(polish_module, "call_nlp", solver)
+    monkeypatch.setattr(ipopt, "call_nlp", solver)
     return termination
 
 
@@ -130,7 +130,7 @@ def test_next_step_is_as_if_nothing_had_happened(monkeypatch):
     fresh = planner_of(PROBLEM).plan(belief, start)
     used = planner_of(PROBLEM)
     for solver, _ in FAILURES.values():
-        monkeypatch.setattr(polish_module, "call_nlp", solver)
+        monkeypatch.setattr(ipopt, "call_nlp", solver)
         used.plan(belief, start)
     monkeypatch.undo()
     again = used.plan(belief, start)
@@ -250,7 +250,7 @@ def test_closed_loop_through_failures(monkeypatch):
         k = next(calls)
         return CALL(*arguments) if k % 2 else solvers[(k // 2) % len(solvers)](*arguments)
 
-    monkeypatch.setattr(polish_module, "call_nlp", sometimes)
+    monkeypatch.setattr(ipopt, "call_nlp", sometimes)
     done = simulate(problem, prepared=prepared_of(problem, good_everywhere))
     assert done.run.outcome is Outcome.REACHED
     assert done.run.verified_rate == 1.0

@@ -39,7 +39,7 @@ def test_horizon_out_of_range_has_the_error_of_the_file(horizon: int) -> None:
 
 def test_unknown_names_say_what_there_is() -> None:
     """A planner or cost to go that does not exist is answered with those that do."""
-    with pytest.raises(InputError, match="'auto', 'lattice'") as caught:
+    with pytest.raises(InputError, match="'auto', 'nlp', 'scp', 'lattice'") as caught:
         with_overrides(load("open_field"), planner="magic")
     assert caught.value.key == "planner.name"
     with pytest.raises(InputError, match="'geodesic' or 'connected'") as caught:

@@ -48,7 +48,7 @@ BAD_VALUES: list[tuple[str, Any, str]] = [
     ("planner.horizon", 10_000, "is 10000, should be at least 1 and at most 500"),
     ("planner.horizon", 2.5, "is 2.5, should be a whole number"),
     ("planner.horizon", True, "is true, should be a whole number"),
-    ("planner.name", "magic", "is 'magic', should be 'auto', 'lattice'"),
+    ("planner.name", "magic", "is 'magic', should be 'auto', 'nlp', 'scp', 'lattice'"),
     ("constraints.p_min", 1.5, "is 1.5, should be at least 0 and less than 1"),
     ("constraints.p_min", math.nan, "is nan, should be a finite number"),
     ("constraints.clearance_m", math.inf, "is inf, should be a finite number"),

@@ -1,13 +1,16 @@
 # pyright: basic
-"""One call of a built IPOPT solver over a path: settings, arrays in, a point out."""
+"""A built IPOPT solver: its settings, and one call of it, arrays in and a point out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planopt.planning.programme.ipopt_status import termination_of
+from planopt.planning.programme.kkt import Bounds
+from planopt.planning.programme.nlp_point import NlpPoint, SolveNlp, lost_point, nlp_point
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,
@@ -26,30 +29,18 @@ OPTIONS: dict[str, Any] = {
 """Of every solver (fast.md). Acceptable points are off: their constraint tolerance is 1e-2."""
 
 
-@dataclass(frozen=True)
-class NlpPoint:
-    """What the solver returned.
+def ipopt_solve(solver: Any, horizon: int) -> SolveNlp:
+    """Solve with a built CasADi solver over `horizon` stages."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(N, 2)``.
-    slack_db
-        ``(N,)``, or ``(0,)`` where no connectivity is bounded.
-    row_multipliers, variable_multipliers
-        By row of the programme and by variable; positive at an upper bound, negative at a lower.
-    status
-        IPOPT's raw return status.
-    iterations
-        Its count.
-    """
+    def solve(
+        start: NDArray[np.float64],
+        parameters: NDArray[np.float64],
+        variable_bounds: Bounds,
+        row_bounds: Bounds,
+    ) -> NlpPoint:
+        return call_nlp(solver, horizon, start, parameters, variable_bounds, row_bounds)
 
-    positions_m: NDArray[np.float64]
-    slack_db: NDArray[np.float64]
-    row_multipliers: NDArray[np.float64]
-    variable_multipliers: NDArray[np.float64]
-    status: str
-    iterations: int
+    return solve
 
 
 def call_nlp(
@@ -57,45 +48,31 @@ def call_nlp(
     horizon: int,
     start: NDArray[np.float64],
     parameters: NDArray[np.float64],
-    variable_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
-    row_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    variable_bounds: Bounds,
+    row_bounds: Bounds,
 ) -> NlpPoint:
-    """Solve once from `start` (positions, then slacks); arrays in the programme's order.
+    """Solve once.
 
     What CasADi refuses to start with, such as a bound that is no number, comes back as a point of
-    NaN with the status ``Invalid_Problem_Definition``.
+    NaN.
     """
     try:
         result = solver(
             x0=start,
             p=parameters,
-            lbx=variable_bounds[0],
-            ubx=variable_bounds[1],
-            lbg=row_bounds[0],
-            ubg=row_bounds[1],
+            lbx=variable_bounds.lower,
+            ubx=variable_bounds.upper,
+            lbg=row_bounds.lower,
+            ubg=row_bounds.upper,
         )
     except RuntimeError:
-        lost = np.full(len(start), np.nan)
-        rows = np.full(len(row_bounds[0]), np.nan)
-        return _point(horizon, lost, rows, lost, "Invalid_Problem_Definition", 0)
+        return lost_point(horizon, len(start), len(row_bounds.lower))
     stats = solver.stats()
-    return _point(
+    return nlp_point(
         horizon,
         np.asarray(result["x"]).ravel(),
         np.asarray(result["lam_g"]).ravel(),
         np.asarray(result["lam_x"]).ravel(),
-        str(stats["return_status"]),
+        termination_of(str(stats["return_status"])),
         int(stats.get("iter_count", 0)),
     )
-
-
-def _point(
-    horizon: int,
-    x: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    variables: NDArray[np.float64],
-    status: str,
-    iterations: int,
-) -> NlpPoint:
-    n = 2 * horizon
-    return NlpPoint(x[:n].reshape(horizon, 2), x[n:], rows, variables, status, iterations)

@@ -23,6 +23,8 @@ import casadi as ca
 import numpy as np
 
 from planopt.planning.programme.ipopt import OPTIONS
+from planopt.planning.programme.methods import Method, solve_by
+from planopt.planning.programme.nlp_point import SolveNlp
 from planopt.planning.programme.path_rows import PathCallback, path_rows
 from planopt.planning.programme.path_value import ValueSource
 
@@ -51,6 +53,8 @@ class PathNlp:
         Where its value and margins come from.
     solver
         The CasADi solver.
+    solve
+        One call of it, or of another method with its functions.
     callbacks
         Kept so that they live as long as the solver.
     """
@@ -60,10 +64,13 @@ class PathNlp:
     bounded: bool
     source: ValueSource
     solver: Any
+    solve: SolveNlp
     callbacks: tuple[Any, ...]
 
 
-def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> PathNlp:
+def build_path_nlp(
+    horizon: int, lines: int, stagewise: bool, bounded: bool, method: Method = "ipopt"
+) -> PathNlp:
     """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
 
     Parameters
@@ -74,6 +81,8 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         Whether the value is a sum over stages.
     bounded
         Whether connectivity is bounded.
+    method
+        Whose solver: IPOPT's, or sequential convex programming.
     """
     n = horizon
     source = ValueSource()
@@ -149,7 +158,8 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         ["triu_hess_gamma_x_x"],
     )
     solver = ca.nlpsol("path", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-    return PathNlp(n, lines, bounded, source, solver, (*callbacks, *margins))
+    solve = solve_by(method, solver, n)
+    return PathNlp(n, lines, bounded, source, solver, solve, (*callbacks, *margins))
 
 
 def _blocks(entries: Any, n: int) -> Any:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.programme.ipopt import NlpPoint, call_nlp
-from planopt.planning.programme.ipopt_status import termination_of
 from planopt.planning.programme.kkt import Bounds, kkt_residual
+from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_nlp import PathNlp
 from planopt.planning.programme.path_row_values import path_row_values
 from planopt.planning.programme.path_value import EvaluatePath
@@ -82,13 +81,11 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     nlp.source.use(task.evaluate)
     margins = task.evaluate(task.path_m).margins
     missing = np.zeros(0) if margins is None else np.maximum(bound - margins.value, 0.0)
-    point = call_nlp(
-        nlp.solver,
-        n,
+    point = nlp.solve(
         np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit)]),
         np.concatenate([head, line.ravel()]),
-        (variables.lower, variables.upper),
-        (rows.lower, rows.upper),
+        variables,
+        rows,
     )
     lam = point.row_multipliers
     ends = n * nlp.lines
@@ -102,7 +99,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
-        termination=termination_of(point.status),
+        termination=point.termination,
         iterations=point.iterations,
         kkt_residual=_residual(task, point, line, rows, variables),
         multipliers=multipliers,

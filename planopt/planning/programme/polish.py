@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.programme.ipopt import NlpPoint, call_nlp
-from planopt.planning.programme.ipopt_status import termination_of
 from planopt.planning.programme.kkt import Bounds, kkt_residual
 from planopt.planning.programme.margin_source import MarginFunction
+from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_row_values import path_row_values
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import PIVOT_ROUNDING_M, ReachNlp
@@ -95,13 +94,11 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     nlp.source.use(task.margins)
     missing = np.maximum(task.bound_db - task.margins(task.path_m).value, 0.0)
     start = np.concatenate([task.path_m.ravel(), np.minimum(missing, task.slack_limit_db)])
-    point = call_nlp(
-        nlp.solver,
-        n,
+    point = nlp.solve(
         start,
         np.concatenate([head, line.ravel()]),
-        (variables.lower, variables.upper),
-        (rows.lower, rows.upper),
+        variables,
+        rows,
     )
     residual = _residual(nlp, task, point, head, line, rows, variables)
     ends = n * nlp.lines
@@ -109,7 +106,7 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
-        termination=termination_of(point.status),
+        termination=point.termination,
         iterations=point.iterations,
         kkt_residual=residual,
         multipliers={

@@ -26,6 +26,8 @@ import casadi as ca
 
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.margin_source import MarginSource
+from planopt.planning.programme.methods import Method, solve_by
+from planopt.planning.programme.nlp_point import SolveNlp
 from planopt.planning.programme.path_rows import PathCallback, path_rows
 
 PIVOT_ROUNDING_M = 1e-2
@@ -48,6 +50,8 @@ class ReachNlp:
         Where its margins come from.
     solver
         The CasADi solver.
+    solve
+        One call of it, or of another method with its functions.
     callbacks
         Kept so that they live as long as the solver.
     """
@@ -56,6 +60,7 @@ class ReachNlp:
     lines: int
     source: MarginSource
     solver: Any
+    solve: SolveNlp
     callbacks: tuple[Any, ...]
 
 
@@ -67,7 +72,7 @@ def _objective(n: int, q: Any, s: Any, p: Any) -> Any:
     return p[6] * (effort + p[5] * to_pivot) + p[7] * ca.sum1(s)
 
 
-def build_reach_nlp(horizon: int, lines: int) -> ReachNlp:
+def build_reach_nlp(horizon: int, lines: int, method: Method = "ipopt") -> ReachNlp:
     """Build the programme for N = `horizon` steps and `lines` separating lines a segment."""
     n = horizon
     source = MarginSource(n)
@@ -118,4 +123,6 @@ def build_reach_nlp(horizon: int, lines: int) -> ReachNlp:
         ["triu_hess_gamma_x_x"],
     )
     solver = ca.nlpsol("reach", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-    return ReachNlp(n, lines, source, solver, (value, gradient, hessian))
+    return ReachNlp(
+        n, lines, source, solver, solve_by(method, solver, n), (value, gradient, hessian)
+    )

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-import planopt.planning.programme.path_polish as module
 from planopt.planning.plan import Termination
+from planopt.planning.programme import ipopt
 from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_value import Evaluation, PathValue, ValueSource
@@ -154,13 +154,13 @@ def test_a_moved_point_shows_in_the_residual(monkeypatch):
     """The residual is computed at the point that is returned."""
     weights = np.ones(N)
     nlp = build_path_nlp(N, 1, True, False)
-    call = module.call_nlp
+    call = ipopt.call_nlp
 
     def moved(*arguments):
         point = call(*arguments)
         return replace(point, positions_m=point.positions_m + np.array([0.0, 0.1]))
 
-    monkeypatch.setattr(module, "call_nlp", moved)
+    monkeypatch.setattr(ipopt, "call_nlp", moved)
     assert polish_path(nlp, task(weights, True, False, no_lines())).kkt_residual > 0.01
 
 

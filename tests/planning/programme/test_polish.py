@@ -28,7 +28,7 @@ from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.planning.plan import Termination
-from planopt.planning.programme import polish as polish_module
+from planopt.planning.programme import ipopt
 from planopt.planning.programme.polish import polish
 from planopt.planning.programme.reach_nlp import build_reach_nlp
 from planopt.planning.programme.stage_kernel import stage_margins
@@ -103,13 +103,13 @@ def test_the_speed_limit_and_its_multiplier(nlp):
 def test_the_speed_limit_is_padded(nlp, monkeypatch):
     """The solver is asked for steps shorter by the pad, so that its tolerance eats no more."""
     asked = []
-    call = polish_module.call_nlp
+    call = ipopt.call_nlp
 
     def spy(*arguments):
-        asked.append(arguments[-1][1][:N])
+        asked.append(arguments[-1].upper[:N])
         return call(*arguments)
 
-    monkeypatch.setattr(polish_module, "call_nlp", spy)
+    monkeypatch.setattr(ipopt, "call_nlp", spy)
     polish(nlp, reach_task(N, LINES))
     np.testing.assert_array_equal(asked, np.full((1, N), (2.0 - STEP_PAD_M) ** 2))
 
@@ -440,7 +440,7 @@ HARD = {
 @pytest.mark.parametrize("which", range(N + (2 * N - 1) * LINES + N))
 def test_a_perturbed_multiplier_shows_in_the_residual(nlp, monkeypatch, which):
     """Had the solver returned any row's multiplier wrong, the residual would say so."""
-    call = polish_module.call_nlp
+    call = ipopt.call_nlp
 
     def wrong(*arguments):
         point = call(*arguments)
@@ -450,20 +450,20 @@ def test_a_perturbed_multiplier_shows_in_the_residual(nlp, monkeypatch, which):
 
     task = reach_task(N, LINES, **HARD)
     assert solved(nlp, task).kkt_residual < 1e-5
-    monkeypatch.setattr(polish_module, "call_nlp", wrong)
+    monkeypatch.setattr(ipopt, "call_nlp", wrong)
     assert polish(nlp, task).kkt_residual > 0.05
 
 
 def test_a_moved_point_shows_in_the_residual(nlp, monkeypatch):
     """So it would for a place or a slack that is not the solution's."""
-    call = polish_module.call_nlp
+    call = ipopt.call_nlp
 
     def moved(*arguments):
         point = call(*arguments)
         return replace(point, positions_m=point.positions_m + np.array([0.0, 0.1]))
 
     task = reach_task(N, LINES, **HARD)
-    monkeypatch.setattr(polish_module, "call_nlp", moved)
+    monkeypatch.setattr(ipopt, "call_nlp", moved)
     assert polish(nlp, task).kkt_residual > 0.01
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from reach_tasks import bowl_margins, constant_margins
 
-from planopt.planning.programme.ipopt import call_nlp
+from planopt.planning.plan import Termination
+from planopt.planning.programme.kkt import Bounds
 from planopt.planning.programme.margin_source import MarginSource
 from planopt.planning.programme.path_rows import PathCallback
 from planopt.planning.programme.reach_nlp import (
@@ -128,15 +129,13 @@ def test_every_structure_solves(horizon, lines):
     lower = np.concatenate([np.full(horizon, -np.inf), np.zeros(plain)])
     upper = np.concatenate([np.ones(horizon), np.full(plain, np.inf)])
     bound = np.concatenate([np.full(2 * horizon, 50.0), np.zeros(horizon)])
-    found = call_nlp(
-        nlp.solver,
-        nlp.horizon,
+    found = nlp.solve(
         np.zeros(3 * horizon),
         parameters,
-        (np.where(bound > 0.0, -bound, 0.0), bound),
-        (lower, upper),
+        Bounds(np.where(bound > 0.0, -bound, 0.0), bound),
+        Bounds(lower, upper),
     )
-    assert found.status == "Solve_Succeeded"
+    assert found.termination == Termination.CONVERGED
     assert found.iterations > 0
     expected = np.outer(np.arange(1, horizon + 1), [1.0, 0.0])
     np.testing.assert_allclose(found.positions_m, expected, atol=1e-4)
@@ -150,16 +149,14 @@ def test_two_solvers_do_not_share_margins():
     one, two = build_reach_nlp(1, 0), build_reach_nlp(1, 0)
     one.source.use(constant_margins(5.0))
     two.source.use(constant_margins(-5.0))
-    statuses = [
-        call_nlp(
-            nlp.solver,
-            nlp.horizon,
+    terminations = [
+        nlp.solve(
             np.zeros(3),
             np.array([0.0, 0.0, 9.0, 0.0, 0.1, 1.0, 1.0, 0.0]),
-            (np.array([-9.0, -9.0, 0.0]), np.array([9.0, 9.0, 0.0])),
-            (np.array([-np.inf, 0.0]), np.array([1.0, np.inf])),
-        ).status
+            Bounds(np.array([-9.0, -9.0, 0.0]), np.array([9.0, 9.0, 0.0])),
+            Bounds(np.array([-np.inf, 0.0]), np.array([1.0, np.inf])),
+        ).termination
         for nlp in (one, two)
     ]
-    assert statuses[0] == "Solve_Succeeded"
-    assert statuses[1] == "Infeasible_Problem_Detected"
+    assert terminations[0] == Termination.CONVERGED
+    assert terminations[1] == Termination.INFEASIBLE

@@ -1,0 +1,55 @@
+# pyright: basic
+"""Values and derivatives of a built programme, as NumPy has them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Point = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NlpFunctions:
+    """Functions of variables x, parameters p and rows' multipliers.
+
+    Attributes
+    ----------
+    values
+        ``(x, p)`` to the objective (minimised), and to all rows.
+    derivatives
+        ``(x, p, multipliers)`` to the gradient of the objective, the Jacobian of the rows, and the
+        Hessian of objective + multipliers . rows.
+    """
+
+    values: Callable[[Point, Point], tuple[float, Point]]
+    derivatives: Callable[[Point, Point, Point], tuple[Point, Point, Point]]
+
+
+def nlp_functions(solver: Any) -> NlpFunctions:
+    """The functions that a CasADi solver was built with."""
+    f, g, df, dg, h = (
+        solver.get_function(name)
+        for name in ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
+    )
+    x, p, multipliers = (
+        ca.MX.sym(name, h.size1_in(at)) for at, name in ((0, "x"), (1, "p"), (3, "m"))
+    )
+    both = ca.Function("values", [x, p], [f(x, p), g(x, p)])
+    outputs = [df(x, p)[1], dg(x, p)[1], h(x, p, 1.0, multipliers)]
+    all_three = ca.Function("derivatives", [x, p, multipliers], outputs)
+
+    def values(at: Point, parameters: Point) -> tuple[float, Point]:
+        value, rows = both(at, parameters)
+        return float(value), rows.full().ravel()
+
+    def derivatives(at: Point, parameters: Point, by: Point) -> tuple[Point, Point, Point]:
+        gradient, jacobian, upper = (part.full() for part in all_three(at, parameters, by))
+        return gradient.ravel(), jacobian, upper + np.triu(upper, 1).T
+
+    return NlpFunctions(values, derivatives)

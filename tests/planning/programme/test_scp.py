@@ -1,0 +1,98 @@
+"""Sequential convex programming: closed forms, agreement with IPOPT, and how it fails."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reach_tasks import bowl_margins, constant_margins, reach_task
+from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.plan import Termination, Verdict
+from planopt.planning.programme.kkt import Bounds
+from planopt.planning.programme.nlp_functions import NlpFunctions
+from planopt.planning.programme.polish import polish
+from planopt.planning.programme.reach_nlp import build_reach_nlp
+from planopt.planning.programme.scp import scp_solve
+
+N, LINES = 6, 2
+
+
+@pytest.fixture(scope="module")
+def solvers():
+    """One programme, solved by both methods."""
+    return build_reach_nlp(N, LINES), build_reach_nlp(N, LINES, "scp")
+
+
+def test_the_circle_and_the_line():
+    """Min (x - 3)^2 + (y - 2)^2 on the circle of radius 1 about (0, 0), by an equality row.
+
+    The answer is (3, 2) / sqrt(13), with multiplier sqrt(13) - 1.
+    """
+
+    def values(x, _p):
+        return float(((x - [3.0, 2.0]) ** 2).sum()), np.array([x @ x])
+
+    def derivatives(x, _p, multipliers):
+        return 2.0 * (x - [3.0, 2.0]), 2.0 * x[None], 2.0 * np.eye(2) * (1.0 + multipliers[0])
+
+    solve = scp_solve(NlpFunctions(values, derivatives), horizon=1, cones=0)
+    free = Bounds(np.full(2, -10.0), np.full(2, 10.0))
+    found = solve(np.array([0.1, 0.0]), np.zeros(0), free, Bounds(np.ones(1), np.ones(1)))
+    assert found.termination is Termination.CONVERGED
+    np.testing.assert_allclose(
+        found.positions_m[0], np.array([3.0, 2.0]) / np.sqrt(13.0), atol=1e-3
+    )
+    assert found.row_multipliers[0] == pytest.approx(np.sqrt(13.0) - 1.0, rel=5e-3)
+
+
+@pytest.mark.parametrize("bound_db", [-np.inf, -2.0, 0.5])
+def test_it_finds_what_ipopt_finds(solvers, bound_db):
+    """Path and multipliers, with the connectivity bound slack and tight."""
+    task = reach_task(
+        N, LINES, margins=bowl_margins([3.0, 1.5], 4.0), bound_db=np.full(N, bound_db)
+    )
+    by_ipopt, by_scp = (polish(nlp, task) for nlp in solvers)
+    assert by_scp.termination is Termination.CONVERGED
+    np.testing.assert_allclose(by_scp.path_m, by_ipopt.path_m, atol=5e-3)
+    for name, expected in by_ipopt.multipliers.items():
+        np.testing.assert_allclose(by_scp.multipliers[name], expected, atol=2e-2)
+    assert by_scp.kkt_residual < 1e-2
+
+
+def test_rows_that_cannot_be_kept(solvers):
+    """A bound above what any place has: infeasible, not converged."""
+    task = reach_task(N, LINES, margins=constant_margins(-5.0), bound_db=np.zeros(N))
+    assert polish(solvers[1], task).termination is Termination.INFEASIBLE
+
+
+def test_no_numbers(solvers):
+    """A start or a bound that is no number gives a point of NaN, and the next solve is unharmed."""
+    task = reach_task(N, LINES)
+    before = polish(solvers[1], task)
+    for spoilt in (
+        replace(task, path_m=np.full((N, 2), np.nan)),
+        replace(task, bound_db=np.full(N, np.nan)),
+        replace(task, margins=constant_margins(np.nan), bound_db=np.zeros(N)),
+    ):
+        lost = polish(solvers[1], spoilt)
+        assert lost.termination is Termination.NUMERICAL_FAILURE
+        assert np.isnan(lost.path_m).all()
+    after = polish(solvers[1], task)
+    np.testing.assert_array_equal(after.path_m, before.path_m)
+
+
+@pytest.mark.parametrize("terms", [(TRACKING,), (LEARNING,), (TRACKING, ENERGY)])
+@pytest.mark.parametrize("seed", range(3))
+def test_plans_agree_within_one_percent(terms, seed):
+    """Both planners, where both are verified, from one lattice start."""
+    plans = []
+    for name in ("nlp", "scp"):
+        problem = terms_problem(*terms, name=name, p_min=0.6)
+        situation, belief = situation_of(problem, seed)
+        judge, ground = judge_of(situation, belief)
+        plans.append(HorizonPlanner(problem, ground).plan(situation, judge))
+    nlp, scp = plans
+    if nlp.verdict is scp.verdict is Verdict.VERIFIED:
+        assert scp.objective == pytest.approx(nlp.objective, rel=1e-2)
+    assert (scp.verdict is Verdict.VERIFIED) == (nlp.verdict is Verdict.VERIFIED)

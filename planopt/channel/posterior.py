@@ -32,6 +32,7 @@ from planopt.channel.measurement_covariance import (
     measured_path_loss_variance_db2,
 )
 from planopt.channel.measurements import Measurements, join
+from planopt.channel.nearest.near_factors import NearFactors
 from planopt.channel.nearest.neighbour_information import NeighbourInformation
 from planopt.channel.nearest.neighbour_sites import neighbour_sites
 from planopt.channel.nearest.place_index import PlaceIndex
@@ -86,6 +87,10 @@ class ChannelPosterior:
         there is none, and then whitened columns are empty.
     information
         What stands for the factor where there is none.
+    near
+        Where there is none: factors of measurements near the places last asked for, shared with
+        the posteriors that extend this one. One that extends nothing has none, so that what is
+        predicted from it does not depend on what was asked before.
     """
 
     parameters: ChannelParameters
@@ -102,6 +107,7 @@ class ChannelPosterior:
     exact_limit: int = EXACT_LIMIT
     buffer: FactorBuffer | None = field(default=None, repr=False)
     information: NeighbourInformation | None = field(default=None, repr=False)
+    near: NearFactors | None = field(default=None, repr=False)
 
     @property
     def has_factor(self) -> bool:
@@ -249,7 +255,9 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
         )
         posterior = _append(posterior, part, sites)
         start = stop
-    return posterior
+    if posterior.has_factor or posterior.near is not None:
+        return posterior
+    return replace(posterior, near=NearFactors())
 
 
 def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:

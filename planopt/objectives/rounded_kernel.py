@@ -8,12 +8,14 @@ one by at most the share eps / beta = 0.01, at d = 0; at d = 10 eps by a twentie
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import MIN_DISTANCE_M
-from planopt.targets.rounding import Derivatives
+from planopt.targets.rounding import Derivatives, radial_hessian
 
 CUSP_ROUNDING = 0.01
 """Rounding of the kernel's cusp as a share of the decorrelation distance."""
@@ -35,29 +37,57 @@ def rounded_kernel(
     blur_m2
         ``(...)`` of position errors.
     """
+    rows = np.empty((6, *offset_m.shape[:-1]))
+    fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, blur_m2)
+    inner = tuple(range(1, rows.ndim))
+    return Derivatives(rows[0], rows[1:3].transpose(*inner, 0), rows[3:].transpose(*inner, 0))
+
+
+def fill_rounded_kernel(
+    rows: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    parameters: ChannelParameters,
+    blur_m2: NDArray[np.float64] | float = 0.0,
+) -> None:
+    """Write the kernel of offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy.
+
+    `rows` are ``(6, ...)``; a solver asks again and again and keeps them.
+    """
     beta = parameters.decorrelation_m
-    x, y = offset_m[..., 0], offset_m[..., 1]
-    r = np.sqrt(x * x + y * y + blur_m2 + (CUSP_ROUNDING * beta) ** 2)
-    value = parameters.shadow_std_db**2 * np.exp(r / -beta)
-    slope = -value / (beta * r)
-    bend = -slope * (1.0 / (beta * r) + 1.0 / (r * r))
-    gradient, hessian = np.empty((*r.shape, 2)), np.empty((*r.shape, 3))
-    gradient[..., 0], gradient[..., 1] = slope * x, slope * y
+    value, by_x, by_y, by_xx, by_xy, by_yy = rows
+    r = x * x
+    r += y * y
+    r += blur_m2 + (CUSP_ROUNDING * beta) ** 2
+    np.sqrt(r, out=r)
+    np.multiply(r, -1.0 / beta, out=value)
+    np.exp(value, out=value)
+    value *= parameters.shadow_std_db**2
+    inverse = np.reciprocal(r, out=r)
+    slope = value * inverse
+    slope *= -1.0 / beta
+    # (-slope) (1 / (beta r) + 1 / r^2)
+    bend = inverse + 1.0 / beta
+    bend *= inverse
+    bend *= slope
+    np.multiply(slope, x, out=by_x)
+    np.multiply(slope, y, out=by_y)
     bent = bend * x
-    hessian[..., 0], hessian[..., 1] = bent * x + slope, bent * y
-    hessian[..., 2] = bend * y * y + slope
-    return Derivatives(value, gradient, hessian)
+    np.multiply(bent, y, out=by_xy)
+    np.negative(by_xy, out=by_xy)
+    bent *= x
+    np.subtract(slope, bent, out=by_xx)
+    bend *= y
+    bend *= y
+    np.subtract(slope, bend, out=by_yy)
 
 
 def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> Derivatives:
     """-10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives by the position (n, 2)."""
     offset = positions_m - np.asarray(station.position_m)
-    x, y = offset[:, 0], offset[:, 1]
-    square = x * x + y * y + station.height_m**2 + MIN_DISTANCE_M**2
-    slope = -10.0 / np.log(10.0) / square
+    square = np.einsum("ni,ni->n", offset, offset) + (station.height_m**2 + MIN_DISTANCE_M**2)
+    slope = (-10.0 / math.log(10.0)) / square
     bend = -2.0 * slope / square
     return Derivatives(
-        -5.0 * np.log10(square),
-        slope[:, None] * offset,
-        np.stack([slope + bend * x * x, bend * x * y, slope + bend * y * y], axis=1),
+        -5.0 * np.log10(square), slope[:, None] * offset, radial_hessian(offset, slope, bend)
     )

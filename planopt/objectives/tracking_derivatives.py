@@ -11,10 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
-from planopt.targets.rounding import Derivatives
-
-FIRST, SECOND = (0, 0, 1), (0, 1, 1)
-"""Which coordinates xx, xy and yy are by."""
+from planopt.targets.rounding import Derivatives, add_products
 
 
 def connectivity_derivatives(
@@ -35,16 +32,19 @@ def connectivity_derivatives(
     """
     sigma = deviation_db.value
     z = (mean_db.value - threshold_dbm) / sigma
-    z1 = (mean_db.gradient - z[:, None] * deviation_db.gradient) / sigma[:, None]
-    turned = z1[:, FIRST] * deviation_db.gradient[:, SECOND]
-    turned += z1[:, SECOND] * deviation_db.gradient[:, FIRST]
-    z2 = (mean_db.hessian - z[:, None] * deviation_db.hessian - turned) / sigma[:, None]
-    density = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-    return Derivatives(
-        connection_probability(mean_db.value, sigma, threshold_dbm),
-        density[:, None] * z1,
-        density[:, None] * (z2 - z[:, None] * z1[:, FIRST] * z1[:, SECOND]),
-    )
+    by_sigma, across = (1.0 / sigma)[:, None], z[:, None]
+    z1 = mean_db.gradient - across * deviation_db.gradient
+    z1 *= by_sigma
+    z2 = mean_db.hessian - across * deviation_db.hessian
+    # The turned parts, and those of the density's slope, are products with z1.
+    turned = deviation_db.gradient * by_sigma
+    turned += (0.5 * across) * z1
+    z2 *= by_sigma
+    add_products(z2, z1, -turned)
+    density = (np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))[:, None]
+    z1 *= density
+    z2 *= density
+    return Derivatives(connection_probability(mean_db.value, sigma, threshold_dbm), z1, z2)
 
 
 def tracking_reward_derivatives(
@@ -62,10 +62,11 @@ def tracking_reward_derivatives(
         ``(n,)`` w_k.
     """
     p, s = connectivity, sensing
-    crossed = p.gradient[:, FIRST] * s.gradient[:, SECOND]
-    crossed += p.gradient[:, SECOND] * s.gradient[:, FIRST]
-    return Derivatives(
-        weight * p.value * s.value,
-        weight[:, None] * (p.gradient * s.value[:, None] + p.value[:, None] * s.gradient),
-        weight[:, None] * (p.hessian * s.value[:, None] + crossed + p.value[:, None] * s.hessian),
-    )
+    # A step's weight goes with its sensing.
+    sensed, felt = (weight * s.value)[:, None], (weight * p.value)[:, None]
+    gradient = sensed * p.gradient
+    gradient += felt * s.gradient
+    hessian = sensed * p.hessian
+    hessian += felt * s.hessian
+    add_products(hessian, p.gradient, weight[:, None] * s.gradient)
+    return Derivatives(felt[:, 0] * s.value, gradient, hessian)

@@ -39,6 +39,9 @@ VALUE_IN_SOLVER = 10.0
 GIVEN_UP_DB = 1e-3
 """A larger slack says that the solver found no better place; a smaller one is its tolerance."""
 
+RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
+"""Where another solve may go on from the point; what a failed one leaves may be anywhere."""
+
 MISSING_DB_COST = 100.0
 """What a missing dB counts in the solver, where the bound cannot be kept."""
 
@@ -194,6 +197,8 @@ class HorizonPlanner:
             if self._lacks(situation, point):
                 # It is known to be improvable, and proving that would be dear.
                 found.append(candidate)
+                if point.termination not in RETURNED:
+                    return found
                 task = self._recentred(task, situation, point)
                 continue
             if start.missing_db == 0.0 and candidate.objective < start.worth:

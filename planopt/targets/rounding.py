@@ -34,13 +34,33 @@ class Derivatives:
 
 def rounded_length(offset_m: NDArray[np.float64], width_m: float) -> Derivatives:
     """Length of `offset_m` (..., 2), rounded within `width_m` > 0 of zero, with derivatives."""
+    value, slope, bend = _profile(np.hypot(offset_m[..., 0], offset_m[..., 1]), width_m)
+    return Derivatives(value, slope[..., None] * offset_m, radial_hessian(offset_m, slope, bend))
+
+
+def radial_hessian(
+    offset_m: NDArray[np.float64], slope: NDArray[np.float64], bend: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """``slope I + bend x x'`` of offsets x (..., 2), as xx, xy, yy (..., 3)."""
     x, y = offset_m[..., 0], offset_m[..., 1]
-    value, slope, bend = _profile(np.hypot(x, y), width_m)
-    return Derivatives(
-        value,
-        slope[..., None] * offset_m,
-        np.stack([slope + bend * x * x, bend * x * y, slope + bend * y * y], axis=-1),
-    )
+    hessian = np.empty((*x.shape, 3))
+    bent = bend[..., None] * offset_m
+    hessian[..., :2] = bent * offset_m[..., :1]
+    hessian[..., 0] += slope
+    np.multiply(bent[..., 1], y, out=hessian[..., 2])
+    hessian[..., 2] += slope
+    return hessian
+
+
+def add_products(
+    hessian: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
+) -> None:
+    """Add a b' + b a' to `hessian` (..., 3), given as xx, xy, yy; `a` and `b` are (..., 2)."""
+    crossed = a * b
+    crossed += crossed
+    hessian[..., ::2] += crossed
+    hessian[..., 1] += a[..., 0] * b[..., 1]
+    hessian[..., 1] += a[..., 1] * b[..., 0]
 
 
 def rounded_positive_part(
@@ -58,8 +78,12 @@ def _profile(
     r: NDArray[np.float64], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """rho(r), rho' / r and (rho'' - rho' / r) / r^2: finite at 0, where the last two are needed."""
-    s = np.minimum(r / width, 1.0) ** 2
+    if r.min(initial=np.inf) >= width:
+        inverse = 1.0 / r
+        return r, inverse, -inverse * inverse * inverse
     # From the width on the polynomial's values at s = 1 are 1, 1 / width and -1 / width^3.
     far = np.maximum(r, width)
+    s = r / far
+    s *= s
     value = np.where(r < width, width * (0.375 + 0.75 * s - 0.125 * s * s), r)
-    return value, (1.5 - 0.5 * s) / far, -1.0 / far**3
+    return value, (1.5 - 0.5 * s) / far, -1.0 / (far * far * far)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.targets.rounding import Derivatives, rounded_length
+from planopt.targets.rounding import Derivatives, add_products, rounded_length
 
 CUSP_SHARE = 0.1
 """The derivatives round the cusp at the target within this share of the sweet spot's radius."""
@@ -111,15 +111,12 @@ def sensing_derivatives(
     sweet = sensor.sweet_spot_m
     # Without a sweet spot g has no cusp, and the length's factor below is zero.
     length = rounded_length(offset, CUSP_SHARE * sweet if sweet > 0.0 else 1.0)
-    square = (offset**2).sum(axis=-1)
+    square = np.einsum("...i,...i->...", offset, offset)
     loss = sensor.growth * (square - 2.0 * sweet * length.value + sweet**2) + sensor.least_noise_m2
-    first = 2.0 * sensor.growth * (offset - sweet * length.gradient)
-    unit = np.array([1.0, 0.0, 1.0])
-    second = 2.0 * sensor.growth * (unit - sweet * length.hessian)
     information = 1.0 / loss
-    products = first[..., [0, 0, 1]] * first[..., [0, 1, 1]]
-    return Derivatives(
-        information,
-        -first * information[..., None] ** 2,
-        2.0 * products * information[..., None] ** 3 - second * information[..., None] ** 2,
-    )
+    slope = (-2.0 * sensor.growth * information * information)[..., None]
+    gradient = slope * (offset - sweet * length.gradient)
+    hessian = (-sweet * slope) * length.hessian
+    hessian[..., ::2] += slope
+    add_products(hessian, gradient, loss[..., None] * gradient)
+    return Derivatives(information, gradient, hessian)

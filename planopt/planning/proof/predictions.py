@@ -23,7 +23,7 @@ def certified_prediction(
     """Prediction that certificates rest on, and its name in them."""
     if len(posterior.measurements) <= EXACT_LIMIT:
         return predict(posterior, positions_m), "exact"
-    nearby = predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND)
+    nearby = predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND, keep=True)
     return nearby, f"neighbours:{NEIGHBOURS_BEYOND}"
 
 

@@ -15,17 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.nearest.neighbours import NeighbourModel
-from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance
-from planopt.targets.rounding import Derivatives
+from planopt.objectives.rounded_kernel import fill_rounded_kernel, rounded_log_distance
+from planopt.targets.rounding import Derivatives, add_products
+
+LEAST_VARIANCE_DB2 = float(np.finfo(float).tiny)
+"""Rounding alone can leave none."""
 
 
 class StagePredictor:
     """Predicts stage k from `model`'s k-th neighbour set, again and again.
 
-    With g = (1, gamma) path loss's regressors, phi the covariances with the m measurements and
-    A = trend, the variance ``xi^2 + omega^2 - phi' P phi + b' M b``, b = g - A' phi, is expanded to
-    ``xi^2 + omega^2 + g' M g - 2 g' M A' phi - phi' (P - A M A') phi``: one quadratic form, and
-    linear ones.
+    With phi the covariances with the m measurements, g = (1, gamma) path loss's regressors, A =
+    trend and f = (phi, g), the mean is ``w' f`` and the variance ``xi^2 + omega^2 - phi' P phi +
+    b' M b``, b = g - A' phi, is ``xi^2 + omega^2 - f' Q f``: one linear form and one quadratic.
 
     Parameters
     ----------
@@ -37,48 +39,51 @@ class StagePredictor:
         self._model = model
         n, m = model.weights.shape
         along = model.trend @ model.theta_covariance  # A M, (n, m, 2)
-        self._quadratic = model.precision - along @ model.trend.swapaxes(1, 2)
-        # Rows: weights of the mean, both columns of A M, and phi' times the quadratic form.
-        self._linear = np.empty((n, 4, m))
-        self._linear[:, 0] = model.weights - model.trend @ model.theta
-        self._linear[:, 1:3] = along.swapaxes(1, 2)
-        self._kernel = np.empty((n, 6, m))
+        self._quadratic = np.empty((n, m + 2, m + 2))
+        self._quadratic[:, :m, :m] = model.precision - along @ model.trend.swapaxes(1, 2)
+        self._quadratic[:, :m, m:] = along
+        self._quadratic[:, m:, :m] = along.swapaxes(1, 2)
+        self._quadratic[:, m:, m:] = -model.theta_covariance
+        # Columns: w, and Q f.
+        self._linear = np.empty((n, m + 2, 2))
+        self._linear[:, :m, 0] = model.weights - model.trend @ model.theta
+        self._linear[:, m:, 0] = model.theta
+        # f by derivative: value, x, y, xx, xy, yy.
+        self._f = np.zeros((n, 6, m + 2))
+        self._f[:, 0, m] = 1.0
+        self._kernel = self._f[:, :, :m].swapaxes(0, 1)
+        self._x_m = np.ascontiguousarray(model.positions_m[:, :, 0])
+        self._y_m = np.ascontiguousarray(model.positions_m[:, :, 1])
 
     def __call__(self, positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
         """Mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""
-        model = self._model
-        parameters, m_theta = model.parameters, model.theta_covariance
-        kernel, linear = self._kernel, self._linear
-        near = rounded_kernel(positions_m[:, None] - model.positions_m, parameters, model.blur_m2)
-        kernel[:, 0] = near.value
-        kernel[:, 1:3] = near.gradient.swapaxes(1, 2)
-        kernel[:, 3:] = near.hessian.swapaxes(1, 2)
-        half = kernel[:, :3] @ self._quadratic
-        linear[:, 3] = half[:, 0]
-        # By kind of derivative and row of `linear`: value, x, y, xx, xy, yy.
-        products = kernel @ linear.swapaxes(1, 2)
-        crossed = half[:, 1:] @ kernel[:, 1:3].swapaxes(1, 2)
-        gamma = _joined(rounded_log_distance(positions_m, parameters.station))
+        model, f, linear = self._model, self._f, self._linear
+        parameters = model.parameters
+        fill_rounded_kernel(
+            self._kernel,
+            positions_m[:, :1] - self._x_m,
+            positions_m[:, 1:] - self._y_m,
+            parameters,
+            model.blur_m2,
+        )
+        gamma = rounded_log_distance(positions_m, parameters.station)
+        f[:, 0, -1], f[:, 1:3, -1], f[:, 3:, -1] = gamma.value, gamma.gradient, gamma.hessian
+        half = f[:, :3] @ self._quadratic
+        linear[:, :, 1] = half[:, 0]
+        forms = f @ linear
+        crossed = half[:, 1:] @ f[:, 1:3].swapaxes(1, 2)
 
-        mean = products[:, :, 0] + model.theta[1] * gamma
-        mean[:, 0] += model.theta[0]
-        u0, u1, q = products[:, :, 1], products[:, :, 2], products[:, :, 3]
-        g, gamma1, u1_1 = gamma[:, 0], gamma[:, 1:3], u1[:, 1:3]
-        pull = m_theta[0, 1] + m_theta[1, 1] * g - u1[:, 0]
-        # Half of the variance and of its derivatives.
-        s = gamma * pull[:, None] - q - u0 - g[:, None] * u1
-        s[:, 3:5] -= crossed[:, 0]
-        s[:, 5] -= crossed[:, 1, 1]
-        _add_products(s[:, 3:], gamma1, 0.5 * m_theta[1, 1] * gamma1 - u1_1)
-        variance = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 - q[:, 0]
-        variance += m_theta[0, 0] + g * (2.0 * m_theta[0, 1] + g * m_theta[1, 1])
-        variance -= 2.0 * (u0[:, 0] + g * u1[:, 0])
-
-        deviation = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
-        s /= deviation[:, None]
-        d1, d2 = s[:, 1:3], s[:, 3:]
-        _add_products(d2, d1, d1 * (-0.5 / deviation)[:, None])
-        return _split(mean), Derivatives(deviation, d1, d2)
+        variance = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 - forms[:, 0, 1]
+        deviation = np.sqrt(np.maximum(variance, LEAST_VARIANCE_DB2))
+        # Derivatives of half of the variance, over the deviation.
+        s = forms[:, 1:, 1]
+        s[:, 2:4] += crossed[:, 0]
+        s[:, 4] += crossed[:, 1, 1]
+        s = s * (-1.0 / deviation)[:, None]
+        d1, d2 = s[:, :2], s[:, 2:]
+        add_products(d2, d1, d1 * (-0.5 / deviation)[:, None])
+        mean = Derivatives(forms[:, 0, 0], forms[:, 1:3, 0], forms[:, 3:, 0])
+        return mean, Derivatives(deviation, d1, d2)
 
 
 def stage_prediction(
@@ -86,22 +91,3 @@ def stage_prediction(
 ) -> tuple[Derivatives, Derivatives]:
     """:class:`StagePredictor` for a single evaluation at ``positions_m`` (n, 2)."""
     return StagePredictor(model)(positions_m)
-
-
-def _add_products(
-    hessian: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
-) -> None:
-    """Add a b' + b a' to `hessian` (n, 3); `a` and `b` are (n, 2)."""
-    crossed = a[:, :, None] * b[:, None]
-    hessian[:, 0] += 2.0 * crossed[:, 0, 0]
-    hessian[:, 1] += crossed[:, 0, 1] + crossed[:, 1, 0]
-    hessian[:, 2] += 2.0 * crossed[:, 1, 1]
-
-
-def _joined(parts: Derivatives) -> NDArray[np.float64]:
-    """Value, gradient and Hessian in one array, (n, 6)."""
-    return np.concatenate([parts.value[:, None], parts.gradient, parts.hessian], axis=1)
-
-
-def _split(parts: NDArray[np.float64]) -> Derivatives:
-    return Derivatives(parts[:, 0], parts[:, 1:3], parts[:, 3:])

@@ -1,0 +1,212 @@
+"""Factors of measurements near plans, kept from one step to the next.
+
+A robot's plans change little from step to step: their places lie where those of the last one lay,
+and one measurement has come in. Places that lie close together share a group of measurements and
+its factor. A group that lacks a few of the measurements nearest to a place takes them in by rows;
+one that has more than the nearest is as honest, and never less informed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.factor import FactorBuffer, append_rows
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.path_loss import regressors
+
+if TYPE_CHECKING:
+    from planopt.channel.posterior import ChannelPosterior
+
+Group = NDArray[np.intp]
+"""Rows of places."""
+
+BUILT_SHARE = 1.5
+"""Most measurements of a new group, as a multiple of those each place needs; a factor costs their
+cube."""
+
+GROWN_SHARE = 2.0
+"""The same of a group that has taken more in; beyond, it is forgotten."""
+
+LACKING_SHARE = 0.125
+"""A group that lacks no more than this share of what a place needs takes it in."""
+
+MOST_GROUPS = 24
+"""Groups kept; the one longest unused goes first. Each takes 8 MB at 512 measurements a place."""
+
+
+@dataclass(eq=False)
+class NearGroup:
+    """Measurements with their factor.
+
+    Attributes
+    ----------
+    parameters
+        The channel's, as the factor was made with.
+    used
+        ``(m,)`` numbers of the measurements, in the order of the factor's rows.
+    given
+        ``(m, 6)`` what the factor and `columns` rest on, to be recognised by.
+    columns
+        ``(m, 3)`` L^-1 [y, Gamma].
+    buffer
+        Where L is.
+    """
+
+    parameters: ChannelParameters
+    used: NDArray[np.intp]
+    given: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    buffer: FactorBuffer
+
+    @property
+    def lower(self) -> NDArray[np.float64]:
+        """L, ``(m, m)``; a view."""
+        count = len(self.used)
+        return self.buffer.lower[:count, :count]
+
+    def belongs_to(self, posterior: ChannelPosterior) -> bool:
+        """Whether these are measurements of `posterior`, under the same numbers."""
+        return (
+            self.parameters == posterior.parameters
+            and int(self.used.max()) < len(posterior.measurements)
+            and np.array_equal(self.given, _given(posterior, self.used))
+        )
+
+    def take_in(self, posterior: ChannelPosterior, more: NDArray[np.intp]) -> None:
+        """Add the measurements `more` (k,)."""
+        self.used = np.concatenate([self.used, more])
+        self.given = np.concatenate([self.given, _given(posterior, more)])
+        columns = np.empty((len(more), 3))
+        columns[:, 0] = posterior.values_db[more]
+        at = posterior.measurements.positions_m[more]
+        columns[:, 1:] = regressors(at, self.parameters.station)
+        self.columns = np.concatenate([self.columns, columns])
+        append_rows(
+            self.buffer,
+            self.parameters,
+            posterior.origins.at(self.used).without_offsets(),
+            posterior.noise_variance_db2[self.used],
+            self.columns,
+        )
+
+
+class NearFactors:
+    """Groups of measurements that the last predictions rested on.
+
+    Shared by a posterior and those that extend it. A pickled copy has none.
+    """
+
+    def __init__(self) -> None:
+        # The one used last stands last.
+        self._groups: list[NearGroup] = []
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def __getstate__(self) -> dict[str, list[NearGroup]]:
+        return {"_groups": []}
+
+    def serving(
+        self, posterior: ChannelPosterior, places_m: NDArray[np.float64], count: int
+    ) -> list[tuple[NearGroup, Group]]:
+        """Groups and the places they serve; every place has its `count` nearest in its group.
+
+        Parameters
+        ----------
+        posterior
+            Whose measurements are wanted; others' are left alone.
+        places_m
+            ``(n, 2)``, at least one.
+        count
+            Fewer than there are measurements.
+        """
+        near, _ = posterior.index.nearest(places_m, count)
+        known = [group for group in self._groups if group.belongs_to(posterior)]
+        chosen, lacking = _least_lacking(known, near, len(posterior.measurements))
+        left = lacking.sum(axis=1) > LACKING_SHARE * count
+        found: list[tuple[NearGroup, Group]] = []
+        for number, group in enumerate(known):
+            rows = np.flatnonzero((chosen == number) & ~left)
+            if not len(rows):
+                continue
+            more = np.unique(near[rows][lacking[rows]])
+            if len(group.used) + len(more) > GROWN_SHARE * count:
+                left[rows] = True
+                self._groups.remove(group)
+                continue
+            if len(more):
+                group.take_in(posterior, more)
+            found.append((group, rows))
+        for rows in _close_together(places_m, np.flatnonzero(left), near, BUILT_SHARE * count):
+            group = _new_group(posterior, np.unique(near[rows]), int(GROWN_SHARE * count))
+            found.append((group, rows))
+        served = [group for group, _ in found]
+        self._groups = [group for group in self._groups if group not in served] + served
+        del self._groups[:-MOST_GROUPS]
+        return found
+
+
+def _new_group(posterior: ChannelPosterior, used: NDArray[np.intp], capacity: int) -> NearGroup:
+    group = NearGroup(
+        posterior.parameters,
+        used[:0],
+        np.zeros((0, 6)),
+        np.zeros((0, 3)),
+        FactorBuffer(max(capacity, len(used))),
+    )
+    group.take_in(posterior, used)
+    return group
+
+
+def _least_lacking(
+    groups: list[NearGroup], near: NDArray[np.intp], total: int
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """The group that lacks fewest of `near` (n, count) for each place, and which ones it lacks."""
+    chosen = np.zeros(len(near), dtype=np.intp)
+    lacking = np.ones(near.shape, dtype=bool)
+    fewest = lacking.sum(axis=1)
+    for number, group in enumerate(groups):
+        outside = np.ones(total, dtype=bool)
+        outside[group.used] = False
+        lacks = outside[near]
+        better = lacks.sum(axis=1) < fewest
+        chosen[better] = number
+        lacking[better] = lacks[better]
+        fewest = lacking.sum(axis=1)
+    return chosen, lacking
+
+
+def _close_together(
+    places_m: NDArray[np.float64], rows: Group, near: NDArray[np.intp], most: float
+) -> list[Group]:
+    """Split `rows` of places until each part needs at most `most` measurements, or is one place."""
+    done: list[Group] = []
+    parts = [rows] if len(rows) else []
+    while parts:
+        part = parts.pop()
+        if len(part) == 1 or len(np.unique(near[part])) <= most:
+            done.append(part)
+            continue
+        along = places_m[part, int(np.ptp(places_m[part], axis=0).argmax())]
+        middle = len(part) // 2
+        order = np.argpartition(along, middle)
+        parts += [part[order[:middle]], part[order[middle:]]]
+    return done
+
+
+def _given(posterior: ChannelPosterior, used: NDArray[np.intp]) -> NDArray[np.float64]:
+    """What the covariance and the columns of the measurements `used` (m,) rest on; ``(m, 6)``."""
+    measured = posterior.measurements
+    return np.column_stack(
+        [
+            measured.positions_m[used],
+            measured.position_std_m[used],
+            measured.time_s[used],
+            posterior.values_db[used],
+            posterior.noise_variance_db2[used],
+        ]
+    )

@@ -63,6 +63,13 @@ class Candidate:
         """Whether some step misses the connectivity bound."""
         return self.certificate is not None and bool(self.certificate.relaxed_steps)
 
+    @property
+    def hopeless(self) -> bool:
+        """Whether the certificate shows that no path at all meets the bound at any step."""
+        if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
+            return False
+        return max(self.certificate.best_margin_db) < 0.0
+
 
 @dataclass(frozen=True)
 class Judge:

@@ -104,6 +104,8 @@ class HorizonPlanner:
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
                     tried.append(candidate)
+            if any(c.sound and c.hopeless for c in tried):
+                break
             if not any(c.objective >= unpolished.objective for c in verified):
                 unpolished = judge.judged(unpolished)
                 tried.append(unpolished)
@@ -113,12 +115,13 @@ class HorizonPlanner:
                 break
         if verified:
             return _with_effort(max(verified, key=lambda c: c.objective), tried)
-        fallback = self._without_start(judge, warm)
-        if fallback.verdict is Verdict.VERIFIED:
-            return _with_effort(fallback, tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [candidate for candidate in tried if candidate.sound]
-        return _with_effort(sound[0] if sound else fallback, tried)
+        if any(candidate.hopeless for candidate in sound):
+            return _with_effort(sound[0], tried)
+        fallback = self._without_start(judge, warm)
+        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
+        return _with_effort(chosen, tried)
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""

@@ -95,6 +95,8 @@ class ReachPlanner:
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
                     return attempt
                 tried.append(attempt)
+                if attempt.sound and attempt.hopeless:
+                    break
         lattice = judge.judged(lattice)
         if self._nlp is None:
             lattice = replace(lattice, rung=Rung.PLAN)
@@ -105,12 +107,13 @@ class ReachPlanner:
         verified = [c for c in tried if c.verdict is Verdict.VERIFIED]
         if verified:
             return _with_effort(min(verified, key=lambda c: c.objective), tried)
-        fallback = self._without_start(judge, warm)
-        if fallback.verdict is Verdict.VERIFIED:
-            return _with_effort(fallback, tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
-        return _with_effort(sound[0] if sound else fallback, tried)
+        if any(candidate.hopeless for candidate in sound):
+            return _with_effort(sound[0], tried)
+        fallback = self._without_start(judge, warm)
+        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
+        return _with_effort(chosen, tried)
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.prediction import Prediction
+from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
@@ -65,7 +66,11 @@ class HorizonPlanner:
         self._nlp: PathNlp | None = None
         if problem.planner.name == "auto":
             self._nlp = build_path_nlp(
-                problem.planner.horizon, LINES_PER_SEGMENT, is_stagewise(problem), self._bounded
+                problem.planner.horizon,
+                LINES_PER_SEGMENT,
+                is_stagewise(problem),
+                self._bounded,
+                problem.planner.budget_s,
             )
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
@@ -82,11 +87,17 @@ class HorizonPlanner:
         """
         begun = perf_counter()
         starts = self._search.find_starts(situation, shifted_path(warm))
-        chosen = self._climb(situation, judge, starts, warm)
+        budget = budget_from(self.problem, begun)
+        chosen = self._climb(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _climb(
-        self, situation: Situation, judge: Judge, starts: list[Start], warm: Plan | None
+        self,
+        situation: Situation,
+        judge: Judge,
+        starts: list[Start],
+        warm: Plan | None,
+        budget: Budget,
     ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         tried: list[Candidate] = []
@@ -100,10 +111,12 @@ class HorizonPlanner:
                 unpolished = replace(unpolished, rung=Rung.PLAN)
             else:
                 rung = Rung.PLAN if number == 0 else Rung.COLD_RETRY
-                for candidate in self.polished(situation, judge, start, rung):
+                for candidate in self.polished(situation, judge, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
                     tried.append(candidate)
+                if budget.spent and not verified:
+                    unpolished = replace(unpolished, termination=Termination.TIME_LIMIT)
             if any(c.sound and c.hopeless for c in tried):
                 break
             if not any(c.objective >= unpolished.objective for c in verified):
@@ -135,28 +148,36 @@ class HorizonPlanner:
         return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
 
     def polished(
-        self, situation: Situation, judge: Judge, start: Start, rung: Rung
+        self,
+        situation: Situation,
+        judge: Judge,
+        start: Start,
+        rung: Rung,
+        budget: Budget | None = None,
     ) -> list[Candidate]:
-        """Candidates that a start leads to, judged.
+        """Candidates that a start leads to, judged; none once the budget is spent.
 
         If thorough, the best of them is polished again, from the measurements and the sides of
         obstacles that are nearest to it.
         """
-        found = self._attempts(situation, judge, start, rung)
+        budget = Budget() if budget is None else budget
+        found = self._attempts(situation, judge, start, rung, budget)
         verified = [candidate for candidate in found if candidate.verdict is Verdict.VERIFIED]
         if not (self._thorough and verified):
             return found
         best = max(verified, key=lambda candidate: candidate.objective)
         again = replace(start, path_m=best.path_m)
-        return found + self._attempts(situation, judge, again, rung)
+        return found + self._attempts(situation, judge, again, rung, budget)
 
     def _attempts(
-        self, situation: Situation, judge: Judge, start: Start, rung: Rung
+        self, situation: Situation, judge: Judge, start: Start, rung: Rung, budget: Budget
     ) -> list[Candidate]:
         """Polish a start, repeating with what the proof objects to built in."""
         problem, nlp = self.problem, self._nlp
         if nlp is None:
             raise AssertionError("this planner does not polish")
+        if budget.spent:
+            return []
         evaluate = local_worth(situation, start.path_m)
         ends = np.vstack([situation.position_m, start.path_m])
         task = PathTask(
@@ -192,6 +213,8 @@ class HorizonPlanner:
             if self._lacks(situation, point):
                 # It is known to be improvable, and proving that would be dear.
                 found.append(candidate)
+                if budget.spent:
+                    return found
                 task = self._recentred(task, situation, point)
                 continue
             if start.missing_db == 0.0 and candidate.objective < start.worth:
@@ -202,7 +225,7 @@ class HorizonPlanner:
                 candidate = replace(candidate, rung=Rung.RELAXED)
             found.append(candidate)
             repaired = self._repaired(task, candidate)
-            if repaired is None:
+            if repaired is None or budget.spent:
                 return found
             task = repaired
         return found

@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from planopt.planning.programme.ipopt import OPTIONS
+from planopt.planning.programme.ipopt import OPTIONS, time_limit
 from planopt.planning.programme.path_rows import PathCallback, path_rows
 from planopt.planning.programme.path_value import ValueSource
 
@@ -63,7 +63,9 @@ class PathNlp:
     callbacks: tuple[Any, ...]
 
 
-def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> PathNlp:
+def build_path_nlp(
+    horizon: int, lines: int, stagewise: bool, bounded: bool, budget_s: float | None = None
+) -> PathNlp:
     """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
 
     Parameters
@@ -74,6 +76,8 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         Whether the value is a sum over stages.
     bounded
         Whether connectivity is bounded.
+    budget_s
+        Seconds after which a solve ends; None for no limit.
     """
     n = horizon
     source = ValueSource()
@@ -132,7 +136,7 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         [callback(at) for callback in margins] if bounded else [ca.MX(0, 1)] * 3
     )
     f, g = objective(x, p, callbacks[0](at)), rows(x, p, margin)
-    options = OPTIONS | NEAR_START
+    options = OPTIONS | NEAR_START | time_limit(budget_s)
     # The solver asks these two for derivatives only; values here would be computed for nothing.
     no_f, no_g = ca.MX.nan(1), ca.MX.nan(plain + stages)
     options["grad_f"] = ca.Function(

@@ -16,7 +16,7 @@ from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.verify import judge
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, inside_bounds
+from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,13 @@ class Candidate:
     def relaxes(self) -> bool:
         """Whether some step misses the connectivity bound."""
         return self.certificate is not None and bool(self.certificate.relaxed_steps)
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the certificate shows that no path at all meets the bound at any step."""
+        if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
+            return False
+        return max(self.certificate.best_margin_db) < 0.0
 
 
 @dataclass(frozen=True)
@@ -114,11 +121,11 @@ class Judge:
             candidate.kkt_residual,
         )
         certificate = judgement.certificate
-        sound = (
-            certificate.min_clearance_m
-            >= self.problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
+        clearance = np.array([certificate.min_clearance_m])
+        sound = bool(
+            is_clear(clearance, self.problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M).all()
             and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
-            and bool(inside_bounds(self.problem.workspace, path).all())
+            and inside_bounds(self.problem.workspace, path).all()
         )
         return replace(
             candidate,

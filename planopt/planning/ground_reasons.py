@@ -10,6 +10,7 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,
     containing_obstacle,
+    is_clear,
     segment_lines,
     swept_clearance_m,
 )
@@ -25,10 +26,10 @@ def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.flo
             inside.add(step)
             x, y = place
             reasons.append(f"step {step}: ({x:.3f}, {y:.3f}) lies in obstacle {obstacle.name}")
-    limit = problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
     clearance = swept_clearance_m(index, path_m)
+    near = ~is_clear(clearance, problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M)
     lines = segment_lines(path_m[:-1], path_m[1:])
-    for segment in np.nonzero(clearance < limit)[0].tolist():
+    for segment in np.nonzero(near)[0].tolist():
         if segment in inside or segment + 1 in inside:
             continue
         nearest = index.obstacles[int(np.asarray(index.tree.nearest(lines[segment])))]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.prediction import Prediction
+from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
@@ -74,6 +75,7 @@ class HorizonPlanner:
                 is_stagewise(problem),
                 self._bounded,
                 METHODS[problem.planner.name],
+                problem.planner.budget_s,
             )
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
@@ -90,11 +92,17 @@ class HorizonPlanner:
         """
         begun = perf_counter()
         starts = self._search.find_starts(situation, shifted_path(warm))
-        chosen = self._climb(situation, judge, starts, warm)
+        budget = budget_from(self.problem, begun)
+        chosen = self._climb(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _climb(
-        self, situation: Situation, judge: Judge, starts: list[Start], warm: Plan | None
+        self,
+        situation: Situation,
+        judge: Judge,
+        starts: list[Start],
+        warm: Plan | None,
+        budget: Budget,
     ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         tried: list[Candidate] = []
@@ -108,10 +116,14 @@ class HorizonPlanner:
                 unpolished = replace(unpolished, rung=Rung.PLAN)
             else:
                 rung = Rung.PLAN if number == 0 else Rung.COLD_RETRY
-                for candidate in self.polished(situation, judge, start, rung):
+                for candidate in self.polished(situation, judge, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
                     tried.append(candidate)
+                if budget.spent and not verified:
+                    unpolished = replace(unpolished, termination=Termination.TIME_LIMIT)
+            if any(c.sound and c.hopeless for c in tried):
+                break
             if not any(c.objective >= unpolished.objective for c in verified):
                 unpolished = judge.judged(unpolished)
                 tried.append(unpolished)
@@ -121,12 +133,13 @@ class HorizonPlanner:
                 break
         if verified:
             return _with_effort(max(verified, key=lambda c: c.objective), tried)
-        fallback = self._without_start(judge, warm)
-        if fallback.verdict is Verdict.VERIFIED:
-            return _with_effort(fallback, tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [candidate for candidate in tried if candidate.sound]
-        return _with_effort(sound[0] if sound else fallback, tried)
+        if any(candidate.hopeless for candidate in sound):
+            return _with_effort(sound[0], tried)
+        fallback = self._without_start(judge, warm)
+        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
+        return _with_effort(chosen, tried)
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
@@ -140,28 +153,36 @@ class HorizonPlanner:
         return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
 
     def polished(
-        self, situation: Situation, judge: Judge, start: Start, rung: Rung
+        self,
+        situation: Situation,
+        judge: Judge,
+        start: Start,
+        rung: Rung,
+        budget: Budget | None = None,
     ) -> list[Candidate]:
-        """Candidates that a start leads to, judged.
+        """Candidates that a start leads to, judged; none once the budget is spent.
 
         If thorough, the best of them is polished again, from the measurements and the sides of
         obstacles that are nearest to it.
         """
-        found = self._attempts(situation, judge, start, rung)
+        budget = Budget() if budget is None else budget
+        found = self._attempts(situation, judge, start, rung, budget)
         verified = [candidate for candidate in found if candidate.verdict is Verdict.VERIFIED]
         if not (self._thorough and verified):
             return found
         best = max(verified, key=lambda candidate: candidate.objective)
         again = replace(start, path_m=best.path_m)
-        return found + self._attempts(situation, judge, again, rung)
+        return found + self._attempts(situation, judge, again, rung, budget)
 
     def _attempts(
-        self, situation: Situation, judge: Judge, start: Start, rung: Rung
+        self, situation: Situation, judge: Judge, start: Start, rung: Rung, budget: Budget
     ) -> list[Candidate]:
         """Polish a start, repeating with what the proof objects to built in."""
         problem, nlp = self.problem, self._nlp
         if nlp is None:
             raise AssertionError("this planner does not polish")
+        if budget.spent:
+            return []
         evaluate = local_worth(situation, start.path_m)
         ends = np.vstack([situation.position_m, start.path_m])
         task = PathTask(
@@ -197,7 +218,7 @@ class HorizonPlanner:
             if self._lacks(situation, point):
                 # It is known to be improvable, and proving that would be dear.
                 found.append(candidate)
-                if point.termination not in RETURNED:
+                if budget.spent or point.termination not in RETURNED:
                     return found
                 task = self._recentred(task, situation, point)
                 continue
@@ -209,7 +230,7 @@ class HorizonPlanner:
                 candidate = replace(candidate, rung=Rung.RELAXED)
             found.append(candidate)
             repaired = self._repaired(task, candidate)
-            if repaired is None:
+            if repaired is None or budget.spent:
                 return found
             task = repaired
         return found

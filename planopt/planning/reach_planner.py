@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
+from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
@@ -46,8 +47,12 @@ class ReachPlanner:
         self._search = GlobalSearch(problem, scene, self._margins)
         self._nlp: ReachNlp | None = None
         if problem.planner.name in METHODS:
-            method = METHODS[problem.planner.name]
-            self._nlp = build_reach_nlp(problem.planner.horizon, LINES_PER_SEGMENT, method)
+            self._nlp = build_reach_nlp(
+                problem.planner.horizon,
+                LINES_PER_SEGMENT,
+                METHODS[problem.planner.name],
+                problem.planner.budget_s,
+            )
 
     def plan(
         self, belief: Belief, position_m: NDArray[np.float64], warm: Plan | None = None
@@ -81,22 +86,33 @@ class ReachPlanner:
                 problem.constraints.clearance_m,
             )
             cost = replace(cost, pivot=pivot)
-            chosen = self._climb(replace(judge, objective=cost), cost, start, warm)
+            budget = budget_from(problem, begun)
+            chosen = self._climb(replace(judge, objective=cost), cost, start, warm, budget)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         return replace(plan, pivot=cost.pivot)
 
     def _climb(
-        self, judge: Judge, cost: ReachCost, start: GlobalStart, warm: Plan | None
+        self,
+        judge: Judge,
+        cost: ReachCost,
+        start: GlobalStart,
+        warm: Plan | None,
+        budget: Budget,
     ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
         tried: list[Candidate] = []
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
-            refiner = Refiner(self._nlp, self.scene, judge, cost, start, lattice.objective)
+            refiner = Refiner(self._nlp, self.scene, judge, cost, start, lattice.objective, budget)
             for attempt in refiner.attempts(shifted_path(warm)):
-                if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
-                    return attempt
                 tried.append(attempt)
+                if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
+                    return _with_effort(attempt, tried)
+                if attempt.sound and attempt.hopeless:
+                    break
+            if budget.spent:
+                lattice = replace(lattice, termination=Termination.TIME_LIMIT)
+                tried.append(lattice)
         lattice = judge.judged(lattice)
         if self._nlp is None:
             lattice = replace(lattice, rung=Rung.PLAN)
@@ -107,12 +123,13 @@ class ReachPlanner:
         verified = [c for c in tried if c.verdict is Verdict.VERIFIED]
         if verified:
             return _with_effort(min(verified, key=lambda c: c.objective), tried)
-        fallback = self._without_start(judge, warm)
-        if fallback.verdict is Verdict.VERIFIED:
-            return _with_effort(fallback, tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
-        return _with_effort(sound[0] if sound else fallback, tried)
+        if any(candidate.hopeless for candidate in sound):
+            return _with_effort(sound[0], tried)
+        fallback = self._without_start(judge, warm)
+        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
+        return _with_effort(chosen, tried)
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_quantile
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.objectives.reach import cruising_speed_m_s
+from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
@@ -63,6 +64,8 @@ class Refiner:
         The global start.
     lattice_objective
         Its cost.
+    budget
+        Once it is spent there are no more attempts.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class Refiner:
         cost: ReachCost,
         start: GlobalStart,
         lattice_objective: float,
+        budget: Budget,
     ) -> None:
         self._nlp = nlp
         self._scene = scene
@@ -80,9 +84,12 @@ class Refiner:
         self._cost = cost
         self._start = start
         self._lattice_objective = lattice_objective
+        self._budget = budget
 
     def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
         """Yield judged candidates, best hope first; the caller stops when one is good enough.
+
+        Each has the time and iterations that were spent since the one before it.
 
         The last plan, shifted, is the better start where it arrives sooner than the lattice, which
         only ends on nodes.
@@ -107,6 +114,7 @@ class Refiner:
                 sooner = self._sooner(candidate)
                 if sooner is not None:
                     yield sooner
+                    candidate = replace(candidate, solve_s=0.0, iterations=0)
                 yield candidate
 
     def _retimed(self) -> NDArray[np.float64]:
@@ -126,6 +134,8 @@ class Refiner:
         there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
         if candidate.verdict is not Verdict.VERIFIED or there.size == 0 or there[0] < 2:
             return None
+        if self._budget.spent:
+            return None
         faster = retime(path[0], candidate.path_m, path[:0], problem.step_length_m - STEP_PAD_M)
         if np.linalg.norm(faster[there[0] - 2] - faster[-1]) > 0.0:
             return None
@@ -144,6 +154,8 @@ class Refiner:
 
         With `ease` the least missing dB is found first; else no more is missed than at the start.
         """
+        if self._budget.spent:
+            return
         task = self._task(path_m)
         exact = self._start_margins(path_m)
         local = task.margins(path_m).value
@@ -161,10 +173,13 @@ class Refiner:
             kept = (exact >= 0.0) | (missing > 0.0)
             bound = np.where(kept, np.minimum(wanted, local), wanted)
         for _ in range(REPAIRS):
+            if self._budget.spent:
+                return
             polished = polish(self._nlp, replace(task, bound_db=bound))
             iterations += polished.iterations
             candidate = self._judged(polished, rung, perf_counter() - begun, iterations)
             yield candidate
+            begun, iterations = perf_counter(), 0
             if not candidate.sound:
                 lines = lines_with_offenders(
                     self._scene.pieces,

@@ -88,6 +88,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             tables.planner.step_s,
             tables.planner.neighbours,
             tables.planner.max_steps,
+            tables.planner.budget_s,
         ),
         file=file,
         report=ReportSettings(tables.report.figures),

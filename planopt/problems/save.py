@@ -52,7 +52,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "targets": [_plain(asdict(target)) for target in problem.targets],
         "objective": _objective(problem),
         "constraints": asdict(problem.constraints),
-        "planner": asdict(problem.planner),
+        "planner": _plain(asdict(problem.planner)),
         "report": asdict(problem.report),
     }
 

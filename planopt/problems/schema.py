@@ -160,6 +160,13 @@ class PlannerTable(Table):
         le=100_000,
         description="A closed loop that has not arrived after this many steps ends.",
     )
+    budget_s: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Seconds after which no new polish of a plan begins, and after which one that "
+        "was begun ends; left out: no limit.",
+    )
 
 
 class ReportTable(Table):

@@ -30,6 +30,9 @@ class PlannerSettings:
         Measurements that the solver conditions each stage on (design: 32 to 64).
     max_steps
         A closed loop that has not arrived by then ends.
+    budget_s
+        Seconds after which no new polish of a plan begins, and after which one that was begun
+        ends; None for no limit.
     """
 
     name: PlannerName
@@ -37,6 +40,7 @@ class PlannerSettings:
     step_s: float
     neighbours: int
     max_steps: int
+    budget_s: float | None = None
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,24 @@ def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> N
     return shapely.distance(shapes, polygons)  # pyright: ignore[reportUnknownMemberType]
 
 
+def is_clear(
+    distance_m: NDArray[np.float64], wanted_m: float, tolerance_m: float = 0.0
+) -> NDArray[np.bool_]:
+    """Whether distances from obstacles (n,) are enough; (n,).
+
+    A distance of 0 is contact, and where it is a way's it may lead right through: it is never
+    enough, also where no clearance is wanted.
+
+    Parameters
+    ----------
+    distance_m
+        Of places or ways, in metres; NaN is not enough.
+    wanted_m, tolerance_m
+        The clearance, and how much less passes.
+    """
+    return (distance_m > 0.0) & (distance_m >= wanted_m - tolerance_m)
+
+
 def clearance_m(index: ObstacleIndex, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of every position to the nearest obstacle.
 

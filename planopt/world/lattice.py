@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.world.clearance import ObstacleIndex, index_obstacles, segment_lines
+from planopt.world.clearance import ObstacleIndex, index_obstacles, is_clear, segment_lines
 from planopt.world.lattice_moves import LONGEST_MOVE, MOVES, blocked_ways, near_pairs, open_moves
 from planopt.world.workspace import Workspace
 
@@ -87,7 +87,7 @@ def build_lattice(
     index = index_obstacles(workspace)
     near = near_pairs(index, positions.reshape(-1, 2), clearance_m + step_m)
     free = np.ones(nx * ny, dtype=np.bool_)
-    free[near.node[near.distance_m < clearance_m]] = False
+    free[near.node[~is_clear(near.distance_m, clearance_m)]] = False
     free = free.reshape(ny, nx)
     moves = open_moves(index, positions, free, near, clearance_m)
     return Lattice(origin, spacing, (ny, nx), free, moves)

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.world.clearance import ObstacleIndex, distances_m, segment_lines
+from planopt.world.clearance import ObstacleIndex, distances_m, is_clear, segment_lines
 
 _TESTED = ((1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1))
 _DOUBLED = ((1, 0), (0, 1))
@@ -63,7 +63,7 @@ def blocked_ways(
 ) -> NDArray[np.bool_]:
     """Whether each straight way (n, 2) comes nearer than the clearance to its obstacle (n,)."""
     lines = segment_lines(starts_m, ends_m)
-    return distances_m(lines, index.polygons[obstacle]) < clearance_m
+    return ~is_clear(distances_m(lines, index.polygons[obstacle]), clearance_m)
 
 
 def open_moves(

@@ -119,6 +119,9 @@ CASES: dict[str, Case] = {
     "through a wall": Case(along(19, 21), {CLEARANCE}, WALLED, clearance_m=0.0),
     "through it first": Case(along(19, 21, 23, 25), {CLEARANCE}, WALLED, clearance_m=0.0),
     "through it last": Case(along(15, 17, 19, 21), {CLEARANCE}, WALLED, clearance_m=0.0),
+    "through it, no clearance asked": Case(
+        along(19, 21), {CLEARANCE}, small_problem(WALL, clearance_m=0.0), clearance_m=0.0
+    ),
     "on the border": Case(along(36, 38, 40)),
     "out to the right": Case(along(37, 39, 40.5), {BOUNDS}),
     "out and back": Case(along(39, 40.5, 39), {BOUNDS}),
@@ -338,24 +341,34 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "finite check dropped": (VERIFY, "if not np.isfinite(positions_m).all():", "if False:"),
     "clearance tolerance times a million": (
         VERIFY,
-        "constraints.clearance_m - CLEARANCE_TOLERANCE_M",
-        "constraints.clearance_m - 1e6 * CLEARANCE_TOLERANCE_M",
+        "constraints.clearance_m, CLEARANCE_TOLERANCE_M)",
+        "constraints.clearance_m, 1e6 * CLEARANCE_TOLERANCE_M)",
     ),
     "clearance tolerance of the wrong sign": (
         VERIFY,
-        "constraints.clearance_m - CLEARANCE_TOLERANCE_M",
-        "constraints.clearance_m + CLEARANCE_TOLERANCE_M",
+        "constraints.clearance_m, CLEARANCE_TOLERANCE_M)",
+        "constraints.clearance_m, -CLEARANCE_TOLERANCE_M)",
     ),
-    "clearance the wrong way round": (
+    "clearance the wrong way round": (VERIFY, "if not is_clear(swept", "if is_clear(swept"),
+    "clearance dropped": (
         VERIFY,
-        "if clearance < constraints",
-        "if clearance > constraints",
+        "is_clear(swept, constraints.",
+        "is_clear(swept, 0.0 * constraints.",
     ),
-    "clearance dropped": (VERIFY, "if clearance < constraints", "if 0.0 > constraints"),
+    "contact where no clearance is asked": (
+        VERIFY,
+        "is_clear(swept, constraints.clearance_m, CLEARANCE_TOLERANCE_M)",
+        "(swept >= constraints.clearance_m - CLEARANCE_TOLERANCE_M)",
+    ),
+    "one segment that is clear": (
+        VERIFY,
+        "CLEARANCE_TOLERANCE_M).all()",
+        "CLEARANCE_TOLERANCE_M).any()",
+    ),
     "largest clearance": (
         VERIFY,
-        "np.min(swept_clearance_m(index, positions_m), initial=np.inf)",
-        "np.max(swept_clearance_m(index, positions_m), initial=-np.inf)",
+        "np.min(swept, initial=np.inf)",
+        "np.max(swept, initial=-np.inf)",
     ),
     "clearance of all but the last segment": (
         VERIFY,

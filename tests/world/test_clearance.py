@@ -13,6 +13,7 @@ from planopt.world.clearance import (
     distances_m,
     index_obstacles,
     inside_bounds,
+    is_clear,
     segment_lines,
     swept_clearance_m,
 )
@@ -50,6 +51,15 @@ def test_thin_wall_between_samples() -> None:
     path = np.array([[-3.0, 0.0], [3.0, 0.1]])
     assert clearance_m(index, path).min() > 2.9
     np.testing.assert_array_equal(swept_clearance_m(index, path), [0.0])
+
+
+def test_contact_is_never_clear() -> None:
+    """Nor is what is no number; what is near enough passes by the tolerance."""
+    distance = np.array([0.0, 0.01, 0.5, 0.499, np.nan, np.inf])
+    np.testing.assert_array_equal(is_clear(distance, 0.0), [False, True, True, True, False, True])
+    np.testing.assert_array_equal(
+        is_clear(distance, 0.5, 0.1), [False, False, True, True, False, True]
+    )
 
 
 @settings(deadline=None)

@@ -44,7 +44,8 @@ def brute_force(workspace: Workspace, lattice: Lattice, margin_m: float) -> NDAr
         for iy in range(max(0, -dy), min(ny, ny - dy)):
             for ix in range(max(0, -dx), min(nx, nx - dx)):
                 way = shapely.LineString([positions[iy, ix], positions[iy + dy, ix + dx]])
-                expected[k, iy, ix] = way.distance(world) >= margin_m
+                near = way.distance(world) < margin_m
+                expected[k, iy, ix] = not (near or way.intersects(world))
     return expected
 
 

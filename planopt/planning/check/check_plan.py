@@ -18,7 +18,7 @@ from planopt.planning.files.solution_json import PlanRecord, plan_json
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
-from planopt.planning.plan import Certificate, Plan
+from planopt.planning.plan import Certificate, Plan, Termination
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
@@ -90,6 +90,8 @@ def effort_faults(plan: Plan, where: str) -> list[str]:
     text = f"{PLAN_FILE}, key {where}solve_s: {plan.solve_s:g}"
     if plan.solve_s > plan.wall_s:
         return [f"{text}, but wall_s is {plan.wall_s:g}"]
-    if plan.solve_s == 0.0 and plan.termination not in UNSOLVED:
+    # A budget may be spent before anything is solved.
+    unsolved = (*UNSOLVED, Termination.TIME_LIMIT)
+    if plan.solve_s == 0.0 and plan.termination not in unsolved:
         return [f"{text}, but the termination is {plan.termination.value}"]
     return []

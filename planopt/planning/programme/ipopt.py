@@ -29,6 +29,11 @@ OPTIONS: dict[str, Any] = {
 """Of every solver (fast.md). Acceptable points are off: their constraint tolerance is 1e-2."""
 
 
+def time_limit(budget_s: float | None) -> dict[str, Any]:
+    """Options of a solver that ends after `budget_s` seconds; none without a limit."""
+    return {} if budget_s is None else {"ipopt.max_wall_time": budget_s}
+
+
 def ipopt_solve(solver: Any, horizon: int) -> SolveNlp:
     """Solve with a built CasADi solver over `horizon` stages."""
 

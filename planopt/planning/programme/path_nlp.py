@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from planopt.planning.programme.ipopt import OPTIONS
+from planopt.planning.programme.ipopt import OPTIONS, time_limit
 from planopt.planning.programme.methods import Method, solve_by
 from planopt.planning.programme.nlp_point import SolveNlp
 from planopt.planning.programme.path_rows import PathCallback, path_rows
@@ -82,7 +82,12 @@ class PathNlp:
 
 
 def build_path_nlp(
-    horizon: int, lines: int, stagewise: bool, bounded: bool, method: Method = "ipopt"
+    horizon: int,
+    lines: int,
+    stagewise: bool,
+    bounded: bool,
+    method: Method = "ipopt",
+    budget_s: float | None = None,
 ) -> PathNlp:
     """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
 
@@ -96,6 +101,8 @@ def build_path_nlp(
         Whether connectivity is bounded.
     method
         Whose solver: IPOPT's, or sequential convex programming.
+    budget_s
+        Seconds after which a solve ends; None for no limit.
     """
     n = horizon
     source = ValueSource()
@@ -154,7 +161,7 @@ def build_path_nlp(
         [callback(at) for callback in margins] if bounded else [ca.MX(0, 1)] * 3
     )
     f, g = objective(x, p, callbacks[0](at)), rows(x, p, margin)
-    options = OPTIONS | NEAR_START | SETTLED
+    options = OPTIONS | NEAR_START | SETTLED | time_limit(budget_s)
     # The solver asks these two for derivatives only; values here would be computed for nothing.
     no_f, no_g = ca.MX.nan(1), ca.MX.nan(plain + stages)
     options["grad_f"] = ca.Function(
@@ -171,7 +178,7 @@ def build_path_nlp(
         ["triu_hess_gamma_x_x"],
     )
     solver = ca.nlpsol("path", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-    solve = solve_by(method, solver, n)
+    solve = solve_by(method, solver, n, budget_s)
     return PathNlp(n, lines, bounded, source, solver, solve, (*callbacks, *margins))
 
 

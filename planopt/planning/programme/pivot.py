@@ -16,7 +16,7 @@ from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.road_map import way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB
-from planopt.world.clearance import swept_clearance_m
+from planopt.world.clearance import is_clear, swept_clearance_m
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""
@@ -57,7 +57,7 @@ def find_pivot(
         fan = np.empty((2 * (len(way) - 1) + 1, 2))
         fan[0::2] = places[0]
         fan[1::2] = places[1:]
-        seen = swept_clearance_m(scene.index, fan)[0::2] >= clearance
+        seen = is_clear(swept_clearance_m(scene.index, fan)[0::2], clearance)
         farthest_seen = int(np.argmin(seen)) if not seen.all() else len(seen)
         ahead = np.linalg.norm(places - places[0], axis=1)
         room = LATTICE_DETOUR * len(start.nodes) * step_length_m

@@ -72,8 +72,13 @@ def _objective(n: int, q: Any, s: Any, p: Any) -> Any:
     return p[6] * (effort + p[5] * to_pivot) + p[7] * ca.sum1(s)
 
 
-def build_reach_nlp(horizon: int, lines: int, method: Method = "ipopt") -> ReachNlp:
-    """Build the programme for N = `horizon` steps and `lines` separating lines a segment."""
+def build_reach_nlp(
+    horizon: int, lines: int, method: Method = "ipopt", budget_s: float | None = None
+) -> ReachNlp:
+    """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
+
+    A solve ends after `budget_s` seconds, if that is given.
+    """
     n = horizon
     source = MarginSource(n)
     value = PathCallback("margin", n, n, lambda at: source.at(at).value)
@@ -108,7 +113,7 @@ def build_reach_nlp(horizon: int, lines: int, method: Method = "ipopt") -> Reach
     lam_f_mx, lam_mx = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + n)
     at = x[: 2 * n]
     f, g = objective(x, p), rows(x, p, value(at))
-    options = dict(IPOPT_OPTIONS)
+    options = IPOPT_OPTIONS | ipopt.time_limit(budget_s)
     options["grad_f"] = ca.Function(
         "nlp_grad_f", [x, p], [f, objective_gradient(x, p)], ["x", "p"], ["f", "grad_f_x"]
     )
@@ -124,5 +129,5 @@ def build_reach_nlp(horizon: int, lines: int, method: Method = "ipopt") -> Reach
     )
     solver = ca.nlpsol("reach", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
     return ReachNlp(
-        n, lines, source, solver, solve_by(method, solver, n), (value, gradient, hessian)
+        n, lines, source, solver, solve_by(method, solver, n, budget_s), (value, gradient, hessian)
     )

@@ -8,6 +8,8 @@ region and penalty as in Nocedal and Wright, Numerical Optimization, 18.5).
 
 from __future__ import annotations
 
+from time import perf_counter
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,7 +45,9 @@ SMALLEST_REGION = 1e-7
 """Converged where the region is smaller, in units of the longest step."""
 
 
-def scp_solve(functions: NlpFunctions, horizon: int, cones: int) -> SolveNlp:
+def scp_solve(
+    functions: NlpFunctions, horizon: int, cones: int, budget_s: float | None = None
+) -> SolveNlp:
     """Solve a programme whose first variables are the positions of `horizon` stages.
 
     Parameters
@@ -54,6 +58,8 @@ def scp_solve(functions: NlpFunctions, horizon: int, cones: int) -> SolveNlp:
         N.
     cones
         How many of its first rows are squared lengths of the path's steps.
+    budget_s
+        Seconds after which no new convex step begins; None for no limit.
     """
 
     def solve(
@@ -66,9 +72,8 @@ def scp_solve(functions: NlpFunctions, horizon: int, cones: int) -> SolveNlp:
         if any(np.isnan(bound).any() for bound in bounds):
             return lost_point(horizon, len(start), len(row_bounds.lower))
         unit = float(np.sqrt(row_bounds.upper[0])) if cones else 1.0
-        return _Climb(functions, horizon, cones, unit, parameters, variable_bounds, row_bounds).run(
-            start
-        )
+        climb = _Climb(functions, horizon, cones, unit, parameters, variable_bounds, row_bounds)
+        return climb.run(start, np.inf if budget_s is None else perf_counter() + budget_s)
 
     return solve
 
@@ -95,8 +100,8 @@ class _Climb:
         self._row_bounds = row_bounds
         self._penalty = FIRST_PENALTY
 
-    def run(self, start: NDArray[np.float64]) -> NlpPoint:
-        """Step until nothing is promised any more."""
+    def run(self, start: NDArray[np.float64], until: float) -> NlpPoint:
+        """Step until nothing is promised any more, or until a time of `perf_counter`."""
         x = np.clip(start, self._variable_bounds.lower, self._variable_bounds.upper)
         value, rows = self._at(x)
         last = Step(np.zeros(len(x)), np.zeros(len(rows)), np.zeros(len(x)), Termination.STOPPED)
@@ -106,6 +111,9 @@ class _Climb:
             return lost_point(self._horizon, len(x), len(rows))
         model = self._model(x, rows, last.row_multipliers, region)
         while iterations < MAX_ITERATIONS:
+            if perf_counter() > until:
+                termination = Termination.TIME_LIMIT
+                break
             iterations += 1
             found = convex_step(model)
             if not found.usable:

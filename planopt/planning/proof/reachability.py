@@ -18,7 +18,7 @@ from scipy.ndimage import label  # pyright: ignore[reportUnknownVariableType]
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.world.clearance import ObstacleIndex, clearance_m
+from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear
 
 FINE_NODES, COARSE_NODES = 12, 4
 """Grid nodes a step of the search within reach: up to `FINE_STEPS` steps, and beyond."""
@@ -183,7 +183,7 @@ def _refined(
         places = (top_m[:, None] + spacing_m * around).reshape(-1, 2)
         places = places[np.linalg.norm(places - start_m, axis=1) <= radius_m]
         places = places[((places >= lower) & (places <= upper)).all(axis=1)]
-        places = places[clearance_m(index, places) >= clearance]
+        places = places[is_clear(clearance_m(index, places), clearance)]
         if len(places) == 0:
             break
         margins = margin_db(places)

@@ -34,7 +34,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.problems.problem import Problem
 from planopt.robots.single_integrator import dynamics_defect_m
-from planopt.world.clearance import ObstacleIndex, inside_bounds, swept_clearance_m
+from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 
 OUTAGE_LEEWAY_STEPS = 2.0
 """How much longer, in longest steps, a way through a gap may be than the least one."""
@@ -98,8 +98,9 @@ def judge(
         return Judgement(broken, Verdict.VIOLATED, None)
     reasons: list[str] = []
 
-    clearance = float(np.min(swept_clearance_m(index, positions_m), initial=np.inf))
-    if clearance < constraints.clearance_m - CLEARANCE_TOLERANCE_M:
+    swept = swept_clearance_m(index, positions_m)
+    clearance = float(np.min(swept, initial=np.inf))
+    if not is_clear(swept, constraints.clearance_m, CLEARANCE_TOLERANCE_M).all():
         reasons.append(
             f"the swept path comes within {clearance:.3f} m of an obstacle, "
             f"constraints.clearance_m is {constraints.clearance_m:g}"

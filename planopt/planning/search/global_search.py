@@ -16,7 +16,7 @@ from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.search.road_map import Ways, shortest_ways, way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
 from planopt.problems.problem import Problem
-from planopt.world.clearance import inside_bounds, swept_clearance_m
+from planopt.world.clearance import inside_bounds, is_clear, swept_clearance_m
 
 STAGNANT_STEPS = 0.75
 """A path that stays within this many longest steps of the robot gets nowhere; a lattice path can
@@ -163,7 +163,8 @@ class GlobalSearch:
         places = position_m + grid[np.linalg.norm(grid, axis=1) <= length]
         fan = np.repeat(position_m[None], 2 * len(places) + 1, axis=0)
         fan[1::2] = places
-        clear = swept_clearance_m(self._scene.index, fan)[0::2] >= problem.constraints.clearance_m
+        swept = swept_clearance_m(self._scene.index, fan)[0::2]
+        clear = is_clear(swept, problem.constraints.clearance_m)
         places = places[clear & inside_bounds(problem.workspace, places)]
         margin = self._margins.at(places)
         places, margin = places[margin >= MARGIN_PAD_DB], margin[margin >= MARGIN_PAD_DB]

@@ -87,8 +87,10 @@ class Steering:
         return self._round_obstacles(above, position_m)
 
     def _best(self, above: NDArray[np.float64], distance_m: NDArray[np.float64]) -> int | None:
-        worth = above * np.exp(-self._term.closeness_per_m * distance_m)
-        worth[~np.isfinite(distance_m)] = 0.0
+        reachable = np.isfinite(distance_m)
+        worth = np.zeros_like(above)
+        nearness = np.exp(-self._term.closeness_per_m * distance_m[reachable])
+        worth[reachable] = above[reachable] * nearness
         best = int(worth.argmax())
         return best if worth[best] > 0.0 else None
 

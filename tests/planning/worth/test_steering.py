@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from terms_scene import judge_of, situation_of, terms_problem
 
 from planopt.channel.posterior import extend
 from planopt.objectives.mapping import Uncertainty, uncertainty_target
 from planopt.planning.worth.steering import Steering, nearest_measured_m
 from planopt.world.clearance import swept_clearance_m
+from planopt.world.workspace import Obstacle
 
 TWO_LAYER = {
     "kind": "mapping",
@@ -105,3 +107,14 @@ def test_a_robot_that_cannot_move_is_steered_nowhere():
     situation, _, ground, problem = scene()
     steering = Steering(problem, ground, problem.terms[0])
     assert steering.find_place(situation.posterior, np.array([20.0, 20.0])) is None
+
+
+def test_a_walled_off_part_is_steered_nowhere_near():
+    """What cannot be come to counts nothing, also where nearness does not matter."""
+    problem = terms_problem({**TWO_LAYER, "closeness_per_m": 0.0})
+    wall = Obstacle("wall", shapely.box(25.0, -1.0, 26.0, 41.0))
+    problem = replace(problem, workspace=replace(problem.workspace, obstacles=(wall,)))
+    situation, belief = situation_of(problem)
+    steering = Steering(problem, judge_of(situation, belief)[1], problem.terms[0])
+    place = steering.find_place(situation.posterior, situation.position_m)
+    assert place is not None and place[0] < 25.0

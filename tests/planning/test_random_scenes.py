@@ -1,0 +1,26 @@
+"""Closed loops over random scenes, in small: no fault, and nothing that the checker rejects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planopt.planning.plan import Rung
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.mark.parametrize("first", range(0, 24, 6))
+def test_random_scenes(first, tmp_path, monkeypatch):
+    """Six scenes of two steps each, judged from disk; every plan names its rung and verdict."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    from closed_loop_tally import drive
+
+    for seed in range(first, first + 6):
+        tally = drive(seed, tmp_path / str(seed), max_steps=2)
+        assert not tally.faults
+        assert not tally.rejected
+        assert sum(tally.rungs.values()) == sum(tally.verdicts.values()) == tally.steps
+        assert set(tally.rungs) <= set(Rung)
+        assert tally.steps > 0 or tally.outcomes

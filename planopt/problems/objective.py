@@ -8,6 +8,9 @@ from typing import Literal
 CostToGo = Literal["geodesic", "connected"]
 
 
+TrackingForm = Literal["additive", "information", "covariance", "sampled"]
+
+
 LearningCriterion = Literal["T", "D", "A", "V"]
 
 
@@ -35,10 +38,10 @@ class ReachObjective:
 
 @dataclass(frozen=True)
 class TrackingTerm:
-    """Expected information on the target that reaches the station (seed, (4); theory 4.6).
+    """What the packets of a path tell the station of the target (seed, (4); theory 4.6).
 
-    Each step is worth P(connected) / g(r), with r the distance to the target's predicted position
-    and ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
+    A packet sent at distance r of the target's predicted position has the information 1 / g(r),
+    ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
 
     Attributes
     ----------
@@ -46,12 +49,18 @@ class TrackingTerm:
         In the sum of terms.
     noise_curvature, noise_floor_m2, sweet_spot_m
         The seed's varpi, nu (m^2) and r_s.
+    form
+        ``additive``: P(connected) / g(r) of each step, the seed's. The others follow the station's
+        filter: ``information`` bounds the expected gain of information from above, ``covariance``
+        removes covariance as if losses were independent in time, ``sampled`` averages over joint
+        losses.
     """
 
     weight: float
     noise_curvature: float
     noise_floor_m2: float
     sweet_spot_m: float
+    form: TrackingForm = "additive"
 
 
 @dataclass(frozen=True)

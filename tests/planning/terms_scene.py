@@ -78,7 +78,11 @@ def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
         target = np.asarray(aim.start_m) + steps * np.asarray(aim.velocity_m_s)
     at = np.asarray(problem.robots[0].start_m)
     region = workspace_region(problem)
-    return Situation(problem, belief.posterior, at, target, region, np.array([30.0, 30.0])), belief
+    known = np.diag([2.0, 2.0, 8.0, 8.0])
+    situation = Situation(
+        problem, belief.posterior, at, target, region, np.array([30.0, 30.0]), known
+    )
+    return situation, belief
 
 
 def judge_of(situation: Situation, belief: Belief) -> tuple[Judge, Ground]:

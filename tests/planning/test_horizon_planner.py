@@ -32,7 +32,17 @@ def planned(problem, warm=None, seed=0, **options):
 
 
 @pytest.mark.parametrize(
-    "terms", [(TRACKING,), (LEARNING,), (INFORMATION,), (TRACKING, LEARNING, ENERGY)]
+    "terms",
+    [
+        (TRACKING,),
+        (LEARNING,),
+        (INFORMATION,),
+        (TRACKING, LEARNING, ENERGY),
+        (TRACKING, ENERGY),
+        ({**TRACKING, "form": "information"},),
+        ({**TRACKING, "form": "covariance"},),
+        ({**TRACKING, "form": "sampled"},),
+    ],
 )
 @pytest.mark.parametrize("horizon", [1, 2, 8])
 def test_plan_is_verified_and_better_than_its_start(terms, horizon):

@@ -15,6 +15,7 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.path_loss import regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
+from planopt.objectives.filter_gain import covariance_gain, information_gain, sensing_of
 from planopt.objectives.local_channel import (
     LocalChannel,
     LocalGrid,
@@ -168,6 +169,11 @@ def _tracking(term: TrackingTerm, at: Situation, batch: _Batches) -> NDArray[np.
     power = batch.power()
     chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
     chance = chance.reshape(batch.shape)
+    if term.form != "additive":
+        filtered = at.filtered(term)
+        # Sampling joint losses of every way would be dear: what is chosen is sampled afterwards.
+        gain = information_gain if term.form == "information" else covariance_gain
+        return gain(chance, sensing_of(batch.ways_m, filtered), filtered)
     return np.sum(
         [
             tracking_reward(chance[:, k], batch.ways_m[:, k], k, settings)

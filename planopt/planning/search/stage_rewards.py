@@ -13,8 +13,8 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import Window
 from planopt.planning.tolerances import MARGIN_PAD_DB
-from planopt.planning.worth.local_worth import is_stagewise
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.structure import shares_measurements
 from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTerm, TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import sensing_information
@@ -107,15 +107,15 @@ class StageRewards:
 def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """What moves of these lengths are worth in themselves: their energy, negative.
 
-    Where terms couple places, standing still is not a move: measuring at one place twice is worth
-    less than the stand-in says.
+    Where measurements share what they tell, standing still is not a move: measuring at one place
+    twice is worth less than the stand-in says.
     """
     value = np.zeros(len(lengths_m))
     for term in problem.terms:
         if isinstance(term, MotionEnergyTerm):
             moving = np.where(lengths_m > 0.0, problem.planner.step_s, 0.0)
             value -= term.weight * (term.per_metre_j_m * lengths_m + term.power_w * moving)
-    if not is_stagewise(problem):
+    if any(shares_measurements(term) for term in problem.terms):
         value[lengths_m == 0.0] = -np.inf
     return value
 

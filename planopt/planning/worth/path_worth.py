@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
+from planopt.objectives.filter_gain import covariance_gain, information_gain, sampled_gain
 from planopt.objectives.mapping import average_reduction, path_information, path_uncertainty
 from planopt.objectives.path_loss_learning import path_loss_gain
 from planopt.planning.tolerances import STANDSTILL_M
@@ -57,10 +58,16 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
 
 
 def _tracking(term: TrackingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
+    if term.form == "sampled":
+        return sampled_gain(at.posterior, path_m, at.filtered(term))
     settings = at.tracking(term)
     power = at.power(path_m)
     chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
     sensing = sensing_information(settings.sensor, path_m, settings.target_m)
+    if term.form == "information":
+        return float(information_gain(chance, sensing, at.filtered(term)))
+    if term.form == "covariance":
+        return float(covariance_gain(chance, sensing, at.filtered(term)))
     return float(settings.weight @ (chance * sensing))
 
 

@@ -12,7 +12,9 @@ from planopt.channel.prediction import Prediction
 from planopt.objectives.mapping import Region, Uncertainty
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
+from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.worth.target_model import target_model
 from planopt.problems.objective import LearningTerm, MappingTerm, TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import Sensor
@@ -37,6 +39,8 @@ class Situation:
     steering_m
         ``(2,)`` the place of the highest J_CH that the two-layer form steers to; None if there is
         none above the threshold, or nothing steers.
+    information
+        ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
     """
 
     problem: Problem
@@ -45,6 +49,7 @@ class Situation:
     target_m: NDArray[np.float64] | None
     region: Region
     steering_m: NDArray[np.float64] | None = None
+    information: NDArray[np.float64] | None = None
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -74,6 +79,13 @@ class Situation:
                 self.target_m,
             )
         return self._tracking[term]
+
+    def filtered(self, term: TrackingTerm) -> FilteredTracking:
+        """The settings of a tracking term that follows the station's filter."""
+        if self.information is None:
+            raise AssertionError("this form of tracking needs what the station knows")
+        model = target_model(self.problem)
+        return FilteredTracking(self.tracking(term), model, self.information)
 
     def criterion(self, term: LearningTerm) -> Criterion:
         """The settings of a learning term."""

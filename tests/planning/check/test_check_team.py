@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from team_scene import two_trackers
-from terms_scene import ENERGY, LEARNING, terms_problem
+from terms_scene import ENERGY, LEARNING, TRACKING, terms_problem
 
 from planopt.errors import InputError
 from planopt.planning.check.check import check
@@ -90,6 +90,14 @@ def test_every_task_is_judged(terms: tuple[dict, ...], planner: str, tmp_path: P
     assert result.verdict is Verdict.VERIFIED, result.reasons
     assert any("steering_m" in remark for remark in result.remarks) == (terms == (STEERED,))
     assert not (tmp_path / "target.csv").exists() and (tmp_path / "belief.npz").is_file()
+
+
+@pytest.mark.parametrize("form", ["information", "covariance", "sampled"])
+def test_what_the_station_knew_is_found_again(form: str, tmp_path: Path) -> None:
+    """The worth of a plan that follows the station's filter, at every step."""
+    problem = terms_problem({**TRACKING, "form": form}, horizon=2, max_steps=3)
+    save_team_run(simulate_team(problem, seed=2), tmp_path)
+    assert check(tmp_path).reasons == ()
 
 
 @pytest.mark.parametrize(

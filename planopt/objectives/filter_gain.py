@@ -11,6 +11,8 @@ Three measures (theory 4.6), of one robot's path or of many at once:
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,6 +84,13 @@ def sampled_gain(
     outcomes, counts = np.unique(arrived[:, :, 0], axis=0, return_counts=True)
     sensing = sensing_of(path_m, settings)
     return float(covariance_gain(outcomes.astype(np.float64), sensing, settings) @ counts) / DRAWS
+
+
+def first_steps(settings: FilteredTracking, count: int) -> FilteredTracking:
+    """The settings for a path that is not complete yet."""
+    tracking = settings.tracking
+    few = replace(tracking, target_m=tracking.target_m[:count], weight=tracking.weight[:count])
+    return replace(settings, tracking=few)
 
 
 def sensing_of(places_m: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:

@@ -119,7 +119,73 @@ class MotionEnergyTerm:
     power_w: float
 
 
-Term = TrackingTerm | LearningTerm | MappingTerm | MotionEnergyTerm
+@dataclass(frozen=True)
+class UntilConnectedTerm:
+    """Expected distance until connected, a cost (theory 4.3).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms, per metre; the distance is subtracted.
+    beyond_m
+        What a plan is charged besides that ends without connection; None: the diagonal of the
+        workspace.
+    """
+
+    weight: float
+    beyond_m: float | None = None
+
+
+@dataclass(frozen=True)
+class TransmissionEnergyTerm:
+    """Expected energy of sending some bits at the end of every step, a cost (theory 3.2).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms, per joule; the energy is subtracted.
+    bits, bandwidth_hz
+        Bits a step, and symbols a second.
+    bits_per_symbol, bit_error_rate, noise_dbm
+        As in :class:`planopt.objectives.energy.Radio`.
+    """
+
+    weight: float
+    bits: float
+    bandwidth_hz: float
+    bits_per_symbol: float
+    bit_error_rate: float
+    noise_dbm: float
+
+
+@dataclass(frozen=True)
+class CasadiTerm:
+    """A user's own value of a path, written by :func:`planopt.casadi_term`.
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    steps
+        The horizon that it is for.
+    program
+        Its instructions (:mod:`planopt.objectives.expression`).
+    """
+
+    weight: float
+    steps: int
+    program: str
+
+
+Term = (
+    TrackingTerm
+    | LearningTerm
+    | MappingTerm
+    | MotionEnergyTerm
+    | UntilConnectedTerm
+    | TransmissionEnergyTerm
+    | CasadiTerm
+)
 
 
 @dataclass(frozen=True)

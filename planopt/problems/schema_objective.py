@@ -17,10 +17,15 @@ from planopt.problems.objective import (
     TrackingForm,
     TrackingTerm,
 )
+from planopt.problems.schema_terms import (
+    CasadiTable,
+    TransmissionEnergyTable,
+    UntilConnectedTable,
+    Weight,
+)
 from planopt.problems.tables import Name, Pair, Table
 from planopt.problems.target import Target
 
-Weight = Annotated[float, Field(ge=0, le=1e9)]
 Deviation = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -112,7 +117,14 @@ class MotionEnergyTable(Table):
 
 
 TermTable = Annotated[
-    TrackingTable | LearningTable | MappingTable | MotionEnergyTable, Field(discriminator="kind")
+    TrackingTable
+    | LearningTable
+    | MappingTable
+    | MotionEnergyTable
+    | UntilConnectedTable
+    | TransmissionEnergyTable
+    | CasadiTable,
+    Field(discriminator="kind"),
 ]
 
 

@@ -12,10 +12,6 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_quantile
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
-from planopt.objectives.filter_derivatives import (
-    covariance_gain_derivatives,
-    information_gain_derivatives,
-)
 from planopt.objectives.information_derivatives import (
     average_reduction_derivatives,
     path_information_derivatives,
@@ -24,25 +20,25 @@ from planopt.objectives.information_derivatives import (
 from planopt.objectives.local_channel import LocalChannel, LocalGrid, local_channel, local_grid
 from planopt.objectives.motion_derivatives import path_length_derivatives
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
-from planopt.objectives.tracking_derivatives import (
-    connectivity_derivatives,
-    tracking_reward_derivatives,
-)
+from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
 from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue, Structure
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_prediction import StagePredictor
+from planopt.planning.worth.stage_terms import stage_term_derivatives
 from planopt.planning.worth.structure import shares_measurements, structure_of
 from planopt.problems.objective import (
+    CasadiTerm,
     LearningTerm,
     MappingTerm,
     MotionEnergyTerm,
     Term,
     TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
 )
 from planopt.problems.problem import Problem
 from planopt.targets.rounding import Derivatives, rounded_length
-from planopt.targets.sensor import sensing_derivatives
 
 JOINT_NEIGHBOURS = 128
 """Measurements shared by the places of a path in terms that couple them (fast.md: 100 to 200)."""
@@ -52,9 +48,10 @@ LENGTH_ROUNDING_SHARE = 0.01
 
 
 def needs_stages(problem: Problem) -> bool:
-    """Whether predictions of single stages are needed: for tracking, or to bound connectivity."""
+    """Whether predictions of single stages are needed: by a term, or to bound connectivity."""
     return problem.constraints.p_min > 0.0 or any(
-        isinstance(term, TrackingTerm) for term in problem.terms
+        isinstance(term, TrackingTerm | TransmissionEnergyTerm | CasadiTerm)
+        for term in problem.terms
     )
 
 
@@ -106,23 +103,18 @@ def _derivatives(
     grid: LocalGrid | None,
 ) -> Part:
     match term:
-        case TrackingTerm():
+        case TrackingTerm() | TransmissionEnergyTerm() | CasadiTerm():
             if power is None:
-                raise AssertionError("tracking needs predictions of the stages")
-            settings = at.tracking(term)
-            chance = connectivity_derivatives(*power, settings.threshold_dbm)
-            sensing = sensing_derivatives(settings.sensor, places_m, settings.target_m)
-            if term.form == "additive":
-                return tracking_reward_derivatives(chance, sensing, settings.weight)
-            if term.form == "information":
-                return information_gain_derivatives(chance, sensing, at.filtered(term))
-            # Sampled outcomes jump with the path. What the solver climbs in their place is in the
-            # same unit; what it returns is sampled again.
-            return covariance_gain_derivatives(chance, sensing, at.filtered(term))
+                raise AssertionError("the term needs predictions of the stages")
+            return stage_term_derivatives(term, at, places_m, power)
         case MappingTerm(form="two_layer"):
             return _steering(at, places_m)
         case MotionEnergyTerm():
             return _motion(term, at, places_m)
+        case UntilConnectedTerm():
+            width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
+            found = charged_distance_derivatives(_required(joint), places_m, at.search(term), width)
+            return PathDerivatives(-found.value, -found.gradient, -found.hessian)
         case LearningTerm():
             return path_loss_derivatives(_required(joint), places_m, at.criterion(term))
         case MappingTerm(form="path"):

@@ -9,6 +9,8 @@ from planopt.problems.objective import (
     MotionEnergyTerm,
     Term,
     TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
 )
 from planopt.problems.problem import Problem
 
@@ -25,15 +27,17 @@ def structure_of(problem: Problem) -> Structure:
 
 
 def shares_measurements(term: Term) -> bool:
-    """Whether what is measured at one place lessens what another tells."""
-    return isinstance(term, LearningTerm) or (
+    """Whether what one place tells, or a try at it, lessens what another is worth."""
+    return isinstance(term, LearningTerm | UntilConnectedTerm) or (
         isinstance(term, MappingTerm) and term.form != "two_layer"
     )
 
 
 def _structure(term: Term) -> Structure:
     match term:
-        case TrackingTerm(form="additive") | MappingTerm(form="two_layer"):
+        case (
+            TrackingTerm(form="additive") | MappingTerm(form="two_layer") | TransmissionEnergyTerm()
+        ):
             return "stagewise"
         case MotionEnergyTerm():
             return "chain"

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
+from terms_scene import (
+    CONNECT,
+    ENERGY,
+    LEARNING,
+    SENDING,
+    TRACKING,
+    own_term,
+    situation_of,
+    terms_problem,
+)
 
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
@@ -21,11 +31,22 @@ def mapping(form):
     }
 
 
+def everything(path):
+    """An expression of one's own that reads all there is."""
+    away = ca.sum2((path.positions_m - path.target_m) ** 2)
+    drawn = path.connectivity * ca.exp(-away / 50.0) * path.deviation_db
+    legs = ca.diff(ca.vertcat(path.start_m, path.positions_m))
+    return ca.sum1(drawn) + 0.01 * path.mean_db[0] * path.mean_db[-1] - 0.1 * ca.sumsqr(legs)
+
+
 SUMS = [
     (TRACKING,),
     ({**TRACKING, "form": "information"},),
     ({**TRACKING, "form": "covariance"},),
     (TRACKING, ENERGY),
+    (CONNECT,),
+    (SENDING,),
+    (own_term(everything), TRACKING),
     (mapping("two_layer"),),
     (LEARNING,),
     ({**LEARNING, "criterion": "T"},),

@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from planopt.planning.solution import Solution
     from planopt.planning.team.team_run import TeamRun
     from planopt.planning.team.team_solution import TeamSolution
+    from planopt.problems.casadi_term import casadi_term
     from planopt.problems.library import list_problems
     from planopt.problems.load import load
     from planopt.problems.problem import Problem
@@ -112,6 +113,7 @@ __all__ = [
     "Verdict",
     "at_time",
     "calibrate",
+    "casadi_term",
     "check",
     "compare_horizons",
     "condition",
@@ -190,6 +192,7 @@ _MODULES = {
     "Verdict": "planopt.planning.plan",
     "at_time": "planopt.channel.posterior",
     "calibrate": "planopt.channel.validation.calibration",
+    "casadi_term": "planopt.problems.casadi_term",
     "check": "planopt.planning.check.check",
     "compare_horizons": "planopt.studies.compare",
     "condition": "planopt.channel.posterior",

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from planopt.channel.places import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
+from planopt.targets.rounding import Derivatives
 
 WATT_PER_MILLIWATT = 1e-3
+NEPERS_PER_DB = math.log(10.0) / 10.0
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,7 @@ def expected_transmit_power_w(
         The link.
     """
     cnr_db = mean_db - radio.reference_transmit_dbm - radio.noise_dbm
-    nepers = math.log(10.0) / 10.0
-    inverse = np.exp(0.5 * (nepers * deviation_db) ** 2 - nepers * cnr_db)
+    inverse = np.exp(0.5 * (NEPERS_PER_DB * deviation_db) ** 2 - NEPERS_PER_DB * cnr_db)
     return WATT_PER_MILLIWATT * (2.0**radio.bits_per_symbol - 1.0) / radio.k_b * inverse
 
 
@@ -123,6 +124,26 @@ def transmission_stage_costs_j(
     return settings.send_s * expected_transmit_power_w(
         prediction.mean_db, prediction.deviation_db, settings
     )
+
+
+def transmission_derivatives(
+    mean_db: Derivatives, deviation_db: Derivatives, settings: Radio
+) -> Derivatives:
+    """Expected energy of sending at each of n places, with gradient and Hessian by the place.
+
+    f = c exp(a^2 sigma^2 / 2 - a mu), a = ln 10 / 10, has df = f g, g = a^2 sigma dsigma - a dmu,
+    and d2f = f (g g' + a^2 (dsigma dsigma' + sigma d2sigma) - a d2mu).
+    """
+    a = NEPERS_PER_DB
+    sigma = deviation_db.value[:, None]
+    energy = settings.send_s * expected_transmit_power_w(
+        mean_db.value, deviation_db.value, settings
+    )
+    slope = a * a * sigma * deviation_db.gradient - a * mean_db.gradient
+    bend = a * a * sigma * deviation_db.hessian - a * mean_db.hessian
+    for first, scale in ((slope, 1.0), (deviation_db.gradient, a * a)):
+        bend = bend + scale * first[:, [0, 0, 1]] * first[:, [0, 1, 1]]
+    return Derivatives(energy, energy[:, None] * slope, energy[:, None] * bend)
 
 
 def transmission_energy_j(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.targets.rounding import rounded_length
+from planopt.targets.rounding import Derivatives, rounded_length
 
 
 def path_length_derivatives(
@@ -27,15 +27,26 @@ def path_length_derivatives(
     count = len(path_m)
     gradient = steps.gradient.copy()
     gradient[:-1] -= steps.gradient[1:]
-    blocks = np.empty((count, 2, 2))
-    blocks[:, 0, 0], blocks[:, 1, 1] = steps.hessian[:, 0], steps.hessian[:, 2]
-    blocks[:, 0, 1] = blocks[:, 1, 0] = steps.hessian[:, 1]
+    hessian = legs_curvature(steps, np.ones(count))
+    return PathDerivatives(float(steps.value.sum()), gradient.ravel(), hessian)
+
+
+def legs_curvature(legs: Derivatives, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Second derivatives of a weighted sum of the lengths of steps; ``(2 h, 2 h)``.
+
+    Parameters
+    ----------
+    legs
+        Lengths of the h steps with derivatives by the step.
+    weight
+        ``(h,)``.
+    """
+    count = len(weight)
+    blocks = (weight[:, None] * legs.hessian)[:, [0, 1, 1, 2]].reshape(count, 2, 2)
     hessian = np.zeros((count, 2, count, 2))
     k = np.arange(count)
     hessian[k, :, k] += blocks
     hessian[k[:-1], :, k[:-1]] += blocks[1:]
     hessian[k[:-1], :, k[1:]] -= blocks[1:]
     hessian[k[1:], :, k[:-1]] -= blocks[1:]
-    return PathDerivatives(
-        float(steps.value.sum()), gradient.ravel(), hessian.reshape(2 * count, 2 * count)
-    )
+    return hessian.reshape(2 * count, 2 * count)

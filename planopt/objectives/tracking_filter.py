@@ -92,7 +92,7 @@ def bounding_information(
     arrival
         ``(..., h, N)`` p, or whether packets arrived.
     sensing
-        ``(h, N)`` tr Lambda^-1 per m^2, Lambda a multiple of I_2.
+        ``(..., h, N)`` tr Lambda^-1 per m^2, Lambda a multiple of I_2.
     settings
         The target and what is known of it.
     """
@@ -129,18 +129,21 @@ def covariance_recursion_m2(
 def riccati_covariances(
     arrival: NDArray[np.float64], sensing: NDArray[np.float64], settings: FilteredTracking
 ) -> NDArray[np.float64]:
-    """P-bar_1 .. P-bar_h; ``(h, 4, 4)``. Arguments as :func:`bounding_information`, no batch."""
+    """P-bar_1 .. P-bar_h; ``(..., h, 4, 4)``. Arguments as :func:`bounding_information`."""
     model = settings.model
     transition, noise = model.transition, model.process_covariance
+    arrival, sensing = np.broadcast_arrays(arrival, sensing)
     spread = covariance_of(settings.information)
-    found = np.empty((len(arrival), 4, 4))
-    for k in range(len(arrival)):
+    found = np.empty((*arrival.shape[:-1], 4, 4))
+    for k in range(arrival.shape[-2]):
         spread = transition @ spread @ transition.T + noise
-        for chance, information in zip(arrival[k], sensing[k], strict=True):
-            innovation = spread[:2, :2] + (2.0 / float(information)) * np.eye(2)
-            gain = np.asarray(np.linalg.solve(innovation, spread[:2]), dtype=np.float64).T
-            spread = spread - float(chance) * gain @ spread[:2]
-        found[k] = spread
+        for robot in range(arrival.shape[-1]):
+            chance, information = (each[..., k, robot, None, None] for each in (arrival, sensing))
+            innovation = spread[..., :2, :2] + (2.0 / information) * np.eye(2)
+            seen = spread[..., :2, :]
+            gain = np.asarray(np.linalg.solve(innovation, seen), dtype=np.float64)
+            spread = spread - chance * gain.swapaxes(-1, -2) @ seen
+        found[..., k, :, :] = spread
     return found
 
 

@@ -12,6 +12,9 @@ from planopt.channel.places import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.near_posterior import factored_near
 
+SEED, TOLERANCE = 0, 1e-3
+"""Of the integral that plans are compared by; it is mostly a hundred times more accurate."""
+
 
 @dataclass(frozen=True)
 class Search:
@@ -25,11 +28,14 @@ class Search:
         Power from which on a place is connected.
     disconnected_now
         Given that it is not connected at the start. False where that is among the measurements.
+    beyond_m
+        What :func:`charged_distance_m` adds for a path that ends without connection.
     """
 
     start_m: tuple[float, float]
     threshold_dbm: float
     disconnected_now: bool = True
+    beyond_m: float = 0.0
 
 
 def expected_distance_m(
@@ -67,6 +73,26 @@ def expected_distance_m(
         generator,
         disconnected_now=settings.disconnected_now,
     ).expected_distance_m
+
+
+def charged_distance_m(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Search
+) -> float:
+    """E[D] + beyond_m P(not connected at q_1 .. q_h): what a plan that has to stop at h is charged.
+
+    E[D] alone is least for a robot that stands still. The same numbers integrate every path, so
+    that its value does not change. Arguments and errors as :func:`expected_distance_m`.
+    """
+    whole = _whole(path_m, settings)
+    found = first_passage(
+        factored_near(posterior, whole),
+        whole,
+        settings.threshold_dbm,
+        np.random.default_rng(SEED),
+        disconnected_now=settings.disconnected_now,
+        tolerance=TOLERANCE,
+    )
+    return found.expected_distance_m + settings.beyond_m * float(found.not_connected[-1])
 
 
 def independent_expected_distance_m(

@@ -22,8 +22,9 @@ from planopt.planning.programme.polished import Polished
 from planopt.planning.search.start_search import Start, StartSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
-from planopt.planning.worth.local_worth import is_stagewise, local_worth
+from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
 from planopt.world.separation import separating_lines
 
@@ -72,7 +73,7 @@ class HorizonPlanner:
             self._nlp = build_path_nlp(
                 problem.planner.horizon,
                 LINES_PER_SEGMENT,
-                is_stagewise(problem),
+                structure_of(problem),
                 self._bounded,
                 METHODS[problem.planner.name],
                 problem.planner.budget_s,

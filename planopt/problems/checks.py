@@ -11,12 +11,14 @@ import numpy as np
 import shapely
 
 from planopt.errors import InputError
+from planopt.objectives.expression import START, WIDTHS, expression_values, names_in
 from planopt.problems.channel_setup import (
     LoggedMeasurements,
     ModelTruth,
     RasterTruth,
     SampledMeasurements,
 )
+from planopt.problems.objective import CasadiTerm
 from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,
@@ -47,6 +49,9 @@ def check(problem: Problem) -> None:
         if robot.goal_m is not None:
             _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
     _check_channel(problem)
+    for number, term in enumerate(problem.terms):
+        if isinstance(term, CasadiTerm):
+            _check_expression(problem, term, f"objective.terms[{number}]")
 
 
 def check_files(problem: Problem) -> None:
@@ -126,6 +131,32 @@ def _check_place(
             file=problem.file,
             key=key,
             remedy="move it, or lessen constraints.clearance_m",
+        )
+
+
+def _check_expression(problem: Problem, term: CasadiTerm, key: str) -> None:
+    """The instructions are some of an expression of as many steps as are planned."""
+    steps = problem.planner.horizon
+    if term.steps != steps:
+        raise InputError(
+            f"is {term.steps}, and planner.horizon is {steps}",
+            file=problem.file,
+            key=f"{key}.steps",
+            remedy="write the term by planopt.casadi_term for this horizon",
+        )
+    nothing = {name: np.zeros((1, steps, width)) for name, width in WIDTHS.items()}
+    try:
+        expression_values(term.program, steps, nothing | {START: np.zeros((1, 1, 2))})
+    except InputError as error:
+        raise InputError(
+            error.message, file=problem.file, key=f"{key}.{error.key}", remedy=error.remedy
+        ) from None
+    if "target_m" in names_in(term.program) and not problem.targets:
+        raise InputError(
+            "reads target_m, and there is no target",
+            file=problem.file,
+            key=f"{key}.program",
+            remedy="add an entry of targets and a term of kind tracking, of weight 0 if need be",
         )
 
 

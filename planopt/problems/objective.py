@@ -8,6 +8,9 @@ from typing import Literal
 CostToGo = Literal["geodesic", "connected"]
 
 
+TrackingForm = Literal["additive", "information", "covariance", "sampled"]
+
+
 LearningCriterion = Literal["T", "D", "A", "V"]
 
 
@@ -35,10 +38,10 @@ class ReachObjective:
 
 @dataclass(frozen=True)
 class TrackingTerm:
-    """Expected information on the target that reaches the station (seed, (4); theory 4.6).
+    """What the packets of a path tell the station of the target (seed, (4); theory 4.6).
 
-    Each step is worth P(connected) / g(r), with r the distance to the target's predicted position
-    and ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
+    A packet sent at distance r of the target's predicted position has the information 1 / g(r),
+    ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
 
     Attributes
     ----------
@@ -46,12 +49,18 @@ class TrackingTerm:
         In the sum of terms.
     noise_curvature, noise_floor_m2, sweet_spot_m
         The seed's varpi, nu (m^2) and r_s.
+    form
+        ``additive``: P(connected) / g(r) of each step, the seed's. The others follow the station's
+        filter: ``information`` bounds the expected gain of information from above, ``covariance``
+        removes covariance as if losses were independent in time, ``sampled`` averages over joint
+        losses.
     """
 
     weight: float
     noise_curvature: float
     noise_floor_m2: float
     sweet_spot_m: float
+    form: TrackingForm = "additive"
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,73 @@ class MotionEnergyTerm:
     power_w: float
 
 
-Term = TrackingTerm | LearningTerm | MappingTerm | MotionEnergyTerm
+@dataclass(frozen=True)
+class UntilConnectedTerm:
+    """Expected distance until connected, a cost (theory 4.3).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms, per metre; the distance is subtracted.
+    beyond_m
+        What a plan is charged besides that ends without connection; None: the diagonal of the
+        workspace.
+    """
+
+    weight: float
+    beyond_m: float | None = None
+
+
+@dataclass(frozen=True)
+class TransmissionEnergyTerm:
+    """Expected energy of sending some bits at the end of every step, a cost (theory 3.2).
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms, per joule; the energy is subtracted.
+    bits, bandwidth_hz
+        Bits a step, and symbols a second.
+    bits_per_symbol, bit_error_rate, noise_dbm
+        As in :class:`planopt.objectives.energy.Radio`.
+    """
+
+    weight: float
+    bits: float
+    bandwidth_hz: float
+    bits_per_symbol: float
+    bit_error_rate: float
+    noise_dbm: float
+
+
+@dataclass(frozen=True)
+class CasadiTerm:
+    """A user's own value of a path, written by :func:`planopt.casadi_term`.
+
+    Attributes
+    ----------
+    weight
+        In the sum of terms.
+    steps
+        The horizon that it is for.
+    program
+        Its instructions (:mod:`planopt.objectives.expression`).
+    """
+
+    weight: float
+    steps: int
+    program: str
+
+
+Term = (
+    TrackingTerm
+    | LearningTerm
+    | MappingTerm
+    | MotionEnergyTerm
+    | UntilConnectedTerm
+    | TransmissionEnergyTerm
+    | CasadiTerm
+)
 
 
 @dataclass(frozen=True)

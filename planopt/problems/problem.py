@@ -11,10 +11,12 @@ from planopt.problems.constraints import Constraints
 from planopt.problems.objective import (
     CostToGo,
     LearningTerm,
+    MappingTerm,
     ReachObjective,
     Term,
     TermsObjective,
     TrackingTerm,
+    UntilConnectedTerm,
 )
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
@@ -22,7 +24,7 @@ from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.target import Target
 from planopt.world.workspace import Workspace
 
-Task = Literal["reach", "track", "learn", "map"]
+Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,14 @@ class Problem:
         """What the problem asks: its goal, or its first term."""
         if isinstance(self.objective, ReachObjective):
             return "reach"
-        first = self.objective.terms[0]
-        if isinstance(first, TrackingTerm):
-            return "track"
-        return "learn" if isinstance(first, LearningTerm) else "map"
+        match self.objective.terms[0]:
+            case TrackingTerm():
+                return "track"
+            case LearningTerm():
+                return "learn"
+            case MappingTerm():
+                return "map"
+            case UntilConnectedTerm():
+                return "connect"
+            case _:
+                return "custom"

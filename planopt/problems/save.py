@@ -17,7 +17,15 @@ import shapely
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements, ModelTruth, RasterTruth
 from planopt.problems.load import problem_from_tables
-from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTerm, TrackingTerm
+from planopt.problems.objective import (
+    CasadiTerm,
+    LearningTerm,
+    MappingTerm,
+    MotionEnergyTerm,
+    TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
+)
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
@@ -81,6 +89,9 @@ KINDS = {
     LearningTerm: "path_loss_learning",
     MappingTerm: "mapping",
     MotionEnergyTerm: "motion_energy",
+    UntilConnectedTerm: "until_connected",
+    TransmissionEnergyTerm: "transmission_energy",
+    CasadiTerm: "casadi",
 }
 """What problem files call the terms."""
 
@@ -88,7 +99,9 @@ KINDS = {
 def _objective(problem: Problem) -> dict[str, Any]:
     if problem.task == "reach":
         return asdict(problem.reach)
-    return {"terms": [{"kind": KINDS[type(term)], **asdict(term)} for term in problem.terms]}
+    return {
+        "terms": [{"kind": KINDS[type(term)], **_plain(asdict(term))} for term in problem.terms]
+    }
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:

@@ -21,6 +21,11 @@ from planopt.problems.schema_objective import (
     TargetTable,
     TrackingTable,
 )
+from planopt.problems.schema_terms import (
+    CasadiTable,
+    TransmissionEnergyTable,
+    UntilConnectedTable,
+)
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, ReportSettings
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
 
@@ -36,8 +41,8 @@ class ProblemTable(Table):
     name: Name = Field(description="Name: letters, digits, '_' and '-'.")
     task: Task = Field(
         default="reach",
-        description="What the robots must do: reach a goal, track a target, learn the path loss or "
-        "map the channel.",
+        description="What the robots must do: reach a goal, track a target, learn the path loss, "
+        "map the channel, connect after a short way, or custom: what one's own terms say.",
     )
     description: str = Field(default="", description="One sentence for people.")
 
@@ -207,8 +212,14 @@ class ProblemFile(Table):
         return self
 
 
-TASK_TERMS = {"track": TrackingTable, "learn": LearningTable, "map": MappingTable}
-"""The term that each task's objective begins with."""
+TASK_TERMS: dict[str, tuple[type[Table], ...]] = {
+    "track": (TrackingTable,),
+    "learn": (LearningTable,),
+    "map": (MappingTable,),
+    "connect": (UntilConnectedTable,),
+    "custom": (CasadiTable, TransmissionEnergyTable),
+}
+"""The terms that each task's objective may begin with."""
 
 
 def _reach_fault(tables: ProblemFile) -> str | None:
@@ -235,8 +246,8 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     """What keeps tables from being a problem whose objective is a sum of terms."""
     task, terms = tables.problem.task, tables.objective.terms
     if not terms or not isinstance(terms[0], TASK_TERMS[task]):
-        kind = TASK_TERMS[task].model_fields["kind"].annotation
-        return f"task {task} needs objective.terms that begin with one of kind {get_args(kind)[0]}"
+        kinds = [get_args(each.model_fields["kind"].annotation)[0] for each in TASK_TERMS[task]]
+        return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
     if any(robot.goal_m is not None for robot in tables.robots):
         return f"task {task} has no robots.goal_m"
     for key in ("effort_weight_s2_m2", "cost_to_go"):

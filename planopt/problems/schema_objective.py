@@ -14,17 +14,23 @@ from planopt.problems.objective import (
     MappingTerm,
     MotionEnergyTerm,
     Term,
+    TrackingForm,
     TrackingTerm,
+)
+from planopt.problems.schema_terms import (
+    CasadiTable,
+    TransmissionEnergyTable,
+    UntilConnectedTable,
+    Weight,
 )
 from planopt.problems.tables import Name, Pair, Table
 from planopt.problems.target import Target
 
-Weight = Annotated[float, Field(ge=0, le=1e9)]
 Deviation = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class TrackingTable(Table):
-    """A term: expected information on the target that reaches the station, summed over steps."""
+    """A term: what the packets that reach the station tell of the target."""
 
     kind: Literal["tracking"] = Field(description="Track a target over a lossy link.")
     weight: Weight = Field(default=1.0, description="In the sum of terms.")
@@ -35,12 +41,22 @@ class TrackingTable(Table):
     sweet_spot_m: float = Field(
         ge=0, le=1e6, description="Distance in metres at which the sensor is best, the seed's r_s."
     )
+    form: TrackingForm = Field(
+        default="additive",
+        description="additive (the seed's (4), summed over steps), or by the station's filter: "
+        "information (an upper bound), covariance (losses as if independent in time) or sampled "
+        "(joint losses).",
+    )
 
     @property
     def term(self) -> Term:
         """The plain term."""
         return TrackingTerm(
-            self.weight, self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m
+            self.weight,
+            self.noise_curvature,
+            self.noise_floor_m2,
+            self.sweet_spot_m,
+            self.form,
         )
 
 
@@ -101,7 +117,14 @@ class MotionEnergyTable(Table):
 
 
 TermTable = Annotated[
-    TrackingTable | LearningTable | MappingTable | MotionEnergyTable, Field(discriminator="kind")
+    TrackingTable
+    | LearningTable
+    | MappingTable
+    | MotionEnergyTable
+    | UntilConnectedTable
+    | TransmissionEnergyTable
+    | CasadiTable,
+    Field(discriminator="kind"),
 ]
 
 

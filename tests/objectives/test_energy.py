@@ -15,9 +15,11 @@ from planopt.objectives.energy import (
     energy_rate_j_m,
     expected_transmit_power_w,
     motion_energy_j,
+    transmission_derivatives,
     transmission_energy_j,
     transmission_stage_costs_j,
 )
+from planopt.targets.rounding import Derivatives
 
 POSTERIOR = condition(CHANNEL, drawn(15))
 MOTION = Motion(3.5, 0.3, 2.0, START)
@@ -74,3 +76,31 @@ def test_rates_out_of_range(rates):
     """Each is refused."""
     with pytest.raises(InputError):
         Radio(rates[0], rates[1], -100.0, 20.0, 0.5)
+
+
+def test_derivatives_of_sending_are_differences():
+    """Of mean and deviation that are quadratic in the place."""
+    rng = np.random.default_rng(3)
+    slope, bend = rng.normal(size=(2, 4, 2)), 0.3 * rng.normal(size=(2, 4, 3))
+    level = np.array([np.full(4, -70.0), np.full(4, 4.0)])
+
+    def at(place):
+        squares = np.stack([place[:, 0] ** 2, 2 * place[:, 0] * place[:, 1], place[:, 1] ** 2], 1)
+        powers = []
+        for number in range(2):
+            a, b = slope[number], bend[number]
+            value = level[number] + (a * place).sum(axis=1) + 0.5 * (b * squares).sum(axis=1)
+            turned = np.stack([b[:, 0] * place[:, 0] + b[:, 1] * place[:, 1]] * 2, axis=1)
+            turned[:, 1] = b[:, 1] * place[:, 0] + b[:, 2] * place[:, 1]
+            powers.append(Derivatives(value, a + turned, b))
+        return transmission_derivatives(*powers, RADIO)
+
+    place, step = 0.5 * rng.normal(size=(4, 2)), 1e-5
+    found = at(place)
+    for axis in range(2):
+        moved = step * np.eye(2)[axis]
+        more, less = at(place + moved), at(place - moved)
+        change = (more.value - less.value) / (2 * step)
+        np.testing.assert_allclose(found.gradient[:, axis], change, rtol=1e-7)
+        change = (more.gradient - less.gradient) / (2 * step)
+        np.testing.assert_allclose(found.hessian[:, axis : axis + 2], change, rtol=1e-6)

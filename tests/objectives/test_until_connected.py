@@ -5,13 +5,15 @@ import pytest
 from path_scene import CHANNEL, NOTHING, PATH, START, drawn
 
 from planopt.channel.connectivity import connection_probability
-from planopt.channel.joint import sample_power
+from planopt.channel.joint import joint_prediction, sample_power
 from planopt.channel.kriging import predict
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
+from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.until_connected import (
     Search,
+    charged_distance_m,
     expected_distance_m,
     independent_expected_distance_m,
 )
@@ -84,3 +86,51 @@ def test_impossible_condition_and_bad_paths():
         expected_distance_m(POSTERIOR, PATH, Search(START, -500.0), np.random.default_rng(0))
     with pytest.raises(InputError):
         independent_expected_distance_m(POSTERIOR, PATH[:0], Search(START, THRESHOLD))
+
+
+def test_charged_distance_by_driving_through_sampled_channels():
+    """Mean of 40,000 drives, each charged if it ends without connection; always the same number."""
+    search = Search(START, THRESHOLD, disconnected_now=False, beyond_m=50.0)
+    found = charged_distance_m(POSTERIOR, PATH, search)
+    assert found == charged_distance_m(POSTERIOR, PATH, search)
+    up = sample_power(POSTERIOR, PATH, 40_000, np.random.default_rng(1)) >= THRESHOLD
+    searching = np.cumprod(~up, axis=1)
+    driven = LEGS[0] + searching @ np.append(LEGS[1:], 50.0)
+    assert abs(driven.mean() - found) < 5.0 * driven.std() / np.sqrt(len(driven))
+
+
+def test_one_step_is_charged_exactly():
+    """Its length, and the rest if it is not connected there."""
+    power = predict(POSTERIOR, PATH[:1])
+    p = connection_probability(power.mean_db, power.deviation_db, THRESHOLD)[0]
+    search = Search(START, THRESHOLD, disconnected_now=False, beyond_m=7.0)
+    expected = LEGS[0] + 7.0 * (1.0 - p)
+    assert charged_distance_m(POSTERIOR, PATH[:1], search) == pytest.approx(expected, rel=1e-9)
+    mean = (power.mean_db - THRESHOLD)[None]
+    covariance = (power.deviation_db**2)[None, None]
+    filtered = charged_distances_m(mean, covariance, LEGS[None, :1], 7.0)
+    assert filtered == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_filtering_is_near_the_integral(seed):
+    """Within 4 %, and far nearer than independence, for winding paths, many at once."""
+    rng = np.random.default_rng(seed)
+    paths = np.asarray(START) + np.cumsum(rng.normal(1.0, 2.0, (3, 8, 2)), axis=1)
+    search = Search(START, THRESHOLD, disconnected_now=False, beyond_m=30.0)
+    powers = [joint_prediction(POSTERIOR, path) for path in paths]
+    ends = np.concatenate([np.tile(START, (3, 1, 1)), paths], axis=1)
+    filtered = charged_distances_m(
+        np.array([power.mean_db for power in powers]) - THRESHOLD,
+        np.array([power.covariance_db2 for power in powers]),
+        np.linalg.norm(np.diff(ends, axis=1), axis=2),
+        30.0,
+    )
+    exact = [charged_distance_m(POSTERIOR, path, search) for path in paths]
+    np.testing.assert_allclose(filtered, exact, rtol=0.04)
+    for path, power, one, true in zip(paths, powers, filtered, exact, strict=True):
+        deviation = np.sqrt(np.diag(power.covariance_db2))
+        failing = 1.0 - connection_probability(power.mean_db, deviation, THRESHOLD)
+        independent = independent_expected_distance_m(POSTERIOR, path, search)
+        independent += 30.0 * failing.prod()
+        assert abs(one - true) < 0.25 * abs(independent - true)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,15 @@ from planopt.planning.prepare import prepare
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
+from planopt.problems.casadi_term import casadi_term
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 
 TRACKING = {"kind": "tracking", "noise_curvature": 0.008, "noise_floor_m2": 0.08, "sweet_spot_m": 1}
 LEARNING = {"kind": "path_loss_learning", "criterion": "D"}
 ENERGY = {"kind": "motion_energy", "per_metre_j_m": 0.5, "power_w": 0.1}
+CONNECT = {"kind": "until_connected"}
+SENDING = {"kind": "transmission_energy", "bits": 1e6, "bandwidth_hz": 1e6, "noise_dbm": -100.0}
 
 TABLES: dict[str, Any] = {
     "problem": {"schema": 1, "name": "small"},
@@ -60,12 +64,19 @@ def terms_problem(*terms: dict[str, Any], **planner: Any) -> Problem:
     tables = copy.deepcopy(TABLES)
     tables["objective"] = {"terms": [dict(term) for term in terms]}
     kinds = {"tracking": "track", "path_loss_learning": "learn", "mapping": "map"}
-    tables["problem"]["task"] = kinds[terms[0]["kind"]]
+    kinds["until_connected"] = "connect"
+    tables["problem"]["task"] = kinds.get(terms[0]["kind"], "custom")
     if any(term["kind"] == "tracking" for term in terms):
         tables["targets"] = [{"start_m": [14.0, 18.0], "velocity_m_s": [0.9, 0.2]}]
     tables["constraints"]["p_min"] = planner.pop("p_min", 0.0)
     tables["planner"].update(planner)
     return problem_from_tables(tables, folder=Path(), file=None)
+
+
+def own_term(build: Callable[[Any], Any], steps: int = 5) -> dict[str, Any]:
+    """A term of one's own, as in a problem file."""
+    term = casadi_term(build, steps)
+    return {"kind": "casadi", "steps": term.steps, "program": term.program}
 
 
 def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
@@ -78,7 +89,11 @@ def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
         target = np.asarray(aim.start_m) + steps * np.asarray(aim.velocity_m_s)
     at = np.asarray(problem.robots[0].start_m)
     region = workspace_region(problem)
-    return Situation(problem, belief.posterior, at, target, region, np.array([30.0, 30.0])), belief
+    known = np.diag([2.0, 2.0, 8.0, 8.0])
+    situation = Situation(
+        problem, belief.posterior, at, target, region, np.array([30.0, 30.0]), known
+    )
+    return situation, belief
 
 
 def judge_of(situation: Situation, belief: Belief) -> tuple[Judge, Ground]:

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import (
+    CONNECT,
+    ENERGY,
+    LEARNING,
+    SENDING,
+    TRACKING,
+    judge_of,
+    own_term,
+    situation_of,
+    terms_problem,
+)
 
 from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.fields.truth import measure
 from planopt.channel.posterior import condition, predict
+from planopt.errors import InputError
 from planopt.planning import horizon_planner
 from planopt.planning.given import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -20,6 +32,7 @@ from planopt.planning.programme import ipopt
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.search.start_search import StartSearch
+from planopt.planning.team.team_solve import solve_team
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 
@@ -32,7 +45,20 @@ def planned(problem, warm=None, seed=0, **options):
 
 
 @pytest.mark.parametrize(
-    "terms", [(TRACKING,), (LEARNING,), (INFORMATION,), (TRACKING, LEARNING, ENERGY)]
+    "terms",
+    [
+        (TRACKING,),
+        (LEARNING,),
+        (INFORMATION,),
+        (TRACKING, LEARNING, ENERGY),
+        (TRACKING, ENERGY),
+        ({**TRACKING, "form": "information"},),
+        ({**TRACKING, "form": "covariance"},),
+        ({**TRACKING, "form": "sampled"},),
+        (CONNECT,),
+        (SENDING,),
+        (SENDING, ENERGY),
+    ],
 )
 @pytest.mark.parametrize("horizon", [1, 2, 8])
 def test_plan_is_verified_and_better_than_its_start(terms, horizon):
@@ -43,6 +69,35 @@ def test_plan_is_verified_and_better_than_its_start(terms, horizon):
     assert plan.objective >= plan.lattice_objective - 1e-9
     assert plan.objective == pytest.approx(judge.objective(plan.positions_m[1:]))
     assert len(plan.positions_m) == horizon + 1
+
+
+@pytest.mark.parametrize("horizon", [1, 5])
+def test_an_expression_of_ones_own_is_planned(horizon):
+    """One that is the seed's tracking has the worth of the built-in term, from the coupled search.
+
+    The lattice adds that up over stages; both are polished.
+    """
+    keys = ("sweet_spot_m", "noise_curvature", "noise_floor_m2")
+    spot, curvature, floor = (TRACKING[key] for key in keys)
+
+    def seeds(path):
+        away = ca.sqrt(ca.sum2((path.positions_m - path.target_m) ** 2) + 1e-6)
+        return ca.sum1(path.connectivity / (curvature * (away - spot) ** 2 + floor))
+
+    still = {**TRACKING, "weight": 0.0}
+    own, _, judge = planned(terms_problem(own_term(seeds, horizon), still, horizon=horizon))
+    built_in, *_ = planned(terms_problem(TRACKING, horizon=horizon))
+    assert own.verdict is Verdict.VERIFIED and own.rung is Rung.PLAN
+    assert own.objective >= own.lattice_objective
+    assert own.objective == pytest.approx(judge.objective(own.positions_m[1:]))
+    assert own.objective > 0.98 * built_in.objective
+
+
+def test_an_expression_of_another_horizon_is_refused():
+    """As an error of ours, when the horizon is overridden."""
+    problem = terms_problem(own_term(lambda path: -ca.sumsqr(path.positions_m)))
+    with pytest.raises(InputError, match="for 5 steps, the plan has 3"):
+        solve_team(problem, horizon=3)
 
 
 def test_no_straight_way_is_better():

@@ -11,7 +11,13 @@ import pytest
 
 from planopt.errors import InputError
 from planopt.problems.channel_setup import ModelTruth, SampledMeasurements
-from planopt.problems.objective import LearningTerm, TrackingTerm
+from planopt.problems.objective import (
+    CasadiTerm,
+    LearningTerm,
+    TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
+)
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.problems.schema import json_schema
@@ -287,6 +293,79 @@ def test_terms_are_read_in_order(tables: Tables, built: Build) -> None:
     again = problem_from_dict(problem_to_dict(problem), file=problem.file)
     assert again.objective == problem.objective
     assert again.targets == problem.targets
+
+
+OWN = {"kind": "casadi", "weight": -2.0, "steps": 5, "program": "const 0 1.5\noutput 0"}
+SENDING = {"kind": "transmission_energy", "bits": 1e6, "bandwidth_hz": 1e5, "noise_dbm": -95.0}
+
+
+@pytest.mark.parametrize(
+    ("task", "terms", "found"),
+    [
+        ("connect", [{"kind": "until_connected"}], (UntilConnectedTerm(1.0, None),)),
+        (
+            "connect",
+            [{"kind": "until_connected", "weight": 0.5, "beyond_m": 80.0}, SENDING],
+            (
+                UntilConnectedTerm(0.5, 80.0),
+                TransmissionEnergyTerm(1.0, 1e6, 1e5, 2.0, 1e-6, -95.0),
+            ),
+        ),
+        (
+            "custom",
+            [{**SENDING, "bits_per_symbol": 4.0, "bit_error_rate": 1e-3}],
+            (TransmissionEnergyTerm(1.0, 1e6, 1e5, 4.0, 1e-3, -95.0),),
+        ),
+        ("custom", [OWN], (CasadiTerm(-2.0, 5, OWN["program"]),)),
+    ],
+)
+def test_tasks_of_other_terms_survive_saving(
+    tables: Tables, built: Build, task: str, terms: list[Tables], found: tuple[object, ...]
+) -> None:
+    """Their tasks, keys and defaults."""
+    other(tables, task, terms)
+    problem = built(tables)
+    assert (problem.task, problem.terms) == (task, found)
+    text = json.dumps(problem_to_dict(problem))
+    again = problem_from_dict(json.loads(text), file=problem.file)
+    assert again.objective == problem.objective
+
+
+def other(tables: Tables, task: str, terms: list[Tables]) -> None:
+    """The small problem for other terms, with a horizon of 5."""
+    del tables["robots"][0]["goal_m"]
+    tables["problem"]["task"] = task
+    tables["objective"] = {"terms": terms}
+    tables["planner"]["horizon"] = 5
+
+
+@pytest.mark.parametrize(
+    ("task", "term", "words"),
+    [
+        ("custom", {"kind": "mapping"}, "begin with one of kind casadi or transmission_energy"),
+        ("connect", SENDING, "begin with one of kind until_connected"),
+        (
+            "custom",
+            {**OWN, "steps": 4},
+            r"objective.terms\[0\].steps: is 4, and planner.horizon is 5",
+        ),
+        ("custom", {**OWN, "program": "open 0 1"}, r"objective.terms\[0\].program: instruction 1"),
+        (
+            "custom",
+            {**OWN, "program": "input 0 target_m 0 0\noutput 0"},
+            r"objective.terms\[0\].program: reads target_m, and there is no target",
+        ),
+        ("custom", {**SENDING, "bit_error_rate": 0.3}, "bit_error_rate"),
+        ("connect", {"kind": "until_connected", "beyond_m": -1.0}, "beyond_m"),
+    ],
+)
+def test_other_terms_that_cannot_be_used(
+    tables: Tables, built: Build, task: str, term: Tables, words: str
+) -> None:
+    """The key is named."""
+    other(tables, task, [term])
+    with pytest.raises(InputError, match=words):
+        built(tables)
 
 
 def drop_target(tables: Tables) -> None:

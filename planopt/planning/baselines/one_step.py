@@ -22,7 +22,7 @@ from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import nearest_measured_m
-from planopt.problems.objective import LearningTerm, MappingTerm
+from planopt.problems.objective import CasadiTerm, LearningTerm, MappingTerm
 from planopt.problems.problem import Problem
 
 RINGS, HEADINGS = 10, 48
@@ -43,6 +43,8 @@ class OneStepPlanner:
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground
         self._measures = any(isinstance(t, LearningTerm | MappingTerm) for t in problem.terms)
+        # An expression of one's own is for a whole path: it is valued as if the robot then stood.
+        self._whole = any(isinstance(t, CasadiTerm) for t in problem.terms)
         radius = (problem.step_length_m - STEP_PAD_M) * np.arange(1, RINGS + 1) / RINGS
         angle = 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS
         circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -77,4 +79,7 @@ class OneStepPlanner:
             return None
         before = np.broadcast_to(np.reshape(path, (-1, 2)), (len(ends), len(path), 2))
         ways = np.concatenate([before, ends[:, None]], axis=1)
+        if self._whole:
+            rest = self._problem.planner.horizon - int(ways.shape[1])
+            ways = np.concatenate([ways, np.repeat(ways[:, -1:], rest, axis=1)], axis=1)
         return ends[int(np.argmax(LocalRanking(situation, ways)(ways)))]

@@ -19,7 +19,7 @@ from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of
 from planopt.planning.files.team_solution_json import TeamPlanRecord, team_plan_json
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
-from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
@@ -60,7 +60,7 @@ def check_team_plan(
         own, path = problem_of_robot(problem, number), steps.positions_m
         start = np.asarray(own.robots[0].start_m)
         judgement = judge(own, index, posterior, start, path, robot.certificate.kkt_residual)
-        aim = aim_again(robot.aim, None if watch is None else watch.expected_m(number, horizon))
+        aim = aim_again(robot.aim, aim_of(watch, number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
         worth = worth_again(own, posterior, path, aim, region)
         plan = rebuilt_plan(own, path, judgement, robot, effort, worth)

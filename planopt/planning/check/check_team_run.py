@@ -28,7 +28,7 @@ from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
-from planopt.planning.loop.target_watch import TargetWatch, watch_target
+from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
@@ -157,10 +157,7 @@ def _driven(
         posteriors[-1] = posterior
         path = np.stack([released.x_m, released.y_m], axis=1)
         judgement = judge(own, index, posterior, track[step - 1], path, released.kkt_residual)
-        aim = aim_again(
-            released.aim,
-            None if watch is None else watch.expected_m(number, own.planner.horizon),
-        )
+        aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
         worth = worth_again(own, posterior, path, aim, region)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
         where = f"{key}[{step - 1}]"

@@ -35,5 +35,7 @@ def worth_again(
     region
         Where the map is wanted.
     """
-    at = Situation(problem, posterior, path_m[0], aim.target_m, region, aim.steering_m)
+    at = Situation(
+        problem, posterior, path_m[0], aim.target_m, region, aim.steering_m, aim.information
+    )
     return PathWorth(at)(path_m[1:])

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.planning.files.solution_json import Number, Record, finite_list
@@ -30,7 +30,7 @@ def aim_json(aim: Aim) -> dict[str, Any]:
     }
 
 
-def aim_again(record: AimRecord, target_m: NDArray[np.float64] | None) -> Aim:
-    """The aim as it must be: `target_m` (N, 2) as found again, the steering as it stands."""
+def aim_again(record: AimRecord, watched: Aim) -> Aim:
+    """The aim as it must be: what is `watched` as found again, the steering as it stands."""
     steering = record.steering_m
-    return Aim(target_m, None if steering is None else np.array(steering))
+    return replace(watched, steering_m=None if steering is None else np.array(steering))

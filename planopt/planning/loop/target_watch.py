@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.target_model import target_model
 from planopt.problems.objective import TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import (
@@ -68,7 +70,7 @@ def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatc
     if not terms or not problem.targets:
         return None
     target, term = problem.targets[0], terms[0]
-    model = TargetModel(problem.planner.step_s, target.acceleration_std_m_s2**2 * np.eye(2))
+    model = target_model(problem)
     start = np.array([*target.start_m, *target.velocity_m_s])
     way = simulate_target(model, start, problem.planner.max_steps, generator)
     deviation = np.repeat([target.position_std_m, target.velocity_std_m_s], 2)
@@ -77,6 +79,13 @@ def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatc
     )
     sensor = Sensor(term.noise_curvature, term.noise_floor_m2, term.sweet_spot_m)
     return TargetWatch(model, sensor, way[:, :2], (first,) * len(problem.robots), first)
+
+
+def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
+    """What robot number `robot` plans for, N = `steps` steps ahead, before it is steered."""
+    if watch is None:
+        return Aim(None, None)
+    return Aim(watch.expected_m(robot, steps), None, watch.station.matrix)
 
 
 def observed(

@@ -8,8 +8,8 @@ each stage's connectivity bound::
     s.t.  the rows of planopt.planning.programme.path_rows
           margin_k(q_k) + s_k >= bound_k             k = 1..N             "connectivity"
 
-Value and margins come by callbacks with exact first and second derivatives. A *stagewise* value is
-a sum over stages, whose Hessian has a 2 x 2 block for each; any other has a full one. The solver is
+Value and margins come by callbacks with exact first and second derivatives. What the value couples
+(:data:`planopt.planning.programme.path_value.Structure`) is known to the solver. It is
 built once per structure and reused; a failed solve leaves nothing behind, because every call sets
 start, bounds and parameters anew and passes no multipliers on.
 """
@@ -26,7 +26,7 @@ from planopt.planning.programme.ipopt import OPTIONS, time_limit
 from planopt.planning.programme.methods import Method, solve_by
 from planopt.planning.programme.nlp_point import SolveNlp
 from planopt.planning.programme.path_rows import PathCallback, path_rows
-from planopt.planning.programme.path_value import ValueSource
+from planopt.planning.programme.path_value import Structure, ValueSource
 
 NEAR_START: dict[str, Any] = {
     "ipopt.mu_init": 1e-3,
@@ -84,7 +84,7 @@ class PathNlp:
 def build_path_nlp(
     horizon: int,
     lines: int,
-    stagewise: bool,
+    structure: Structure,
     bounded: bool,
     method: Method = "ipopt",
     budget_s: float | None = None,
@@ -95,8 +95,8 @@ def build_path_nlp(
     ----------
     horizon, lines
         Its structure.
-    stagewise
-        Whether the value is a sum over stages.
+    structure
+        Which stages the value couples.
     bounded
         Whether connectivity is bounded.
     method
@@ -107,7 +107,7 @@ def build_path_nlp(
     n = horizon
     source = ValueSource()
     stages = n if bounded else 0
-    curved = 3 * n if stagewise else 4 * n * n
+    curved = {"stagewise": 3 * n, "chain": 7 * n - 4, "full": 4 * n * n}[structure]
     callbacks = (
         PathCallback("value", n, 1, lambda at: np.array([source.at(at).value])),
         PathCallback("value_gradient", n, 2 * n, lambda at: source.at(at).gradient),
@@ -136,7 +136,7 @@ def build_path_nlp(
     # The solver minimises.
     f_sx = -head[2] * v + head[3] * ca.sum1(s)
     df_sx = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(stages))
-    value_curvature = _blocks(hv, n) if stagewise else ca.reshape(hv, 2 * n, 2 * n)
+    value_curvature = _curvature(hv, n, structure)
     curvature = (
         -lam_f * head[2] * ca.diagcat(value_curvature, ca.SX(stages, stages))
         + ca.hessian(ca.dot(lam[:plain], g_sx), x_sx)[0]
@@ -180,6 +180,20 @@ def build_path_nlp(
     solver = ca.nlpsol("path", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
     solve = solve_by(method, solver, n, budget_s)
     return PathNlp(n, lines, bounded, source, solver, solve, (*callbacks, *margins))
+
+
+def _curvature(entries: Any, n: int, structure: Structure) -> Any:
+    """Hessian of the value from the numbers of a `PathValue`."""
+    if structure == "full":
+        return ca.reshape(entries, 2 * n, 2 * n)
+    found = _blocks(entries, n)
+    if structure == "chain":
+        for k in range(n - 1):
+            at = 3 * n + 4 * k
+            across = ca.vertcat(entries[at : at + 2].T, entries[at + 2 : at + 4].T)
+            found[2 * k : 2 * k + 2, 2 * k + 2 : 2 * k + 4] = across
+            found[2 * k + 2 : 2 * k + 4, 2 * k : 2 * k + 2] = across.T
+    return found
 
 
 def _blocks(entries: Any, n: int) -> Any:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.programme.stage_kernel import StageMargins
+
+Structure = Literal["stagewise", "chain", "full"]
+"""What a value's Hessian is made of: a 2 x 2 block of each stage; these and one between each stage
+and the next; or everything."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +27,8 @@ class PathValue:
     gradient
         ``(N, 2)``.
     hessian
-        ``(N, 3)``, xx, xy and yy of each stage, of a value that is a sum over stages; else
-        ``(2 N, 2 N)``.
+        ``(N, 3)``, xx, xy and yy of each stage, if stagewise. ``(7 N - 4,)`` if a chain: these, and
+        xx, xy, yx and yy between each stage and the next. Else ``(2 N, 2 N)``.
     """
 
     value: float

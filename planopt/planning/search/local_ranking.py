@@ -15,22 +15,35 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.path_loss import regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
+from planopt.objectives.energy import expected_transmit_power_w
+from planopt.objectives.expression import expression_values
+from planopt.objectives.filter_gain import (
+    covariance_gain,
+    first_steps,
+    information_gain,
+    sensing_of,
+)
 from planopt.objectives.local_channel import (
     LocalChannel,
     LocalGrid,
     local_channel,
     local_grid,
 )
+from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.path_loss_learning import theta_information
 from planopt.objectives.tracking import tracking_reward
 from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.expression_inputs import known_inputs
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import (
+    CasadiTerm,
     LearningTerm,
     MappingTerm,
     MotionEnergyTerm,
     Term,
     TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
 )
 
 ANCHORS = 64
@@ -161,6 +174,14 @@ def _value(
             legs = _legs_m(at, batch.ways_m)
             moving = (legs > STANDSTILL_M).sum(axis=1) * at.problem.planner.step_s
             return -(term.per_metre_j_m * legs.sum(axis=1) + term.power_w * moving)
+        case UntilConnectedTerm():
+            return _until_connected(term, at, batch)
+        case TransmissionEnergyTerm():
+            power, radio = batch.power(), at.radio(term)
+            each = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
+            return -radio.send_s * each.reshape(batch.shape).sum(axis=1)
+        case CasadiTerm():
+            return _expression(term, at, batch)
 
 
 def _tracking(term: TrackingTerm, at: Situation, batch: _Batches) -> NDArray[np.float64]:
@@ -168,6 +189,11 @@ def _tracking(term: TrackingTerm, at: Situation, batch: _Batches) -> NDArray[np.
     power = batch.power()
     chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
     chance = chance.reshape(batch.shape)
+    if term.form != "additive":
+        filtered = first_steps(at.filtered(term), batch.shape[1])
+        # Sampling joint losses of every way would be dear: what is chosen is sampled afterwards.
+        gain = information_gain if term.form == "information" else covariance_gain
+        return gain(chance, sensing_of(batch.ways_m, filtered), filtered)
     return np.sum(
         [
             tracking_reward(chance[:, k], batch.ways_m[:, k], k, settings)
@@ -175,6 +201,35 @@ def _tracking(term: TrackingTerm, at: Situation, batch: _Batches) -> NDArray[np.
         ],
         axis=0,
     )
+
+
+def _until_connected(
+    term: UntilConnectedTerm, at: Situation, batch: _Batches
+) -> NDArray[np.float64]:
+    settings = at.search(term)
+    above = batch.power().mean_db.reshape(batch.shape) - settings.threshold_dbm
+    legs = _legs_m(at, batch.ways_m)
+    return -charged_distances_m(above, batch.universal(), legs, settings.beyond_m)
+
+
+def _expression(term: CasadiTerm, at: Situation, batch: _Batches) -> NDArray[np.float64]:
+    """Ways for which the expression has no finite value come last."""
+    power = batch.power()
+    threshold = at.problem.stations[0].threshold_dbm
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    known = known_inputs(term, at, batch.shape[1])
+    given = {"positions_m": batch.ways_m} | {
+        name: np.broadcast_to(values, (batch.shape[0], *values.shape))
+        for name, values in known.items()
+    }
+    for name, values in (
+        ("mean_db", power.mean_db),
+        ("deviation_db", power.deviation_db),
+        ("connectivity", chance),
+    ):
+        given[name] = values.reshape(*batch.shape, 1)
+    found = expression_values(term.program, term.steps, given)
+    return np.where(np.isfinite(found), found, -np.inf)
 
 
 def _learning(term: LearningTerm, at: Situation, batch: _Batches) -> NDArray[np.float64]:

@@ -10,12 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.objectives.energy import expected_transmit_power_w
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import Window
 from planopt.planning.tolerances import MARGIN_PAD_DB
-from planopt.planning.worth.local_worth import is_stagewise
 from planopt.planning.worth.situation import Situation
-from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTerm, TrackingTerm
+from planopt.planning.worth.structure import shares_measurements
+from planopt.problems.objective import (
+    LearningTerm,
+    MappingTerm,
+    MotionEnergyTerm,
+    Term,
+    TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
+)
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import sensing_information
 
@@ -86,6 +95,8 @@ class StageRewards:
         chance = connection_probability(mean, deviation, radio.threshold_dbm)
         self._chance[where] = np.where(known, chance, 0.0)
         fixed = np.zeros_like(mean) if self._alone is None else self._alone[where]
+        for term in problem.terms:
+            fixed = fixed + term.weight * self._by_power(term, mean, deviation, chance)
         if problem.constraints.p_min > 0.0:
             margin = bound_margin_db(
                 mean, deviation, radio.threshold_dbm, problem.constraints.p_min
@@ -95,27 +106,46 @@ class StageRewards:
             fixed = fixed - self._largest * cost
         self._fixed[where] = np.where(known, fixed, -np.inf)
 
+    def _by_power(
+        self,
+        term: Term,
+        mean_db: NDArray[np.float64],
+        deviation_db: NDArray[np.float64],
+        chance: NDArray[np.float64],
+    ) -> NDArray[np.float64] | float:
+        """What a term gives for the power at a place, whenever it is visited."""
+        if isinstance(term, TransmissionEnergyTerm):
+            radio = self._situation.radio(term)
+            return -radio.send_s * expected_transmit_power_w(mean_db, deviation_db, radio)
+        if isinstance(term, UntilConnectedTerm):
+            # What connection there would save, if it were the only try.
+            return self._situation.search(term).beyond_m * chance
+        return 0.0
+
     def _largest_reward(self) -> float:
         """The largest reward of a step."""
         largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
         for term in self._situation.problem.terms:
             if isinstance(term, TrackingTerm):
                 largest += term.weight / term.noise_floor_m2
+            field, sure = self._field, np.ones(1)
+            each = self._by_power(term, field.mean_db, field.deviation_db, sure)
+            largest += term.weight * float(np.nanmax(np.abs(each), initial=0.0))
         return max(largest, 1e-9)
 
 
 def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """What moves of these lengths are worth in themselves: their energy, negative.
 
-    Where terms couple places, standing still is not a move: measuring at one place twice is worth
-    less than the stand-in says.
+    Where measurements share what they tell, standing still is not a move: measuring at one place
+    twice is worth less than the stand-in says.
     """
     value = np.zeros(len(lengths_m))
     for term in problem.terms:
         if isinstance(term, MotionEnergyTerm):
             moving = np.where(lengths_m > 0.0, problem.planner.step_s, 0.0)
             value -= term.weight * (term.per_metre_j_m * lengths_m + term.power_w * moving)
-    if not is_stagewise(problem):
+    if any(shares_measurements(term) for term in problem.terms):
         value[lengths_m == 0.0] = -np.inf
     return value
 

@@ -14,9 +14,9 @@ from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import best_ends, move_table, path_to, search_rewards
 from planopt.planning.search.stage_rewards import StageRewards, move_values
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
-from planopt.planning.worth.local_worth import is_stagewise
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
 from planopt.world.lattice_moves import LONGEST_MOVE
 
@@ -84,7 +84,8 @@ class StartSearch:
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
         self._move_values = move_values(problem, ground.road_map.lengths_m)
-        self._coupled = None if is_stagewise(problem) else CoupledStarts(problem, ground)
+        coupled = structure_of(problem) == "full"
+        self._coupled = CoupledStarts(problem, ground) if coupled else None
 
     def find_starts(
         self, situation: Situation, shifted_m: NDArray[np.float64] | None

@@ -55,7 +55,7 @@ class Member:
         self,
         belief: Belief,
         position_m: NDArray[np.float64],
-        target_m: NDArray[np.float64] | None,
+        watched: Aim,
         warm: Plan | None,
     ) -> tuple[Plan, Aim]:
         """Plan from `position_m` (2,) on what this robot believes.
@@ -66,18 +66,25 @@ class Member:
             Of the channel.
         position_m
             Where the robot is.
-        target_m
-            ``(N, 2)`` where it expects the target; None without one.
+        watched
+            What is known of the target.
         warm
             The plan that led here, or None.
         """
-        situation = Situation(self.problem, belief.posterior, position_m, target_m, self.region)
+        situation = Situation(
+            self.problem,
+            belief.posterior,
+            position_m,
+            watched.target_m,
+            self.region,
+            information=watched.information,
+        )
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
             situation = replace(situation, steering_m=place)
         judge = Judge(self.problem, self.ground.index, belief, position_m, PathWorth(situation))
         plan = self.planner.plan(situation, judge, warm)
-        return plan, Aim(target_m, situation.steering_m)
+        return plan, replace(watched, steering_m=situation.steering_m)
 
 
 def build_crew(problem: Problem, seeds: TeamSeeds) -> tuple[Member, ...]:

@@ -18,7 +18,7 @@ from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log
-from planopt.planning.loop.target_watch import observed, watch_target
+from planopt.planning.loop.target_watch import aim_of, observed, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
@@ -75,9 +75,9 @@ def simulate_team(
     for step in range(1, problem.planner.max_steps + 1):
         watch = watches[-1]
         for number, member in enumerate(crew):
-            expected = None if watch is None else watch.expected_m(number, problem.planner.horizon)
+            known = aim_of(watch, number, problem.planner.horizon)
             warm = plans[number][-1] if plans[number] else None
-            plan, aim = member.plan(beliefs[number], tracks[number][-1], expected, warm)
+            plan, aim = member.plan(beliefs[number], tracks[number][-1], known, warm)
             plans[number].append(plan)
             aims[number].append(aim)
         for number in range(len(crew)):

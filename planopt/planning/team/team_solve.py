@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.team_seeds import team_seeds
@@ -45,9 +45,7 @@ def solve_team(
     watch = watch_target(problem, seeds.target)
     steps = problem.planner.horizon
     made = [
-        member.plan(
-            belief, member.start_m, None if watch is None else watch.expected_m(number, steps), None
-        )
+        member.plan(belief, member.start_m, aim_of(watch, number, steps), None)
         for number, member in enumerate(build_crew(problem, seeds))
     ]
     return TeamSolution(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_quantile
 from planopt.channel.nearest.neighbours import neighbour_model
-from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
 from planopt.objectives.information_derivatives import (
     average_reduction_derivatives,
     path_information_derivatives,
@@ -20,24 +20,25 @@ from planopt.objectives.information_derivatives import (
 from planopt.objectives.local_channel import LocalChannel, LocalGrid, local_channel, local_grid
 from planopt.objectives.motion_derivatives import path_length_derivatives
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
-from planopt.objectives.tracking_derivatives import (
-    connectivity_derivatives,
-    tracking_reward_derivatives,
-)
-from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue
+from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
+from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue, Structure
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_prediction import StagePredictor
+from planopt.planning.worth.stage_terms import stage_term_derivatives
+from planopt.planning.worth.structure import shares_measurements, structure_of
 from planopt.problems.objective import (
+    CasadiTerm,
     LearningTerm,
     MappingTerm,
     MotionEnergyTerm,
     Term,
     TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
 )
 from planopt.problems.problem import Problem
 from planopt.targets.rounding import Derivatives, rounded_length
-from planopt.targets.sensor import sensing_derivatives
 
 JOINT_NEIGHBOURS = 128
 """Measurements shared by the places of a path in terms that couple them (fast.md: 100 to 200)."""
@@ -46,32 +47,26 @@ LENGTH_ROUNDING_SHARE = 0.01
 """Width of the rounding of a length at zero, as a share of the longest step."""
 
 
-def is_stagewise(problem: Problem) -> bool:
-    """Whether the worth is a sum over stages, each of its own place alone."""
-    return all(
-        isinstance(term, TrackingTerm)
-        or (isinstance(term, MappingTerm) and term.form == "two_layer")
-        for term in problem.terms
-    )
-
-
 def needs_stages(problem: Problem) -> bool:
-    """Whether predictions of single stages are needed: for tracking, or to bound connectivity."""
+    """Whether predictions of single stages are needed: by a term, or to bound connectivity."""
     return problem.constraints.p_min > 0.0 or any(
-        isinstance(term, TrackingTerm) for term in problem.terms
+        isinstance(term, TrackingTerm | TransmissionEnergyTerm | CasadiTerm)
+        for term in problem.terms
     )
 
 
 def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePath:
     """Worth and margins about a start path (N, 2), for a solver."""
     problem, posterior = situation.problem, situation.posterior
-    stagewise = is_stagewise(problem)
+    structure = structure_of(problem)
     predict_stages = (
         StagePredictor(neighbour_model(posterior, path_m, problem.planner.neighbours))
         if needs_stages(problem)
         else None
     )
-    joint = None if stagewise else local_channel(posterior, path_m, JOINT_NEIGHBOURS)
+    joint = None
+    if any(shares_measurements(term) for term in problem.terms):
+        joint = local_channel(posterior, path_m, JOINT_NEIGHBOURS)
     grid = None
     if joint is not None and any(
         isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms
@@ -90,7 +85,7 @@ def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePa
             _weighted(term.weight, _derivatives(term, situation, places_m, power, joint, grid))
             for term in problem.terms
         ]
-        return Evaluation(_sum(parts, len(places_m), stagewise), margins)
+        return Evaluation(_sum(parts, len(places_m), structure), margins)
 
     return evaluate
 
@@ -108,17 +103,18 @@ def _derivatives(
     grid: LocalGrid | None,
 ) -> Part:
     match term:
-        case TrackingTerm():
+        case TrackingTerm() | TransmissionEnergyTerm() | CasadiTerm():
             if power is None:
-                raise AssertionError("tracking needs predictions of the stages")
-            settings = at.tracking(term)
-            chance = connectivity_derivatives(*power, settings.threshold_dbm)
-            sensing = sensing_derivatives(settings.sensor, places_m, settings.target_m)
-            return tracking_reward_derivatives(chance, sensing, settings.weight)
+                raise AssertionError("the term needs predictions of the stages")
+            return stage_term_derivatives(term, at, places_m, power)
         case MappingTerm(form="two_layer"):
             return _steering(at, places_m)
         case MotionEnergyTerm():
             return _motion(term, at, places_m)
+        case UntilConnectedTerm():
+            width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
+            found = charged_distance_derivatives(_required(joint), places_m, at.search(term), width)
+            return PathDerivatives(-found.value, -found.gradient, -found.hessian)
         case LearningTerm():
             return path_loss_derivatives(_required(joint), places_m, at.criterion(term))
         case MappingTerm(form="path"):
@@ -165,8 +161,9 @@ def _weighted(weight: float, part: Part) -> Part:
     return Derivatives(weight * part.value, weight * part.gradient, weight * part.hessian)
 
 
-def _sum(parts: list[Part], stages: int, stagewise: bool) -> PathValue:
-    """Everything in one value, by stage or as a whole."""
+def _sum(parts: list[Part], stages: int, structure: Structure) -> PathValue:
+    """Everything in one value, its Hessian as `structure` has it."""
+    stagewise = structure == "stagewise"
     if stagewise and len(parts) == 1:
         return PathValue(float(np.sum(parts[0].value)), parts[0].gradient, parts[0].hessian)
     value, gradient = 0.0, np.zeros((stages, 2))
@@ -177,14 +174,14 @@ def _sum(parts: list[Part], stages: int, stagewise: bool) -> PathValue:
         if stagewise or isinstance(part, PathDerivatives):
             hessian += part.hessian
         else:
-            _add_blocks(hessian, part.hessian)
-    return PathValue(value, gradient, hessian)
+            add_own_blocks(hessian, part.hessian)
+    return PathValue(value, gradient, _chain(hessian) if structure == "chain" else hessian)
 
 
-def _add_blocks(hessian: NDArray[np.float64], blocks: NDArray[np.float64]) -> None:
-    """Add the stages' own 2 x 2 blocks (N, 3) to a full Hessian."""
-    x = 2 * np.arange(len(blocks))
-    hessian[x, x] += blocks[:, 0]
-    hessian[x, x + 1] += blocks[:, 1]
-    hessian[x + 1, x] += blocks[:, 1]
-    hessian[x + 1, x + 1] += blocks[:, 2]
+def _chain(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The numbers of a chain's Hessian, from a full one that has no others; ``(7 N - 4,)``."""
+    count = len(hessian) // 2
+    blocks = hessian.reshape(count, 2, count, 2)
+    k = np.arange(count)
+    own, next_to = blocks[k, :, k], blocks[k[:-1], :, k[1:]]
+    return np.concatenate([own[:, [0, 0, 1], [0, 1, 1]].ravel(), next_to.ravel()])

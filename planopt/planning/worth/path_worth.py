@@ -12,16 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
+from planopt.errors import InputError
+from planopt.objectives.energy import expected_transmit_power_w
+from planopt.objectives.expression import expression_values
+from planopt.objectives.filter_gain import covariance_gain, information_gain, sampled_gain
 from planopt.objectives.mapping import average_reduction, path_information, path_uncertainty
 from planopt.objectives.path_loss_learning import path_loss_gain
+from planopt.objectives.until_connected import charged_distance_m
 from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.expression_inputs import known_inputs
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import (
+    CasadiTerm,
     LearningTerm,
     MappingTerm,
     MotionEnergyTerm,
     Term,
     TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
 )
 from planopt.targets.sensor import sensing_information
 
@@ -54,14 +63,50 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
             return _mapping(term, at, path_m)
         case MotionEnergyTerm():
             return -motion_energy_j(term, at, path_m)
+        case UntilConnectedTerm():
+            return -charged_distance_m(at.posterior, path_m, at.search(term))
+        case TransmissionEnergyTerm():
+            power, radio = at.power(path_m), at.radio(term)
+            each = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
+            return -radio.send_s * float(each.sum())
+        case CasadiTerm():
+            return _expression(term, at, path_m)
 
 
 def _tracking(term: TrackingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
+    if term.form == "sampled":
+        return sampled_gain(at.posterior, path_m, at.filtered(term))
     settings = at.tracking(term)
     power = at.power(path_m)
     chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
     sensing = sensing_information(settings.sensor, path_m, settings.target_m)
+    if term.form == "information":
+        return float(information_gain(chance, sensing, at.filtered(term)))
+    if term.form == "covariance":
+        return float(covariance_gain(chance, sensing, at.filtered(term)))
     return float(settings.weight @ (chance * sensing))
+
+
+def _expression(term: CasadiTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
+    known = known_inputs(term, at, len(path_m))
+    power = at.power(path_m)
+    threshold = at.problem.stations[0].threshold_dbm
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    given = known | {
+        "positions_m": path_m,
+        "mean_db": power.mean_db[:, None],
+        "deviation_db": power.deviation_db[:, None],
+        "connectivity": chance[:, None],
+    }
+    each = {name: values[None] for name, values in given.items()}
+    value = float(expression_values(term.program, term.steps, each)[0])
+    if not np.isfinite(value):
+        raise InputError(
+            "an expression has no finite value for a path that may be driven",
+            key="objective.terms",
+            remedy="keep logarithms and quotients away from 0, for every path",
+        )
+    return value
 
 
 def _mapping(term: MappingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,11 +10,21 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.objectives.energy import Radio
 from planopt.objectives.mapping import Region, Uncertainty
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
+from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.objectives.until_connected import Search
 from planopt.planning.proof.predictions import search_prediction
-from planopt.problems.objective import LearningTerm, MappingTerm, TrackingTerm
+from planopt.planning.worth.target_model import target_model
+from planopt.problems.objective import (
+    LearningTerm,
+    MappingTerm,
+    TrackingTerm,
+    TransmissionEnergyTerm,
+    UntilConnectedTerm,
+)
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import Sensor
 
@@ -37,6 +48,8 @@ class Situation:
     steering_m
         ``(2,)`` the place of the highest J_CH that the two-layer form steers to; None if there is
         none above the threshold, or nothing steers.
+    information
+        ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
     """
 
     problem: Problem
@@ -45,6 +58,7 @@ class Situation:
     target_m: NDArray[np.float64] | None
     region: Region
     steering_m: NDArray[np.float64] | None = None
+    information: NDArray[np.float64] | None = None
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -74,6 +88,38 @@ class Situation:
                 self.target_m,
             )
         return self._tracking[term]
+
+    def filtered(self, term: TrackingTerm) -> FilteredTracking:
+        """The settings of a tracking term that follows the station's filter."""
+        if self.information is None:
+            raise AssertionError("this form of tracking needs what the station knows")
+        model = target_model(self.problem)
+        return FilteredTracking(self.tracking(term), model, self.information)
+
+    def search(self, term: UntilConnectedTerm) -> Search:
+        """The settings of a search for connection.
+
+        What was measured where the robot is stands in the posterior, and needs no condition.
+        """
+        x, y = self.position_m
+        x_min, y_min, x_max, y_max = self.problem.workspace.bounds_m
+        beyond = math.hypot(x_max - x_min, y_max - y_min)
+        return Search(
+            (float(x), float(y)),
+            self.problem.stations[0].threshold_dbm,
+            disconnected_now=False,
+            beyond_m=beyond if term.beyond_m is None else term.beyond_m,
+        )
+
+    def radio(self, term: TransmissionEnergyTerm) -> Radio:
+        """The settings of a link; the predicted gain is that of the station's own sending."""
+        return Radio(
+            term.bits_per_symbol,
+            term.bit_error_rate,
+            term.noise_dbm,
+            self.problem.stations[0].transmit_power_dbm,
+            term.bits / (term.bits_per_symbol * term.bandwidth_hz),
+        )
 
     def criterion(self, term: LearningTerm) -> Criterion:
         """The settings of a learning term."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from team_scene import two_trackers
-from terms_scene import ENERGY, LEARNING, terms_problem
+from terms_scene import CONNECT, ENERGY, LEARNING, SENDING, TRACKING, own_term, terms_problem
 
 from planopt.errors import InputError
 from planopt.planning.check.check import check
@@ -90,6 +90,30 @@ def test_every_task_is_judged(terms: tuple[dict, ...], planner: str, tmp_path: P
     assert result.verdict is Verdict.VERIFIED, result.reasons
     assert any("steering_m" in remark for remark in result.remarks) == (terms == (STEERED,))
     assert not (tmp_path / "target.csv").exists() and (tmp_path / "belief.npz").is_file()
+
+
+@pytest.mark.parametrize("form", ["information", "covariance", "sampled"])
+def test_what_the_station_knew_is_found_again(form: str, tmp_path: Path) -> None:
+    """The worth of a plan that follows the station's filter, at every step."""
+    problem = terms_problem({**TRACKING, "form": form}, horizon=2, max_steps=3)
+    save_team_run(simulate_team(problem, seed=2), tmp_path)
+    assert check(tmp_path).reasons == ()
+
+
+OWN = own_term(lambda path: path.connectivity[0] + path.mean_db[1] / path.deviation_db[1], 2)
+
+
+@pytest.mark.parametrize("terms", [(CONNECT,), (SENDING, ENERGY), (OWN,)])
+@pytest.mark.parametrize("planner", ["auto", "one_step"])
+def test_plans_that_find_connection_are_judged(
+    terms: tuple[dict, ...], planner: str, tmp_path: Path
+) -> None:
+    """The problem in the file, the worth of every plan, everything."""
+    problem = terms_problem(*terms, horizon=2, max_steps=3, name=planner)
+    save_team_run(simulate_team(problem, seed=2), tmp_path)
+    assert check(tmp_path).reasons == ()
+    change(tmp_path / "run.json", "plans", 0, "released", 1, "objective", to=lambda old: old + 1.0)
+    assert any("objective" in reason for reason in check(tmp_path).reasons)
 
 
 @pytest.mark.parametrize(

@@ -54,25 +54,47 @@ def margins(positions):
     )
 
 
-def evaluate(weights, stagewise, bounded):
-    """The sum of bells as a solver asks for it."""
+PULL = {"stagewise": 0.0, "chain": 0.1, "full": 0.1}
+"""What a square metre between neighbouring places costs."""
+
+
+def pulled(positions, pull):
+    """Minus the cost of all squared distances between neighbours, and its gradient."""
+    gaps = np.diff(positions, axis=0)
+    gradient = np.zeros_like(positions)
+    gradient[1:] -= 2.0 * pull * gaps
+    gradient[:-1] += 2.0 * pull * gaps
+    return -pull * (gaps**2).sum(), gradient
+
+
+def evaluate(weights, structure, bounded):
+    """The sum of bells, less what neighbours pull, as a solver asks for it."""
+    pull = PULL[structure]
 
     def at(positions):
         value, gradient, blocks = bell(positions, weights)
-        hessian = blocks
-        if not stagewise:
-            hessian = np.zeros((2 * N, 2 * N))
+        cost, slope = pulled(positions, pull)
+        if structure == "stagewise":
+            hessian = blocks
+        elif structure == "chain":
+            own = blocks.copy()
+            own[:, [0, 2]] -= 2.0 * pull * np.array([[1.0], [2.0], [2.0], [1.0]])
+            across = np.tile(2.0 * pull * np.eye(2).ravel(), N - 1)
+            hessian = np.concatenate([own.ravel(), across])
+        else:
+            gaps = np.diff(np.eye(N), axis=0)
+            hessian = np.kron(-2.0 * pull * gaps.T @ gaps, np.eye(2))
             for k, (xx, xy, yy) in enumerate(blocks):
-                hessian[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[xx, xy], [xy, yy]]
+                hessian[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += [[xx, xy], [xy, yy]]
         return Evaluation(
-            PathValue(float(value.sum()), gradient, hessian),
+            PathValue(float(value.sum()) + cost, gradient + slope, hessian),
             margins(positions) if bounded else None,
         )
 
     return at
 
 
-def task(weights, stagewise, bounded, lines, **changes):
+def task(weights, structure, bounded, lines, **changes):
     """A task from a path along the x axis."""
     settings = {
         "start_m": np.array([0.0, 0.6]),
@@ -81,7 +103,7 @@ def task(weights, stagewise, bounded, lines, **changes):
         "clearance_m": 0.1,
         "step_length_m": 1.0,
         "bounds_m": (-5.0, -5.0, 5.0, 5.0),
-        "evaluate": evaluate(weights, stagewise, bounded),
+        "evaluate": evaluate(weights, structure, bounded),
         "scale": 1.0,
         "bound_db": np.zeros(N) if bounded else None,
         "slack_limit_db": np.zeros(N) if bounded else None,
@@ -89,7 +111,7 @@ def task(weights, stagewise, bounded, lines, **changes):
     return PathTask(**{**settings, **changes})
 
 
-def by_scipy(weights, bounded, floor):
+def by_scipy(weights, structure, bounded, floor):
     """The same programme by SLSQP."""
     start = np.array([0.0, 0.6])
 
@@ -101,11 +123,14 @@ def by_scipy(weights, bounded, floor):
         limits.append({"type": "ineq", "fun": lambda x: x[1::2] - floor})
     if bounded:
         limits.append({"type": "ineq", "fun": lambda x: 2.0 - x[0::2]})
-    x0 = task(weights, True, False, no_lines()).path_m.ravel()
+    pull = PULL[structure]
+    x0 = task(weights, structure, False, no_lines()).path_m.ravel()
     found = minimize(
-        lambda x: -bell(x.reshape(N, 2), weights)[0].sum(),
+        lambda x: -bell(x.reshape(N, 2), weights)[0].sum() - pulled(x.reshape(N, 2), pull)[0],
         x0,
-        jac=lambda x: -bell(x.reshape(N, 2), weights)[1].ravel(),
+        jac=lambda x: (
+            -(bell(x.reshape(N, 2), weights)[1] + pulled(x.reshape(N, 2), pull)[1]).ravel()
+        ),
         constraints=limits,
         method="SLSQP",
         options={"ftol": 1e-12, "maxiter": 300},
@@ -113,19 +138,20 @@ def by_scipy(weights, bounded, floor):
     return found.x.reshape(N, 2), -found.fun
 
 
-@pytest.mark.parametrize("stagewise", [True, False])
+@pytest.mark.parametrize("structure", ["stagewise", "chain", "full"])
 @pytest.mark.parametrize("bounded", [True, False])
 @pytest.mark.parametrize("floor", [None, 0.601])
-def test_optimum_is_that_of_scipy(stagewise, bounded, floor):
+def test_optimum_is_that_of_scipy(structure, bounded, floor):
     """With and without bound, line and block structure: one optimum, no residual."""
     weights = np.array([1.0, 0.5, 2.0, 1.0])
     lines = no_lines() if floor is None else one_line()
-    nlp = build_path_nlp(N, 1, stagewise, bounded)
-    found = polish_path(nlp, task(weights, stagewise, bounded, lines))
-    path, value = by_scipy(weights, bounded, floor)
+    nlp = build_path_nlp(N, 1, structure, bounded)
+    found = polish_path(nlp, task(weights, structure, bounded, lines))
+    path, value = by_scipy(weights, structure, bounded, floor)
     assert found.termination is Termination.CONVERGED
     # The solver stops at a tolerance of 1e-4.
-    assert bell(found.path_m, weights)[0].sum() == pytest.approx(value, rel=1e-4)
+    worth = bell(found.path_m, weights)[0].sum() + pulled(found.path_m, PULL[structure])[0]
+    assert worth == pytest.approx(value, rel=1e-4)
     np.testing.assert_allclose(found.path_m, path, atol=5e-3)
     assert found.kkt_residual < 1e-3
     assert ("connectivity" in found.multipliers) == bounded
@@ -134,10 +160,10 @@ def test_optimum_is_that_of_scipy(stagewise, bounded, floor):
 def test_a_bound_out_of_reach_is_missed_by_the_least():
     """With slack the missing dB are paid for, and told."""
     weights = np.ones(N)
-    nlp = build_path_nlp(N, 1, True, True)
+    nlp = build_path_nlp(N, 1, "stagewise", True)
     far = task(
         weights,
-        True,
+        "stagewise",
         True,
         no_lines(),
         bound_db=np.full(N, 3.5),
@@ -153,7 +179,7 @@ def test_a_bound_out_of_reach_is_missed_by_the_least():
 def test_a_moved_point_shows_in_the_residual(monkeypatch):
     """The residual is computed at the point that is returned."""
     weights = np.ones(N)
-    nlp = build_path_nlp(N, 1, True, False)
+    nlp = build_path_nlp(N, 1, "stagewise", False)
     call = ipopt.call_nlp
 
     def moved(*arguments):
@@ -161,21 +187,21 @@ def test_a_moved_point_shows_in_the_residual(monkeypatch):
         return replace(point, positions_m=point.positions_m + np.array([0.0, 0.1]))
 
     monkeypatch.setattr(ipopt, "call_nlp", moved)
-    assert polish_path(nlp, task(weights, True, False, no_lines())).kkt_residual > 0.01
+    assert polish_path(nlp, task(weights, "stagewise", False, no_lines())).kkt_residual > 0.01
 
 
 def test_a_failed_call_leaves_nothing_behind():
     """A value that is no number ends one solve and does not touch the next."""
     weights = np.ones(N)
-    nlp = build_path_nlp(N, 1, True, False)
-    before = polish_path(nlp, task(weights, True, False, no_lines()))
+    nlp = build_path_nlp(N, 1, "stagewise", False)
+    before = polish_path(nlp, task(weights, "stagewise", False, no_lines()))
 
     def broken(positions):
         return Evaluation(PathValue(np.nan, np.full((N, 2), np.nan), np.full((N, 3), np.nan)), None)
 
-    failed = polish_path(nlp, task(weights, True, False, no_lines(), evaluate=broken))
+    failed = polish_path(nlp, task(weights, "stagewise", False, no_lines(), evaluate=broken))
     assert failed.termination is not Termination.CONVERGED
-    after = polish_path(nlp, task(weights, True, False, no_lines()))
+    after = polish_path(nlp, task(weights, "stagewise", False, no_lines()))
     np.testing.assert_array_equal(after.path_m, before.path_m)
 
 
@@ -185,7 +211,7 @@ def test_a_point_is_evaluated_once():
 
     def counted(positions):
         calls.append(positions)
-        return evaluate(np.ones(N), True, True)(positions)
+        return evaluate(np.ones(N), "stagewise", True)(positions)
 
     source = ValueSource()
     with pytest.raises(AssertionError, match="before its value was set"):
@@ -196,6 +222,6 @@ def test_a_point_is_evaluated_once():
     assert len(calls) == 1
     source.at(np.ones(2 * N))
     assert len(calls) == 2
-    source.use(evaluate(np.ones(N), True, False))
+    source.use(evaluate(np.ones(N), "stagewise", False))
     with pytest.raises(AssertionError, match="no margins"):
         source.margins_at(np.ones(2 * N))

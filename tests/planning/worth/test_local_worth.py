@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
+from terms_scene import (
+    CONNECT,
+    ENERGY,
+    LEARNING,
+    SENDING,
+    TRACKING,
+    own_term,
+    situation_of,
+    terms_problem,
+)
 
-from planopt.planning.worth.local_worth import is_stagewise, local_worth
+from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.structure import structure_of
 
 
 def mapping(form):
@@ -20,8 +31,22 @@ def mapping(form):
     }
 
 
+def everything(path):
+    """An expression of one's own that reads all there is."""
+    away = ca.sum2((path.positions_m - path.target_m) ** 2)
+    drawn = path.connectivity * ca.exp(-away / 50.0) * path.deviation_db
+    legs = ca.diff(ca.vertcat(path.start_m, path.positions_m))
+    return ca.sum1(drawn) + 0.01 * path.mean_db[0] * path.mean_db[-1] - 0.1 * ca.sumsqr(legs)
+
+
 SUMS = [
     (TRACKING,),
+    ({**TRACKING, "form": "information"},),
+    ({**TRACKING, "form": "covariance"},),
+    (TRACKING, ENERGY),
+    (CONNECT,),
+    (SENDING,),
+    (own_term(everything), TRACKING),
     (mapping("two_layer"),),
     (LEARNING,),
     ({**LEARNING, "criterion": "T"},),
@@ -46,6 +71,11 @@ def full(hessian, stages):
     if hessian.shape == (2 * stages, 2 * stages):
         return hessian
     matrix = np.zeros((2 * stages, 2 * stages))
+    if hessian.ndim == 1:
+        for k, block in enumerate(hessian[3 * stages :].reshape(-1, 2, 2)):
+            matrix[2 * k : 2 * k + 2, 2 * k + 2 : 2 * k + 4] = block
+            matrix[2 * k + 2 : 2 * k + 4, 2 * k : 2 * k + 2] = block.T
+        hessian = hessian[: 3 * stages].reshape(-1, 3)
     for k, (xx, xy, yy) in enumerate(hessian):
         matrix[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[xx, xy], [xy, yy]]
     return matrix
@@ -76,7 +106,8 @@ def test_derivatives_are_those_of_the_value(terms, p_min):
     found = full(at.value.hessian, n)
     np.testing.assert_allclose(found, hessian, atol=1e-5 * max(np.abs(hessian).max(), scale))
     assert (at.margins is None) == (p_min == 0.0)
-    assert is_stagewise(problem) == (at.value.hessian.shape == (n, 3))
+    shapes = {"stagewise": (n, 3), "chain": (7 * n - 4,), "full": (2 * n, 2 * n)}
+    assert at.value.hessian.shape == shapes[structure_of(problem)]
 
 
 @pytest.mark.parametrize("terms", SUMS)

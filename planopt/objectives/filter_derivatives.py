@@ -1,0 +1,138 @@
+"""The filter's recursions with exact gradient and Hessian by the path, for solvers.
+
+A value sum_k tr(C_k X_k) of states X_k = f(X_{k-1}, u_k) has, with adjoints Lambda_k and tangents
+D_x = dX / dx, the gradient tr(Lambda_k df / du_k) and the Hessian
+sum_k tr(Lambda_k d^2 f[D_x, D_y]), D including u_k itself: one pass forwards, one backwards.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.filter_gain import covariance_gain, information_gain
+from planopt.objectives.stage_chain import chained
+from planopt.objectives.tracking_derivatives import FIRST, SECOND, tracking_reward_derivatives
+from planopt.objectives.tracking_filter import FilteredTracking, bounding_information
+from planopt.targets.information_filter import covariance_of, predicted_information
+from planopt.targets.rounding import Derivatives
+
+
+def information_gain_derivatives(
+    chance: Derivatives, sensing: Derivatives, settings: FilteredTracking
+) -> PathDerivatives:
+    """:func:`planopt.objectives.filter_gain.information_gain` of one path with derivatives.
+
+    With J-_{k+1} = (A J_k^-1 A' + W)^-1 and G = J- A J^-1: dJ- = G D G', and d^2 J- of D and E is
+    -G (D S E + E S D) G', S = J^-1 - G' A J^-1.
+
+    Parameters
+    ----------
+    chance, sensing
+        P(packet arrives) and 1 / g of the h stages.
+    settings
+        The target and what is known of it.
+    """
+    steps, model = len(chance.value), settings.model
+    weight = settings.tracking.weight
+    # Both coordinates of the position gain this much information.
+    received = tracking_reward_derivatives(chance, sensing, np.full(steps, 0.5))
+    known = bounding_information(chance.value[:, None], sensing.value[:, None], settings)
+    before = np.concatenate([settings.information[None], known[:-1]])
+    spread = covariance_of(before)
+    pushed = model.transition @ spread
+    gain = predicted_information(model, before) @ pushed
+    rest = spread - pushed.swapaxes(1, 2) @ gain
+    adjoint = np.empty((steps, 4, 4))
+    ahead = np.zeros((4, 4))
+    for k in range(steps - 1, -1, -1):
+        adjoint[k] = weight[k] * np.eye(4) + ahead
+        ahead = gain[k].T @ adjoint[k] @ gain[k]
+    slope = adjoint[:, 0, 0] + adjoint[:, 1, 1]
+    hessian = np.zeros((steps, steps))
+    tangent = np.zeros((steps, 4, 4))
+    for k in range(steps):
+        # Stages up to k - 1 have a say in J_{k-1}.
+        now = tangent[:k]
+        bent = (gain[k].T @ adjoint[k] @ gain[k]) @ now @ rest[k]
+        hessian[:k, :k] -= 2.0 * bent.reshape(k, 16) @ now.reshape(k, 16).T
+        tangent[:k] = gain[k] @ now @ gain[k].T
+        tangent[k, 0, 0] = tangent[k, 1, 1] = 1.0
+    value = float(information_gain(chance.value, sensing.value, settings))
+    hessian = 0.5 * (hessian + hessian.T)
+    return chained(value, slope[:, None], hessian[:, None, :, None], [received])
+
+
+def covariance_gain_derivatives(
+    chance: Derivatives, sensing: Derivatives, settings: FilteredTracking
+) -> PathDerivatives:
+    """:func:`planopt.objectives.filter_gain.covariance_gain` of one path with derivatives.
+
+    With n the variance of a coordinate, E = H P- H' + n I, K = P- H' E^-1 and F = I - K H, the
+    update is P+ = P- - p K H P-, and R = P- - K H P- has dR = F D F' + K K' dn. Parameters as
+    :func:`information_gain_derivatives`.
+    """
+    steps, model, weight = len(chance.value), settings.model, settings.tracking.weight
+    transition, noise = model.transition, model.process_covariance
+    variance = _noise(sensing)
+    spread = covariance_of(settings.information)
+    seen = np.empty((steps, 4, 4))
+    gains, innovations = np.empty((steps, 4, 2)), np.empty((steps, 2, 2))
+    for k in range(steps):
+        spread = transition @ spread @ transition.T + noise
+        seen[k] = spread
+        innovations[k] = np.linalg.inv(spread[:2, :2] + variance.value[k] * np.eye(2))
+        gains[k] = spread[:, :2] @ innovations[k]
+        spread = spread - chance.value[k] * gains[k] @ spread[:2]
+    kept = np.tile(np.eye(4), (steps, 1, 1))
+    kept[:, :, :2] -= gains
+    p = chance.value
+    adjoint = np.empty((steps, 4, 4))
+    ahead = np.zeros((4, 4))
+    for k in range(steps - 1, -1, -1):
+        adjoint[k] = ahead
+        adjoint[k, [0, 1], [0, 1]] += weight[k]
+        own = (1.0 - p[k]) * adjoint[k] + p[k] * kept[k].T @ adjoint[k] @ kept[k]
+        ahead = transition.T @ own @ transition
+
+    gradient = np.empty((steps, 2))
+    # Inputs: p_1, n_1, p_2, n_2, ...
+    hessian = np.zeros((2 * steps, 2 * steps))
+    tangent = np.zeros((2 * steps, 4, 4))
+    for k in range(steps):
+        K, inner, F, L = gains[k], innovations[k], kept[k], adjoint[k]
+        removed, doubt = K @ seen[k][:2], K @ K.T
+        gradient[k] = -np.sum(L * removed), p[k] * np.sum(L * doubt)
+        before = slice(0, 2 * k)
+        now = transition @ tangent[before] @ transition.T
+        flat = now.reshape(2 * k, 16)
+        weighed = F.T @ L @ F
+        middle = np.zeros((4, 4))
+        middle[:2, :2] = inner
+        hessian[before, before] -= 2.0 * p[k] * (weighed @ now @ middle).reshape(2 * k, 16) @ flat.T
+        by_chance = flat @ (weighed - L).ravel()
+        pull = np.zeros((4, 4))
+        pull[:, :2] = F.T @ L @ K @ inner
+        by_noise = p[k] * flat @ (pull + pull.T).ravel()
+        hessian[before, 2 * k] = hessian[2 * k, before] = by_chance
+        hessian[before, 2 * k + 1] = hessian[2 * k + 1, before] = by_noise
+        hessian[2 * k, 2 * k + 1] = hessian[2 * k + 1, 2 * k] = np.sum(L * doubt)
+        hessian[2 * k + 1, 2 * k + 1] = -2.0 * p[k] * np.sum(L * (K @ inner @ K.T))
+        tangent[before] = (1.0 - p[k]) * now + p[k] * F @ now @ F.T
+        tangent[2 * k], tangent[2 * k + 1] = -removed, p[k] * doubt
+    value = float(covariance_gain(chance.value, sensing.value, settings))
+    hessian = 0.5 * (hessian + hessian.T)
+    # The gain is what the covariance is less.
+    return chained(value, -gradient, -hessian.reshape(steps, 2, steps, 2), [chance, variance])
+
+
+def _noise(sensing: Derivatives) -> Derivatives:
+    """The variance of a measured coordinate, 2 / tr Lambda^-1, with derivatives."""
+    value = 2.0 / sensing.value
+    first = -value / sensing.value
+    products = sensing.gradient[:, FIRST] * sensing.gradient[:, SECOND]
+    return Derivatives(
+        value,
+        first[:, None] * sensing.gradient,
+        first[:, None] * (sensing.hessian - (2.0 / sensing.value)[:, None] * products),
+    )

@@ -1,0 +1,111 @@
+# pyright: basic
+"""The distance until connected by assumed-density filtering, with derivatives by CasADi.
+
+Places are taken in turn. Given that the earlier ones are not connected, power at all later ones is
+taken as Gaussian again, with the mean and covariance that it truly has (moments of a truncated
+normal). The chance of no connection so far is then a smooth formula of means and covariances, some
+thousandths to hundredths off, with derivatives that the multivariate integral does not have.
+Searches and solvers look at it; what they find is valued by the integral.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+LEAST_SCORE = -5.0
+"""A place that misses connection with a smaller chance than Q(5), 3e-7, counts as one with that."""
+
+
+@dataclass(frozen=True)
+class PassageProgramme:
+    """Functions of z = (mean above threshold (h,), covariance (h, h), legs (h,)), flattened.
+
+    Attributes
+    ----------
+    steps
+        h.
+    value
+        Of z and what ending without connection counts: the distance charged.
+    gradient
+        The same by z, of the covariance by its lower triangle only.
+    along
+        Of z, that and a direction: how the gradient changes along it.
+    """
+
+    steps: int
+    value: Any
+    gradient: Any
+    along: Any
+
+
+@cache
+def passage_programme(steps: int) -> PassageProgramme:
+    """Build the functions for a path of h = `steps` places; kept for each number."""
+    z, beyond = ca.SX.sym("z", steps * (steps + 2)), ca.SX.sym("beyond")
+    mean = [z[k] for k in range(steps)]
+    covariance = [[z[steps * (1 + j) + i] for j in range(steps)] for i in range(steps)]
+    legs = z[steps * (steps + 1) :]
+    distance, failing = legs[0], 1.0
+    for k in range(steps):
+        deviation = ca.sqrt(covariance[k][k])
+        score = ca.fmax(-mean[k] / deviation, LEAST_SCORE)
+        below = 0.5 * (1.0 + ca.erf(score / math.sqrt(2.0)))
+        ratio = ca.exp(-0.5 * score * score) / math.sqrt(2.0 * math.pi) / below
+        failing = failing * below
+        distance += failing * (legs[k + 1] if k + 1 < steps else beyond)
+        shrink = ratio * (ratio + score) / covariance[k][k]
+        for i in range(k + 1, steps):
+            mean[i] -= covariance[i][k] / deviation * ratio
+            for j in range(k + 1, i + 1):
+                covariance[i][j] -= covariance[i][k] * covariance[j][k] * shrink
+    slope = ca.gradient(distance, z)
+    way = ca.SX.sym("way", z.numel())
+    return PassageProgramme(
+        steps,
+        ca.Function("distance", [z, beyond], [distance]),
+        ca.Function("slope", [z, beyond], [slope]),
+        ca.Function("along", [z, beyond, way], [ca.jtimes(slope, z, way)]),
+    )
+
+
+def charged_distances_m(
+    mean_db: NDArray[np.float64],
+    covariance_db2: NDArray[np.float64],
+    legs_m: NDArray[np.float64],
+    beyond_m: float,
+) -> NDArray[np.float64]:
+    """Distance until connected of c paths, as filtering has it; ``(c,)``.
+
+    Parameters
+    ----------
+    mean_db, covariance_db2
+        ``(c, h)`` above the threshold, and ``(c, h, h)``, of the power at the places.
+    legs_m
+        ``(c, h)`` lengths of the steps.
+    beyond_m
+        Added where the path ends without connection.
+    """
+    count, steps = mean_db.shape
+    z = np.concatenate([mean_db, covariance_db2.reshape(count, -1), legs_m], axis=1)
+    return np.asarray(passage_programme(steps).value(z.T, beyond_m)).ravel()
+
+
+def slopes_and_bends(
+    programme: PassageProgramme,
+    z: NDArray[np.float64],
+    beyond_m: float,
+    ways: NDArray[np.float64],
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Value, gradient (n,) and change of the gradient along each column of `ways` (n, d)."""
+    return (
+        float(programme.value(z, beyond_m)),
+        np.asarray(programme.gradient(z, beyond_m)).ravel(),
+        np.asarray(programme.along(z, beyond_m, ways)),
+    )

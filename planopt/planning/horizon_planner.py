@@ -13,7 +13,13 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
+from planopt.planning.programme.offenders import (
+    MOVING_LINES,
+    REPAIRS,
+    lines_about,
+    lines_with_offenders,
+    moving_count,
+)
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.polished import Polished
@@ -23,7 +29,6 @@ from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import is_stagewise, local_worth
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-from planopt.world.separation import separating_lines
 
 LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
@@ -63,10 +68,7 @@ class HorizonPlanner:
         self._search = StartSearch(problem, ground, thorough)
         self._bounded = problem.constraints.p_min > 0.0
         self._nlp: PathNlp | None = None
-        if problem.planner.name == "auto":
-            self._nlp = build_path_nlp(
-                problem.planner.horizon, LINES_PER_SEGMENT, is_stagewise(problem), self._bounded
-            )
+        self._fit_lines(min(len(problem.workspace.moving), MOVING_LINES))
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is.
@@ -81,9 +83,19 @@ class HorizonPlanner:
             The plan that led here, one step old; only used if it was verified.
         """
         begun = perf_counter()
+        self._fit_lines(moving_count(situation.moving))
         starts = self._search.find_starts(situation, shifted_path(warm))
         chosen = self._climb(situation, judge, starts, warm)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
+
+    def _fit_lines(self, moving: int) -> None:
+        """Build the programme with so many lines for what moves, unless it is there already."""
+        lines = LINES_PER_SEGMENT + moving
+        polishes = self.problem.planner.name == "auto"
+        if polishes and (self._nlp is None or self._nlp.lines != lines):
+            self._nlp = build_path_nlp(
+                self.problem.planner.horizon, lines, is_stagewise(self.problem), self._bounded
+            )
 
     def _climb(
         self, situation: Situation, judge: Judge, starts: list[Start], warm: Plan | None
@@ -128,8 +140,7 @@ class HorizonPlanner:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        standing = np.tile(judge.position_m, (horizon, 1))
-        return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+        return judge.standing(horizon)
 
     def polished(
         self, situation: Situation, judge: Judge, start: Start, rung: Rung
@@ -159,12 +170,13 @@ class HorizonPlanner:
         task = PathTask(
             start_m=situation.position_m,
             path_m=start.path_m,
-            lines=separating_lines(
+            lines=lines_about(
                 self.ground.pieces,
-                ends[:-1],
-                ends[1:],
+                situation.moving,
+                ends,
                 nlp.lines,
-                LINE_REACH_STEPS * problem.step_length_m,
+                problem.constraints.clearance_m,
+                problem.step_length_m,
             ),
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
@@ -198,7 +210,7 @@ class HorizonPlanner:
             if candidate.relaxes:
                 candidate = replace(candidate, rung=Rung.RELAXED)
             found.append(candidate)
-            repaired = self._repaired(task, candidate)
+            repaired = self._repaired(task, situation, candidate)
             if repaired is None:
                 return found
             task = repaired
@@ -244,8 +256,10 @@ class HorizonPlanner:
         task = replace(task, path_m=point.path_m, evaluate=local_worth(situation, point.path_m))
         return replace(task, bound_db=self._wanted(task, situation)[0])
 
-    def _repaired(self, task: PathTask, candidate: Candidate) -> PathTask | None:
-        """The task with the obstacles that a path came too near to built in; None if none."""
+    def _repaired(
+        self, task: PathTask, situation: Situation, candidate: Candidate
+    ) -> PathTask | None:
+        """The task with what a path came too near to built in; None if nothing."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
         lines = lines_with_offenders(
@@ -255,6 +269,7 @@ class HorizonPlanner:
             np.vstack([task.start_m, candidate.path_m]),
             task.clearance_m,
             task.step_length_m,
+            situation.moving,
         )
         return None if lines is None else replace(task, lines=lines)
 

@@ -120,8 +120,7 @@ class ReachPlanner:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        standing = np.tile(judge.position_m, (horizon, 1))
-        return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+        return judge.standing(horizon)
 
 
 def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:

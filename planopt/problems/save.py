@@ -21,6 +21,7 @@ from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTe
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
+from planopt.world.moving_obstacle import MovingObstacle
 from planopt.world.workspace import Obstacle
 
 
@@ -45,6 +46,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "world": {
             "bounds_m": list(problem.workspace.bounds_m),
             "obstacles": [_obstacle(obstacle) for obstacle in problem.workspace.obstacles],
+            "moving": [_moving(obstacle) for obstacle in problem.workspace.moving],
         },
         "channel": channel,
         "robots": [_plain(asdict(robot)) for robot in problem.robots],
@@ -147,6 +149,15 @@ def _obstacle(obstacle: Obstacle) -> dict[str, Any]:
     table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
     holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]
     return {**table, "holes": holes} if holes else table
+
+
+def _moving(obstacle: MovingObstacle) -> dict[str, Any]:
+    table = _plain(asdict(obstacle))
+    if any(obstacle.velocity_m_s):
+        table["start_m"] = list(obstacle.positions_m[0])
+        return {key: value for key, value in table.items() if key not in ("times_s", "positions_m")}
+    del table["velocity_m_s"]
+    return {**table, "positions_m": [list(place) for place in obstacle.positions_m]}
 
 
 def _ring(ring: shapely.LinearRing) -> list[list[float]]:

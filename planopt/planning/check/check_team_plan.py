@@ -23,7 +23,8 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.team.team_certificate import worst_of_robots
+from planopt.planning.team.reservations import moving_for, reserved_path
+from planopt.planning.team.team_certificate import team_certificate
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.region import workspace_region
@@ -54,12 +55,15 @@ def check_team_plan(
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
     reasons: list[str] = []
+    reserved = [reserved_path(np.asarray(r.start_m), None, horizon) for r in problem.robots]
     plans: list[Plan] = []
     aims: list[Aim] = []
     for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
         own, path = problem_of_robot(problem, number), steps.positions_m
         start = np.asarray(own.robots[0].start_m)
-        judgement = judge(own, index, posterior, start, path, robot.certificate.kkt_residual)
+        moving = moving_for(problem, number, 0, [plan.positions_m for plan in plans], reserved)
+        residual = robot.certificate.kkt_residual
+        judgement = judge(own, index, posterior, start, path, residual, moving)
         aim = aim_again(robot.aim, None if watch is None else watch.expected_m(number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
         worth = worth_again(own, posterior, path, aim, region)
@@ -83,4 +87,4 @@ def check_team_plan(
     again = joined_steps([steps_of_plan(plan) for plan in plans])
     reasons += steps_reasons(joined_steps(saved.steps), again)
     reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
-    return [worst_of_robots({plan.robot: plan.certificate for plan in plans})], reasons
+    return [team_certificate(plans)], reasons

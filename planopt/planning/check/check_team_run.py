@@ -32,7 +32,8 @@ from planopt.planning.loop.target_watch import TargetWatch, watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.team.team_certificate import worst_of_robots
+from planopt.planning.team.reservations import moving_for, reserved_path
+from planopt.planning.team.team_certificate import team_certificate
 from planopt.planning.team.team_run import ChannelLog
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_summary import summary_of
@@ -85,8 +86,12 @@ def check_team_run(
     delivered = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
     seeds = team_seeds(problem, seed)
     watches = watched(watch_target(problem, seeds.target), tracks, delivered, seeds.target)
+    paths = [
+        [np.stack([released.x_m, released.y_m], axis=1) for released in robot.released]
+        for robot in record.plans
+    ]
     driven = [
-        _driven(saved, record, number, index, region, watches)
+        _driven(saved, record, number, index, region, watches, paths)
         for number in range(len(problem.robots))
     ]
     runs = [
@@ -126,8 +131,7 @@ def check_team_run(
         taken = taken_on_the_way(problem, belief, tracks[number], true[number])
         reasons += belief_reasons(problem, belief, one.posteriors[-1], given, taken, seed)
     return [
-        worst_of_robots({plan.robot: plan.certificate for plan in made})
-        for made in zip(*(one.plans for one in driven), strict=True)
+        team_certificate(made) for made in zip(*(one.plans for one in driven), strict=True)
     ], reasons
 
 
@@ -138,8 +142,9 @@ def _driven(
     index: ObstacleIndex,
     region: Region,
     watches: Sequence[TargetWatch | None],
+    paths: Sequence[Sequence[NDArray[np.float64]]],
 ) -> _Driven:
-    """Every plan of robot number `number` on what it knew."""
+    """Every plan of robot number `number` on what it knew, beside the `paths` of all robots."""
     own = problem_of_robot(saved.problem, number)
     robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
     key = f"{RUN_FILE}, key plans[{number}].released"
@@ -147,6 +152,7 @@ def _driven(
     if np.abs(track[0] - robot.start_m).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
     posteriors = [first_posterior(belief)]
+    horizon = own.planner.horizon
     plans: list[Plan] = []
     aims: list[Aim] = []
     for step, (released, count) in enumerate(
@@ -155,11 +161,22 @@ def _driven(
         watch = watches[step - 1]
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
-        path = np.stack([released.x_m, released.y_m], axis=1)
-        judgement = judge(own, index, posterior, track[step - 1], path, released.kkt_residual)
+        path = paths[number][step - 1]
+        moving = moving_for(
+            saved.problem,
+            number,
+            step - 1,
+            [made[step - 1] for made in paths[:number]],
+            [
+                reserved_path(made[step - 1][0], made[step - 2] if step > 1 else None, horizon)
+                for made in paths
+            ],
+        )
+        residual = released.kkt_residual
+        judgement = judge(own, index, posterior, track[step - 1], path, residual, moving)
         aim = aim_again(
             released.aim,
-            None if watch is None else watch.expected_m(number, own.planner.horizon),
+            None if watch is None else watch.expected_m(number, horizon),
         )
         worth = worth_again(own, posterior, path, aim, region)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
-from planopt.planning.plan import Certificate
+from planopt.planning.plan import Certificate, Plan
+from planopt.planning.team.reservations import least_separation_m
+
+
+def team_certificate(plans: Sequence[Plan]) -> Certificate:
+    """The worst of the plans' certificates; the separation is that of the plans from each other."""
+    worst = worst_of_robots({plan.robot: plan.certificate for plan in plans})
+    return replace(worst, min_separation_m=least_separation_m([plan.positions_m for plan in plans]))
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
@@ -40,4 +48,11 @@ def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
         reasons=tuple(
             f"{robot}: {reason}" for robot, c in certificates.items() for reason in c.reasons
         ),
+        min_separation_m=least_of(c.min_separation_m for c in all_of_them),
+        min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in all_of_them),
     )
+
+
+def least_of(values: Iterable[float | None]) -> float | None:
+    """The least of the numbers that there are; None if there is none."""
+    return min((value for value in values if value is not None), default=None)

@@ -1,6 +1,7 @@
 """The closed loop for a sum of terms: every robot plans, moves, measures, and all look again.
 
-Robots plan one after the other, each on what it believes itself. What happens is fixed by the seed:
+Robots plan one after the other, each on what it believes itself, and keep apart by their
+reservations (:mod:`planopt.planning.team.reservations`). What happens is fixed by the seed:
 the truth, the first measurements, the target's way and the sensors' noise.
 """
 
@@ -22,6 +23,7 @@ from planopt.planning.loop.target_watch import observed, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
+from planopt.planning.team.reservations import moving_for, reserved_path
 from planopt.planning.team.team_run import TeamRun
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
@@ -74,10 +76,25 @@ def simulate_team(
     delivered: list[NDArray[np.bool_]] = []
     for step in range(1, problem.planner.max_steps + 1):
         watch = watches[-1]
+        warm = [made[-1] if made else None for made in plans]
+        reserved = [
+            reserved_path(
+                track[-1], None if plan is None else plan.positions_m, problem.planner.horizon
+            )
+            for track, plan in zip(tracks, warm, strict=True)
+        ]
         for number, member in enumerate(crew):
             expected = None if watch is None else watch.expected_m(number, problem.planner.horizon)
-            warm = plans[number][-1] if plans[number] else None
-            plan, aim = member.plan(beliefs[number], tracks[number][-1], expected, warm)
+            made = [earlier[-1].positions_m for earlier in plans[:number]]
+            moving = moving_for(problem, number, step - 1, made, reserved)
+            plan, aim = member.plan(
+                beliefs[number],
+                tracks[number][-1],
+                expected,
+                warm[number],
+                moving,
+                reserved[number],
+            )
             plans[number].append(plan)
             aims[number].append(aim)
         for number in range(len(crew)):

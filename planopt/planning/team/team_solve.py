@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
 from planopt.planning.team.crew import build_crew
+from planopt.planning.team.reservations import moving_for, reserved_path
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
+from planopt.planning.worth.aim import Aim
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
@@ -44,12 +47,14 @@ def solve_team(
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
     steps = problem.planner.horizon
-    made = [
-        member.plan(
-            belief, member.start_m, None if watch is None else watch.expected_m(number, steps), None
-        )
-        for number, member in enumerate(build_crew(problem, seeds))
-    ]
-    return TeamSolution(
-        problem, seed, belief, tuple(plan for plan, _ in made), tuple(aim for _, aim in made)
-    )
+    crew = build_crew(problem, seeds)
+    reserved = [reserved_path(member.start_m, None, steps) for member in crew]
+    plans: list[Plan] = []
+    aims: list[Aim] = []
+    for number, member in enumerate(crew):
+        expected = None if watch is None else watch.expected_m(number, steps)
+        moving = moving_for(problem, number, 0, [plan.positions_m for plan in plans], reserved)
+        plan, aim = member.plan(belief, member.start_m, expected, None, moving, reserved[number])
+        plans.append(plan)
+        aims.append(aim)
+    return TeamSolution(problem, seed, belief, tuple(plans), tuple(aims))

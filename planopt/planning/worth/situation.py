@@ -16,6 +16,7 @@ from planopt.planning.proof.predictions import search_prediction
 from planopt.problems.objective import LearningTerm, MappingTerm, TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import Sensor
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,8 @@ class Situation:
     steering_m
         ``(2,)`` the place of the highest J_CH that the two-layer form steers to; None if there is
         none above the threshold, or nothing steers.
+    moving
+        What moves during the steps.
     """
 
     problem: Problem
@@ -45,6 +48,7 @@ class Situation:
     target_m: NDArray[np.float64] | None
     region: Region
     steering_m: NDArray[np.float64] | None = None
+    moving: MovingDiscs = NOTHING_MOVES
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )

@@ -23,8 +23,8 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.team.reservations import moving_for, reserved_path
-from planopt.planning.team.team_certificate import team_certificate
+from planopt.planning.team.reservations import beside
+from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.region import workspace_region
@@ -55,13 +55,13 @@ def check_team_plan(
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
     reasons: list[str] = []
-    reserved = [reserved_path(np.asarray(r.start_m), None, horizon) for r in problem.robots]
+    paths = [steps.positions_m for steps in saved.steps]
     plans: list[Plan] = []
     aims: list[Aim] = []
     for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
         own, path = problem_of_robot(problem, number), steps.positions_m
         start = np.asarray(own.robots[0].start_m)
-        moving = moving_for(problem, number, 0, [plan.positions_m for plan in plans], reserved)
+        moving = beside(problem, number, 0, paths)
         residual = robot.certificate.kkt_residual
         judgement = judge(own, index, posterior, start, path, residual, moving)
         aim = aim_again(robot.aim, None if watch is None else watch.expected_m(number, horizon))
@@ -87,4 +87,4 @@ def check_team_plan(
     again = joined_steps([steps_of_plan(plan) for plan in plans])
     reasons += steps_reasons(joined_steps(saved.steps), again)
     reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
-    return [team_certificate(plans)], reasons
+    return [worst_of_robots({plan.robot: plan.certificate for plan in plans})], reasons

@@ -32,8 +32,8 @@ from planopt.planning.loop.target_watch import TargetWatch, watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.team.reservations import moving_for, reserved_path
-from planopt.planning.team.team_certificate import team_certificate
+from planopt.planning.team.reservations import beside
+from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_run import ChannelLog
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_summary import summary_of
@@ -131,7 +131,8 @@ def check_team_run(
         taken = taken_on_the_way(problem, belief, tracks[number], true[number])
         reasons += belief_reasons(problem, belief, one.posteriors[-1], given, taken, seed)
     return [
-        team_certificate(made) for made in zip(*(one.plans for one in driven), strict=True)
+        worst_of_robots({plan.robot: plan.certificate for plan in made})
+        for made in zip(*(one.plans for one in driven), strict=True)
     ], reasons
 
 
@@ -152,7 +153,6 @@ def _driven(
     if np.abs(track[0] - robot.start_m).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
     posteriors = [first_posterior(belief)]
-    horizon = own.planner.horizon
     plans: list[Plan] = []
     aims: list[Aim] = []
     for step, (released, count) in enumerate(
@@ -162,21 +162,12 @@ def _driven(
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
         path = paths[number][step - 1]
-        moving = moving_for(
-            saved.problem,
-            number,
-            step - 1,
-            [made[step - 1] for made in paths[:number]],
-            [
-                reserved_path(made[step - 1][0], made[step - 2] if step > 1 else None, horizon)
-                for made in paths
-            ],
-        )
+        moving = beside(saved.problem, number, step - 1, [made[step - 1] for made in paths])
         residual = released.kkt_residual
         judgement = judge(own, index, posterior, track[step - 1], path, residual, moving)
         aim = aim_again(
             released.aim,
-            None if watch is None else watch.expected_m(number, horizon),
+            None if watch is None else watch.expected_m(number, own.planner.horizon),
         )
         worth = worth_again(own, posterior, path, aim, region)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)

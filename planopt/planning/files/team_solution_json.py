@@ -23,7 +23,7 @@ from planopt.planning.files.solution_json import (
     plan_json,
 )
 from planopt.planning.plan import Plan
-from planopt.planning.team.team_certificate import team_certificate
+from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_solution import TeamSolution
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
@@ -78,7 +78,7 @@ def team_plan_json(
 ) -> dict[str, Any]:
     """As :func:`team_solution_json`, of plans and what they were asked for."""
     each = [plan_json(problem, seed, plan) for plan in plans]
-    certificate = team_certificate(plans)
+    certificate = worst_of_robots({plan.robot: plan.certificate for plan in plans})
     lattice = sum(plan.lattice_objective for plan in plans)
     gain = sum(plan.gain for plan in plans)
     robots = [

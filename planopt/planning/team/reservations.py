@@ -11,13 +11,15 @@ apart when a step begins, they do when the next one begins. Load checks that the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.moving import obstacles_ahead
+from planopt.planning.plan import Plan
+from planopt.planning.proof.apart import judge_apart
 from planopt.problems.problem import Problem
-from planopt.world.closest_approach import closest_approach_m
 from planopt.world.moving_discs import MovingDiscs, joined_discs
 
 
@@ -62,29 +64,39 @@ def moving_for(
     reserved_m
         ``(N + 1, 2)`` reservations of all robots.
     """
+    if problem.constraints.separation_m == 0.0:
+        return obstacles_ahead(problem, driven)
+    return beside(problem, number, driven, [*made_m[:number], *reserved_m[number:]])
+
+
+def beside(
+    problem: Problem, number: int, driven: int, paths_m: Sequence[NDArray[np.float64]]
+) -> MovingDiscs:
+    """Moving obstacles, and the other robots on these paths (N + 1, 2), one of each robot."""
     obstacles = obstacles_ahead(problem, driven)
-    separation = problem.constraints.separation_m
     others = [other for other in range(len(problem.robots)) if other != number]
-    if separation == 0.0 or not others:
+    if not others:
         return obstacles
-    paths = np.array([made_m[n] if n < number else reserved_m[n] for n in others])
+    paths = np.array([paths_m[other] for other in others])
     robots = MovingDiscs(
-        tuple(problem.robots[n].name for n in others),
+        tuple(problem.robots[other].name for other in others),
         paths,
         np.zeros((len(others), int(paths.shape[1]) - 1)),
-        np.full(len(others), separation),
+        np.full(len(others), problem.constraints.separation_m),
         np.ones(len(others), dtype=np.bool_),
     )
     return joined_discs(robots, obstacles)
 
 
-def least_separation_m(paths_m: Sequence[NDArray[np.float64]]) -> float | None:
-    """Least distance of any two paths (n, 2) at equal times, all the way; None of a single one."""
-    return min(
-        (
-            float(closest_approach_m(a[:-1], a[1:], b[:-1], b[1:]).min())
-            for row, a in enumerate(paths_m)
-            for b in paths_m[:row]
-        ),
-        default=None,
-    )
+def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
+    """The plans of one step with the separation that they keep from each other.
+
+    While they were made, some of the others had only their reservations.
+    """
+    paths = [plan.positions_m for plan in plans]
+    found: list[Plan] = []
+    for number, plan in enumerate(plans):
+        apart = judge_apart(beside(problem, number, driven, paths), plan.positions_m)
+        certificate = replace(plan.certificate, min_separation_m=apart.min_separation_m)
+        found.append(replace(plan, certificate=certificate))
+    return found

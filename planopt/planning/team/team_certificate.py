@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 
-from planopt.planning.plan import Certificate, Plan
-from planopt.planning.team.reservations import least_separation_m
-
-
-def team_certificate(plans: Sequence[Plan]) -> Certificate:
-    """The worst of the plans' certificates; the separation is that of the plans from each other."""
-    worst = worst_of_robots({plan.robot: plan.certificate for plan in plans})
-    return replace(worst, min_separation_m=least_separation_m([plan.positions_m for plan in plans]))
+from planopt.planning.plan import Certificate
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:

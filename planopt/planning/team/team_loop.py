@@ -23,7 +23,7 @@ from planopt.planning.loop.target_watch import observed, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import moving_for, reserved_path
+from planopt.planning.team.reservations import beside_each_other, moving_for, reserved_path
 from planopt.planning.team.team_run import TeamRun
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
@@ -76,17 +76,18 @@ def simulate_team(
     delivered: list[NDArray[np.bool_]] = []
     for step in range(1, problem.planner.max_steps + 1):
         watch = watches[-1]
-        warm = [made[-1] if made else None for made in plans]
+        warm = [earlier[-1] if earlier else None for earlier in plans]
         reserved = [
             reserved_path(
                 track[-1], None if plan is None else plan.positions_m, problem.planner.horizon
             )
             for track, plan in zip(tracks, warm, strict=True)
         ]
+        made: list[Plan] = []
         for number, member in enumerate(crew):
             expected = None if watch is None else watch.expected_m(number, problem.planner.horizon)
-            made = [earlier[-1].positions_m for earlier in plans[:number]]
-            moving = moving_for(problem, number, step - 1, made, reserved)
+            paths = [plan.positions_m for plan in made]
+            moving = moving_for(problem, number, step - 1, paths, reserved)
             plan, aim = member.plan(
                 beliefs[number],
                 tracks[number][-1],
@@ -95,8 +96,10 @@ def simulate_team(
                 moving,
                 reserved[number],
             )
-            plans[number].append(plan)
+            made.append(plan)
             aims[number].append(aim)
+        for number, plan in enumerate(beside_each_other(problem, step - 1, made)):
+            plans[number].append(plan)
         for number in range(len(crew)):
             tracks[number].append(plans[number][-1].positions_m[1])
             beliefs[number] = learn_here(problem, truth, beliefs[number], tracks[number][-1])

@@ -7,7 +7,7 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import moving_for, reserved_path
+from planopt.planning.team.reservations import beside_each_other, moving_for, reserved_path
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
 from planopt.planning.worth.aim import Aim
@@ -57,4 +57,5 @@ def solve_team(
         plan, aim = member.plan(belief, member.start_m, expected, None, moving, reserved[number])
         plans.append(plan)
         aims.append(aim)
+    plans = beside_each_other(problem, 0, plans)
     return TeamSolution(problem, seed, belief, tuple(plans), tuple(aims))

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.team.least_distances import least_moving_clearances_m, least_separations_m
 from planopt.problems.problem import Problem
 from planopt.report.panel import Panel
 from planopt.report.style import BLUE, VERMILLION, dress, legend_above
-from planopt.world.closest_approach import closest_approach_m
-from planopt.world.moving_discs import path_distances_m
-from planopt.world.moving_obstacle import predicted_discs
 
 TIME = "time [s]"
 
@@ -22,27 +19,6 @@ def has_apart(problem: Problem) -> bool:
     """Whether a problem asks robots to keep apart from each other or from what moves."""
     separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     return separated or bool(problem.workspace.moving)
-
-
-def least_separations_m(tracks_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Least distance of any two robots during each step; ``(n,)`` of at least two tracks."""
-    pairs = [closest_approach_m(a[:-1], a[1:], b[:-1], b[1:]) for a, b in combinations(tracks_m, 2)]
-    return np.min(pairs, axis=0)
-
-
-def least_moving_clearances_m(
-    problem: Problem, tracks_m: Sequence[NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """Least distance of any robot from any moving obstacle during each step of a run; ``(n,)``.
-
-    From the discs as they are, not grown by what was unknown of their way when plans were made.
-    """
-    steps, clearance = len(tracks_m[0]) - 1, problem.constraints.clearance_m
-    discs = predicted_discs(problem.workspace.moving, 0.0, problem.planner.step_s, steps, clearance)
-    sizes = np.array([[one.radius_m] for one in problem.workspace.moving])
-    return np.min(
-        [(path_distances_m(discs, track) - sizes).min(axis=0) for track in tracks_m], axis=0
-    )
 
 
 def draw_apart(
@@ -76,6 +52,6 @@ def draw_apart(
         panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
         panel.axhline(asked, color=colour, linestyle="dashed")
         lowest = min(lowest, float(least.min()))
-    dress(panel, "least distance in each step (dashed: asked)", TIME, "distance [m]")
+    dress(panel, "least distance (dashed: asked)", TIME, "distance [m]")
     panel.set_ylim(lowest, None)
     legend_above(panel)

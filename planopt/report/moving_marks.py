@@ -72,7 +72,8 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
         panel.plot(*way.T, color=WHITE, linewidth=2.6, zorder=MARGIN_Z)
         panel.plot(*way.T, color=FRAME, linewidth=1.1, linestyle="dashdot", zorder=MARGIN_Z + 0.1)
         panel.text(
-            *centres[0],
+            float(centres[0][0]),
+            float(centres[0][1]),
             obstacle.name,
             fontsize=NOTE_PT,
             ha="center",

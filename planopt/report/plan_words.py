@@ -67,4 +67,4 @@ def apart_words(proof: Certificate) -> list[str]:
         )
         if distance is not None
     ]
-    return [f"at least {' and '.join(parts)} at equal times"] if parts else []
+    return [f"always at least {', '.join(parts)}"] if parts else []

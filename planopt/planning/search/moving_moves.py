@@ -74,8 +74,12 @@ class MovingMoves:
             Rows, columns, and whether each move to the node comes too near.
         """
         lattice, discs = self._lattice, self._discs
-        y = lattice.origin_m[1] + lattice.spacing_m * np.arange(rows.start, rows.stop)[:, None]
-        x = lattice.origin_m[0] + lattice.spacing_m * np.arange(columns.start, columns.stop)
+        places = [
+            float(lattice.origin_m[axis])
+            + lattice.spacing_m * np.arange(int(part.start), int(part.stop), dtype=np.float64)
+            for axis, part in ((1, rows), (0, columns))
+        ]
+        y, x = places[0][:, None], places[1]
         near = np.zeros((len(y), len(x)), dtype=np.bool_)
         centres, before = discs.centres_m[:, step + 1], discs.centres_m[:, step]
         # No way during a step is longer than this, seen from the disc.

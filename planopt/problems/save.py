@@ -152,12 +152,10 @@ def _obstacle(obstacle: Obstacle) -> dict[str, Any]:
 
 
 def _moving(obstacle: MovingObstacle) -> dict[str, Any]:
-    table = _plain(asdict(obstacle))
-    if any(obstacle.velocity_m_s):
-        table["start_m"] = list(obstacle.positions_m[0])
-        return {key: value for key, value in table.items() if key not in ("times_s", "positions_m")}
-    del table["velocity_m_s"]
-    return {**table, "positions_m": [list(place) for place in obstacle.positions_m]}
+    return {
+        **_plain(asdict(obstacle)),
+        "positions_m": [list(place) for place in obstacle.positions_m],
+    }
 
 
 def _ring(ring: shapely.LinearRing) -> list[list[float]]:

@@ -13,7 +13,7 @@ from planopt.world.moving_obstacle import MovingObstacle
 
 
 class MovingTable(Table):
-    """One disc: either ``start_m`` with ``velocity_m_s``, or ``times_s`` with ``positions_m``."""
+    """One disc: ``start_m`` and ``velocity_m_s``, or ``times_s`` and ``positions_m``."""
 
     name: Name = Field(description="What messages and pictures call it.")
     radius_m: float = Field(
@@ -25,13 +25,15 @@ class MovingTable(Table):
         default=None, description="Centre [x, y] in metres at time 0, when planning begins."
     )
     velocity_m_s: Pair | None = Field(
-        default=None, description="Velocity [x, y] in m/s; goes with start_m."
+        default=None,
+        description="Velocity [x, y] in m/s, from start_m on or after the last of times_s; left out "
+        "there, it stands.",
     )
     times_s: list[Annotated[float, Field(ge=0, le=1e7)]] | None = Field(
         default=None,
         min_length=1,
         description="Times in seconds, increasing, at which the centre is at positions_m; it "
-        "stands before the first and after the last.",
+        "stands before the first.",
     )
     positions_m: list[Pair] | None = Field(
         default=None, min_length=1, description="Centres [x, y] in metres at times_s."
@@ -59,9 +61,10 @@ class MovingTable(Table):
 
     @model_validator(mode="after")
     def _one_motion(self) -> MovingTable:
-        straight = (self.start_m is not None, self.velocity_m_s is not None)
-        timed = (self.times_s is not None, self.positions_m is not None)
-        if not (all(straight) and not any(timed)) and not (all(timed) and not any(straight)):
+        straight = self.start_m is not None and self.velocity_m_s is not None
+        timed = self.times_s is not None and self.positions_m is not None
+        given = sum(each is not None for each in (self.start_m, self.times_s, self.positions_m))
+        if not (straight and given == 1) and not (timed and given == 2):
             raise PydanticCustomError(
                 "one_of", "needs either start_m and velocity_m_s, or times_s and positions_m"
             )

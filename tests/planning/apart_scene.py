@@ -19,6 +19,7 @@ def apart_problem(
     moving: tuple[dict[str, Any], ...] = (CART,),
     separation_m: float = 3.0,
     learns: bool = False,
+    obstacles: list[dict[str, Any]] | None = None,
     **planner: Any,
 ) -> Problem:
     """Robots of the small scene that track, or learn, and keep apart."""
@@ -32,6 +33,8 @@ def apart_problem(
         for number, (x, y) in enumerate(starts_m)
     ]
     tables["constraints"] = {"clearance_m": 0.5, "separation_m": separation_m}
+    if obstacles is not None:
+        tables["world"]["obstacles"] = obstacles
     tables["world"]["moving"] = [dict(table) for table in moving]
     tables["planner"].update(planner)
     return problem_from_tables(tables, folder=Path(), file=None)

@@ -147,7 +147,7 @@ def test_multipath_of_a_model_survives(tables: Tables, built: Build) -> None:
         {"start_m": [15.0, 8.0], "velocity_m_s": [1.0, -0.5]},
         {"start_m": [15.0, 8.0], "velocity_m_s": [0.0, 0.0]},
         {"times_s": [1.0, 2.5], "positions_m": [[15.0, 8.0], [0.1, 0.2]]},
-        {"times_s": [3.0], "positions_m": [[15.0, 8.0]]},
+        {"times_s": [3.0], "positions_m": [[15.0, 8.0]], "velocity_m_s": [0.5, 0.25]},
     ],
 )
 def test_what_moves_survives(tables: Tables, built: Build, motion: dict[str, Any]) -> None:

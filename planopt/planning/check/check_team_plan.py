@@ -23,7 +23,7 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.team.reservations import beside
+from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
@@ -61,7 +61,7 @@ def check_team_plan(
     for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
         own, path = problem_of_robot(problem, number), steps.positions_m
         start = np.asarray(own.robots[0].start_m)
-        moving = beside(problem, number, 0, paths)
+        moving = beside(problem, 0, others_of(paths, number))
         residual = robot.certificate.kkt_residual
         judgement = judge(own, index, posterior, start, path, residual, moving)
         aim = aim_again(robot.aim, None if watch is None else watch.expected_m(number, horizon))

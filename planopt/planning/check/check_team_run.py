@@ -32,7 +32,7 @@ from planopt.planning.loop.target_watch import TargetWatch, watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.team.reservations import beside
+from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_run import ChannelLog
 from planopt.planning.team.team_seeds import team_seeds
@@ -162,7 +162,9 @@ def _driven(
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
         path = paths[number][step - 1]
-        moving = beside(saved.problem, number, step - 1, [made[step - 1] for made in paths])
+        moving = beside(
+            saved.problem, step - 1, others_of([made[step - 1] for made in paths], number)
+        )
         residual = released.kkt_residual
         judgement = judge(own, index, posterior, track[step - 1], path, residual, moving)
         aim = aim_again(

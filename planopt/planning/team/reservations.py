@@ -10,7 +10,7 @@ apart when a step begins, they do when the next one begins. Load checks that the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,60 +43,60 @@ def reserved_path(
 
 
 def moving_for(
-    problem: Problem,
-    number: int,
-    driven: int,
-    made_m: Sequence[NDArray[np.float64]],
-    reserved_m: Sequence[NDArray[np.float64]],
+    problem: Problem, driven: int, others_m: Mapping[int, NDArray[np.float64]]
 ) -> MovingDiscs:
-    """What robot number `number` must keep from while it plans.
+    """What a robot must keep from while it plans: moving obstacles, and robots where that is asked.
 
     Parameters
     ----------
     problem
         With all robots.
-    number
-        Whose plan is next; those before it have planned.
     driven
         Steps of the run before this one.
-    made_m
-        ``(N + 1, 2)`` plans made in this step, of the first robots.
-    reserved_m
-        ``(N + 1, 2)`` reservations of all robots.
+    others_m
+        ``(N + 1, 2)`` plan or reservation of other robots, by number.
     """
     if problem.constraints.separation_m == 0.0:
         return obstacles_ahead(problem, driven)
-    return beside(problem, number, driven, [*made_m[:number], *reserved_m[number:]])
+    return beside(problem, driven, others_m)
 
 
 def beside(
-    problem: Problem, number: int, driven: int, paths_m: Sequence[NDArray[np.float64]]
+    problem: Problem, driven: int, others_m: Mapping[int, NDArray[np.float64]]
 ) -> MovingDiscs:
-    """Moving obstacles, and the other robots on these paths (N + 1, 2), one of each robot."""
+    """Moving obstacles, and other robots on these paths; parameters as :func:`moving_for`."""
     obstacles = obstacles_ahead(problem, driven)
-    others = [other for other in range(len(problem.robots)) if other != number]
-    if not others:
+    if not others_m:
         return obstacles
-    paths = np.array([paths_m[other] for other in others])
+    paths = np.array(list(others_m.values()))
+    count, places = len(others_m), int(paths.shape[1])
     robots = MovingDiscs(
-        tuple(problem.robots[other].name for other in others),
+        tuple(problem.robots[number].name for number in others_m),
         paths,
-        np.zeros((len(others), int(paths.shape[1]) - 1)),
-        np.full(len(others), problem.constraints.separation_m),
-        np.ones(len(others), dtype=np.bool_),
+        np.zeros((count, places - 1)),
+        np.full(count, problem.constraints.separation_m),
+        np.ones(count, dtype=np.bool_),
     )
     return joined_discs(robots, obstacles)
+
+
+def others_of(
+    paths_m: Sequence[NDArray[np.float64]], number: int
+) -> dict[int, NDArray[np.float64]]:
+    """The paths of all robots but number `number`, by number."""
+    return {other: path for other, path in enumerate(paths_m) if other != number}
 
 
 def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
     """The plans of one step with the separation that they keep from each other.
 
-    While they were made, some of the others had only their reservations.
+    While they were made, some of the others had only their reservations, or nothing at all.
     """
     paths = [plan.positions_m for plan in plans]
     found: list[Plan] = []
     for number, plan in enumerate(plans):
-        apart = judge_apart(beside(problem, number, driven, paths), plan.positions_m)
+        moving = beside(problem, driven, others_of(paths, number))
+        apart = judge_apart(moving, plan.positions_m)
         certificate = replace(plan.certificate, min_separation_m=apart.min_separation_m)
         found.append(replace(plan, certificate=certificate))
     return found

@@ -1,7 +1,7 @@
 """The closed loop for a sum of terms: every robot plans, moves, measures, and all look again.
 
-Robots plan one after the other, each on what it believes itself, and keep apart by their
-reservations (:mod:`planopt.planning.team.reservations`). What happens is fixed by the seed:
+Robots plan one after the other, each on what it believes itself, and keep apart as
+:mod:`planopt.planning.team.team_step` says. What happens is fixed by the seed:
 the truth, the first measurements, the target's way and the sensors' noise.
 """
 
@@ -23,9 +23,9 @@ from planopt.planning.loop.target_watch import observed, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import beside_each_other, moving_for, reserved_path
 from planopt.planning.team.team_run import TeamRun
 from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.overrides import with_overrides
@@ -76,30 +76,21 @@ def simulate_team(
     delivered: list[NDArray[np.bool_]] = []
     for step in range(1, problem.planner.max_steps + 1):
         watch = watches[-1]
-        warm = [earlier[-1] if earlier else None for earlier in plans]
-        reserved = [
-            reserved_path(
-                track[-1], None if plan is None else plan.positions_m, problem.planner.horizon
-            )
-            for track, plan in zip(tracks, warm, strict=True)
-        ]
-        made: list[Plan] = []
-        for number, member in enumerate(crew):
-            expected = None if watch is None else watch.expected_m(number, problem.planner.horizon)
-            paths = [plan.positions_m for plan in made]
-            moving = moving_for(problem, number, step - 1, paths, reserved)
-            plan, aim = member.plan(
-                beliefs[number],
-                tracks[number][-1],
-                expected,
-                warm[number],
-                moving,
-                reserved[number],
-            )
-            made.append(plan)
-            aims[number].append(aim)
-        for number, plan in enumerate(beside_each_other(problem, step - 1, made)):
+        moment = TeamMoment(
+            driven=step - 1,
+            beliefs=beliefs,
+            positions_m=[track[-1] for track in tracks],
+            expected_m=[
+                None if watch is None else watch.expected_m(number, problem.planner.horizon)
+                for number in range(len(crew))
+            ],
+            warm=[made[-1] if made else None for made in plans],
+        )
+        for number, (plan, aim) in enumerate(
+            zip(*plan_together(problem, crew, moment), strict=True)
+        ):
             plans[number].append(plan)
+            aims[number].append(aim)
         for number in range(len(crew)):
             tracks[number].append(plans[number][-1].positions_m[1])
             beliefs[number] = learn_here(problem, truth, beliefs[number], tracks[number][-1])

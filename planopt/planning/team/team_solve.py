@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.loop.target_watch import watch_target
-from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import beside_each_other, moving_for, reserved_path
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
-from planopt.planning.worth.aim import Aim
+from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
@@ -48,14 +46,13 @@ def solve_team(
     watch = watch_target(problem, seeds.target)
     steps = problem.planner.horizon
     crew = build_crew(problem, seeds)
-    reserved = [reserved_path(member.start_m, None, steps) for member in crew]
-    plans: list[Plan] = []
-    aims: list[Aim] = []
-    for number, member in enumerate(crew):
-        expected = None if watch is None else watch.expected_m(number, steps)
-        moving = moving_for(problem, number, 0, [plan.positions_m for plan in plans], reserved)
-        plan, aim = member.plan(belief, member.start_m, expected, None, moving, reserved[number])
-        plans.append(plan)
-        aims.append(aim)
-    plans = beside_each_other(problem, 0, plans)
+    robots = range(len(crew))
+    moment = TeamMoment(
+        driven=0,
+        beliefs=[belief for _ in robots],
+        positions_m=[member.start_m for member in crew],
+        expected_m=[None if watch is None else watch.expected_m(n, steps) for n in robots],
+        warm=[None for _ in robots],
+    )
+    plans, aims = plan_together(problem, crew, moment)
     return TeamSolution(problem, seed, belief, tuple(plans), tuple(aims))

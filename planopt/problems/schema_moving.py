@@ -26,8 +26,8 @@ class MovingTable(Table):
     )
     velocity_m_s: Pair | None = Field(
         default=None,
-        description="Velocity [x, y] in m/s, from start_m on or after the last of times_s; left out "
-        "there, it stands.",
+        description="Velocity [x, y] in m/s, from start_m on or after the last of times_s; without "
+        "it there, the disc stands.",
     )
     times_s: list[Annotated[float, Field(ge=0, le=1e7)]] | None = Field(
         default=None,

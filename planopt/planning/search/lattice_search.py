@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.reach import step_cost_s
-from planopt.planning.search.moving_moves import steps_apart
+from planopt.planning.search.moving_moves import MovingMoves, steps_apart
 from planopt.planning.search.road_map import RoadMap
-from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import REACH_TOLERANCE_M
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
@@ -131,17 +130,15 @@ def _without_blocked(
     """
     if not len(moving):
         return True
+    place = road_map.lattice
+    window = slice(0, place.shape[0]), slice(0, place.shape[1])
+    rows, columns, blocked = MovingMoves(place, moving).hindered(step, *window)
+    nodes = road_map.number[rows, columns]
+    at = np.full(len(road_map.nodes_m) + 1, -1, dtype=np.intp)
+    at[stage] = np.arange(len(stage))
+    # A node that is not free has the number -1, which is the last place.
+    row = at[nodes]
+    arriving[row[row >= 0]] = np.where(blocked.T[row >= 0], np.inf, arriving[row[row >= 0]])
     nodes_m = road_map.nodes_m
-    near = np.zeros(len(stage), dtype=np.bool_)
-    way = np.linalg.norm(moving.centres_m[:, step + 1] - moving.centres_m[:, step], axis=1)
-    reach = moving.apart_m[:, step] + CLEARANCE_PAD_M + way + float(road_map.lengths_m.max())
-    for centre, radius in zip(moving.centres_m[:, step + 1], reach, strict=True):
-        near |= np.linalg.norm(nodes_m[stage] - centre, axis=1) <= radius
-    rows = np.flatnonzero(near)
-    sources = road_map.sources[stage[rows]]
-    # A source that is no node stands behind the last one, and has no finite cost.
-    starts = nodes_m[np.minimum(sources, len(nodes_m) - 1)]
-    ends = np.broadcast_to(nodes_m[stage[rows]][:, None], starts.shape)
-    arriving[rows] = np.where(steps_apart(moving, step, starts, ends), arriving[rows], np.inf)
     goal = nodes_m[[goal_node]]
     return bool(steps_apart(moving, step, goal, goal)[0])

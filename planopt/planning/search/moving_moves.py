@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,9 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES, Lattice
 from planopt.world.lattice_moves import LONGEST_MOVE
 from planopt.world.moving_discs import MovingDiscs, passing_gaps_m
+
+TINY_M2 = 1e-30
+"""A relative move of less than this squared length is a standstill."""
 
 
 def first_steps_apart(
@@ -40,6 +45,9 @@ def steps_apart(
 class MovingMoves:
     """The moves of a lattice beside what moves.
 
+    Seen from a disc, a move along (dx, dy) is the same vector wherever it ends, so that one formula
+    serves all nodes.
+
     Parameters
     ----------
     lattice
@@ -51,10 +59,6 @@ class MovingMoves:
     def __init__(self, lattice: Lattice, discs: MovingDiscs) -> None:
         self._lattice = lattice
         self._discs = discs
-
-    def __len__(self) -> int:
-        """How many discs there are."""
-        return len(self._discs)
 
     def hindered(
         self, step: int, rows: slice, columns: slice
@@ -73,32 +77,77 @@ class MovingMoves:
         (n,), (n,), (21, n) arrays
             Rows, columns, and whether each move to the node comes too near.
         """
-        lattice, discs = self._lattice, self._discs
-        places = [
-            float(lattice.origin_m[axis])
-            + lattice.spacing_m * np.arange(int(part.start), int(part.stop), dtype=np.float64)
-            for axis, part in ((1, rows), (0, columns))
-        ]
-        y, x = places[0][:, None], places[1]
-        near = np.zeros((len(y), len(x)), dtype=np.bool_)
-        centres, before = discs.centres_m[:, step + 1], discs.centres_m[:, step]
-        # No way during a step is longer than this, seen from the disc.
-        longest = LONGEST_MOVE * lattice.spacing_m + np.linalg.norm(centres - before, axis=1)
-        reach = discs.apart_m[:, step] + CLEARANCE_PAD_M + longest
-        for centre, radius in zip(centres, reach, strict=True):
-            near |= (y - centre[1]) ** 2 + (x - centre[0]) ** 2 <= radius**2
-        found_rows, found_columns = np.nonzero(near)
-        found_rows, found_columns = found_rows + rows.start, found_columns + columns.start
-        blocked = self.blocked(step, found_rows, found_columns)
-        some = blocked.any(axis=0)
-        return found_rows[some], found_columns[some], blocked[:, some]
+        nodes: list[NDArray[np.intp]] = []
+        moves: list[NDArray[np.bool_]] = []
+        for number in range(len(self._discs)):
+            high, wide = self._about(step, number, rows, columns)
+            blocked = self._blocked_by(step, number, high[:, None], wide)
+            row, column = np.nonzero(blocked.any(axis=0))
+            nodes.append(high[row] * self._lattice.shape[1] + wide[column])
+            moves.append(blocked[:, row, column])
+        found, place = np.unique(np.concatenate(nodes), return_inverse=True)
+        together = np.zeros((len(MOVES), len(found)), dtype=np.bool_)
+        begin = 0
+        for blocked in moves:
+            end = begin + int(blocked.shape[1])
+            together[:, place[begin:end]] |= blocked
+            begin = end
+        return found // self._lattice.shape[1], found % self._lattice.shape[1], together
 
     def blocked(
         self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
         """Whether each move to nodes (n,) in one step comes too near; ``(21, n)``."""
-        lattice = self._lattice
-        ends = lattice.origin_m + lattice.spacing_m * np.stack([columns, rows], axis=-1)
-        starts = ends - lattice.spacing_m * MOVES[:, None]
-        ends = np.broadcast_to(ends, starts.shape)
-        return ~steps_apart(self._discs, step, starts, ends)
+        found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
+        for number in range(len(self._discs)):
+            found |= self._blocked_by(step, number, rows, columns)
+        return found
+
+    def _about(
+        self, step: int, number: int, rows: slice, columns: slice
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of a window where a move could come too near to a disc."""
+        lattice, discs = self._lattice, self._discs
+        before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
+        reach = (
+            float(discs.apart_m[number, step])
+            + CLEARANCE_PAD_M
+            + LONGEST_MOVE * lattice.spacing_m
+            + float(np.linalg.norm(centre - before))
+        )
+        (left, right), (low, high) = (
+            (
+                (float(centre[axis] - lattice.origin_m[axis]) - reach) / lattice.spacing_m,
+                (float(centre[axis] - lattice.origin_m[axis]) + reach) / lattice.spacing_m,
+            )
+            for axis in (0, 1)
+        )
+        return (
+            np.arange(max(int(rows.start), math.floor(low)), min(int(rows.stop), high + 1)).astype(
+                np.intp
+            ),
+            np.arange(
+                max(int(columns.start), math.floor(left)), min(int(columns.stop), right + 1)
+            ).astype(np.intp),
+        )
+
+    def _blocked_by(
+        self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Whether each move to nodes, given by rows and columns that broadcast, meets one disc."""
+        lattice, discs = self._lattice, self._discs
+        before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
+        x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]
+        y = lattice.origin_m[1] + lattice.spacing_m * rows - centre[1]
+        across = lattice.spacing_m * MOVES - (centre - before)
+        square = np.maximum((across * across).sum(axis=1), TINY_M2)
+        shape = (len(MOVES), *([1] * max(x.ndim, y.ndim)))
+        dx, dy, square = (
+            across[:, 0].reshape(shape),
+            across[:, 1].reshape(shape),
+            square.reshape(shape),
+        )
+        # Backwards from the end: the way is nearest to the disc at this share of it.
+        share = np.clip((dx * x + dy * y) / square, 0.0, 1.0)
+        limit = float(discs.apart_m[number, step]) + CLEARANCE_PAD_M
+        return np.asarray((x - share * dx) ** 2 + (y - share * dy) ** 2 < limit**2)

@@ -82,7 +82,16 @@ def test_page_of_keys(monkeypatch: pytest.MonkeyPatch) -> None:
 
     page = problem_keys()
     sys.modules.pop("problem_keys")
-    tables = {"truth", "measurements", "fit", "columns", "obstacles", "multipath", "terms"}
+    tables = {
+        "truth",
+        "measurements",
+        "fit",
+        "columns",
+        "obstacles",
+        "multipath",
+        "terms",
+        "moving",
+    }
     for key in set(keys_of(json_schema())) - tables:
         assert re.search(rf"^\| `{key}` \| .+ \| .+ \| .+\.? \|$", page, flags=re.MULTILINE), key
     for heading in ("[problem]", "[[world.obstacles]]", "[channel.truth]", "[[robots]]"):

@@ -33,6 +33,19 @@ def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
     return "-" if value is None else f"{value:.{digits}g}{unit}"
 
 
+def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
+    """How far plans keep from other robots and from what moves; nothing where nothing does."""
+    parts = [
+        f"{shown_number(distance, ' m')} from {what}"
+        for distance, what in (
+            (separation_m, "other robots"),
+            (moving_clearance_m, "moving obstacles"),
+        )
+        if distance is not None
+    ]
+    return (f"  always at least {', '.join(parts)}",) if parts else ()
+
+
 @contextlib.contextmanager
 def progress(description: str, total: int | None = None) -> Generator[Callable[[], None]]:
     """Show on stderr, if that is a terminal, that work is going on; call the result for each part.

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from planopt.commands.output import NO_PLAN, progress, results_folder, show, shown_number
+from planopt.commands.output import (
+    NO_PLAN,
+    apart_in_words,
+    progress,
+    results_folder,
+    show,
+    shown_number,
+)
 from planopt.commands.planning import Asked, planning_command
 from planopt.commands.team import solve_asked
 
@@ -57,5 +64,6 @@ def _in_words(solution: Solution) -> str:
         f"{shown_number(plan.wall_s, ' s', 2)}",
         f"  clearance {shown_number(certificate.min_clearance_m, ' m')}, least probability of "
         f"connection {shown_number(certificate.min_connectivity)} ({certificate.posterior})",
+        *apart_in_words(certificate.min_separation_m, certificate.min_moving_clearance_m),
     ]
     return "\n".join([*lines, f"  {plan.message}"] if plan.message else lines)

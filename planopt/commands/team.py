@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from planopt.commands.output import progress, results_folder, show, shown_number
+from planopt.commands.output import apart_in_words, progress, results_folder, show, shown_number
 from planopt.commands.planning import Asked
 
 if TYPE_CHECKING:
@@ -83,6 +83,12 @@ def _plans_in_words(solution: TeamSolution) -> str:
             f"{shown_number(certificate.min_clearance_m, ' m')}, least probability of connection "
             f"{shown_number(certificate.min_connectivity)} ({certificate.posterior}); "
             f"{shown_number(plan.wall_s, ' s', 2)}"
+        )
+        lines += (
+            "  " + words
+            for words in apart_in_words(
+                certificate.min_separation_m, certificate.min_moving_clearance_m
+            )
         )
         if plan.message:
             lines.append(f"    {plan.message}")

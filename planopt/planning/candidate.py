@@ -17,6 +17,7 @@ from planopt.planning.proof.verify import judge
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class Candidate:
     solve_s, iterations, multipliers, kkt_residual
         Of the solver.
     sound
-        Whether clearance, bounds and motion model are kept, whatever connectivity is.
+        Whether clearance, bounds, motion model and the distance from what moves are kept, whatever
+        connectivity is.
     power
         What the verifier predicted along the path, the robot's own place first.
     """
@@ -83,6 +85,10 @@ class Judge:
         ``(2,)`` where the robot is.
     objective
         What a path (N, 2) from there is worth.
+    moving
+        What moves during the steps.
+    reserved_m
+        ``(N, 2)`` the rest of the last plan, which the other robots keep clear of; None without.
     """
 
     problem: Problem
@@ -90,6 +96,8 @@ class Judge:
     belief: Belief
     position_m: NDArray[np.float64]
     objective: Callable[[NDArray[np.float64]], float]
+    moving: MovingDiscs = NOTHING_MOVES
+    reserved_m: NDArray[np.float64] | None = None
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -119,6 +127,7 @@ class Judge:
             self.position_m,
             path,
             candidate.kkt_residual,
+            self.moving,
         )
         certificate = judgement.certificate
         clearance = np.array([certificate.min_clearance_m])
@@ -126,6 +135,7 @@ class Judge:
             is_clear(clearance, self.problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M).all()
             and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
             and inside_bounds(self.problem.workspace, path).all()
+            and judgement.apart
         )
         return replace(
             candidate,
@@ -134,6 +144,18 @@ class Judge:
             sound=sound,
             power=judgement.power,
         )
+
+    def standing(self, horizon: int) -> Candidate:
+        """Stand still for N = `horizon` steps, or go on as reserved where that is not sound.
+
+        Every robot's plan keeps clear of what the others have reserved, so that this is the last
+        resort that no other robot is in the way of.
+        """
+        place = np.tile(self.position_m, (horizon, 1))
+        standing = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
+        if standing.sound or self.reserved_m is None:
+            return standing
+        return self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
 
     def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
         """Write a judged candidate out as a plan."""

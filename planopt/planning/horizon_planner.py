@@ -15,7 +15,13 @@ from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
+from planopt.planning.programme.offenders import (
+    MOVING_LINES,
+    REPAIRS,
+    lines_about,
+    lines_with_offenders,
+    moving_count,
+)
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.polished import Polished
@@ -26,7 +32,6 @@ from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
-from planopt.world.separation import separating_lines
 
 LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
@@ -69,15 +74,7 @@ class HorizonPlanner:
         self._search = StartSearch(problem, ground, thorough)
         self._bounded = problem.constraints.p_min > 0.0
         self._nlp: PathNlp | None = None
-        if problem.planner.name in METHODS:
-            self._nlp = build_path_nlp(
-                problem.planner.horizon,
-                LINES_PER_SEGMENT,
-                structure_of(problem),
-                self._bounded,
-                METHODS[problem.planner.name],
-                problem.planner.budget_s,
-            )
+        self._fit_lines(min(len(problem.workspace.moving), MOVING_LINES))
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is.
@@ -92,10 +89,25 @@ class HorizonPlanner:
             The plan that led here, one step old; only used if it was verified.
         """
         begun = perf_counter()
+        self._fit_lines(moving_count(situation.moving))
         starts = self._search.find_starts(situation, shifted_path(warm))
         budget = budget_from(self.problem, begun)
         chosen = self._climb(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
+
+    def _fit_lines(self, moving: int) -> None:
+        """Build the programme with so many lines for what moves, unless it is there already."""
+        lines = LINES_PER_SEGMENT + moving
+        settings = self.problem.planner
+        if settings.name in METHODS and (self._nlp is None or self._nlp.lines != lines):
+            self._nlp = build_path_nlp(
+                settings.horizon,
+                lines,
+                structure_of(self.problem),
+                self._bounded,
+                METHODS[settings.name],
+                settings.budget_s,
+            )
 
     def _climb(
         self,
@@ -150,8 +162,7 @@ class HorizonPlanner:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        standing = np.tile(judge.position_m, (horizon, 1))
-        return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+        return judge.standing(horizon)
 
     def polished(
         self,
@@ -189,12 +200,13 @@ class HorizonPlanner:
         task = PathTask(
             start_m=situation.position_m,
             path_m=start.path_m,
-            lines=separating_lines(
+            lines=lines_about(
                 self.ground.pieces,
-                ends[:-1],
-                ends[1:],
+                situation.moving,
+                ends,
                 nlp.lines,
-                LINE_REACH_STEPS * problem.step_length_m,
+                problem.constraints.clearance_m,
+                problem.step_length_m,
             ),
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
@@ -230,7 +242,7 @@ class HorizonPlanner:
             if candidate.relaxes:
                 candidate = replace(candidate, rung=Rung.RELAXED)
             found.append(candidate)
-            repaired = self._repaired(task, candidate)
+            repaired = self._repaired(task, situation, candidate)
             if repaired is None or budget.spent:
                 return found
             task = repaired
@@ -276,8 +288,10 @@ class HorizonPlanner:
         task = replace(task, path_m=point.path_m, evaluate=local_worth(situation, point.path_m))
         return replace(task, bound_db=self._wanted(task, situation)[0])
 
-    def _repaired(self, task: PathTask, candidate: Candidate) -> PathTask | None:
-        """The task with the obstacles that a path came too near to built in; None if none."""
+    def _repaired(
+        self, task: PathTask, situation: Situation, candidate: Candidate
+    ) -> PathTask | None:
+        """The task with what a path came too near to built in; None if nothing."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
         lines = lines_with_offenders(
@@ -287,6 +301,7 @@ class HorizonPlanner:
             np.vstack([task.start_m, candidate.path_m]),
             task.clearance_m,
             task.step_length_m,
+            situation.moving,
         )
         return None if lines is None else replace(task, lines=lines)
 

@@ -39,13 +39,18 @@ class Verdict(StrEnum):
 
 
 class Rung(StrEnum):
-    """Which rung of the failure ladder a released plan came from (design 4.9)."""
+    """Which rung of the failure ladder a released plan came from (design 4.9).
+
+    ``reserved`` is the rest of the last plan, verified or not, where standing still would be in the
+    way of what moves: the other robots keep clear of it.
+    """
 
     PLAN = "plan"
     COLD_RETRY = "cold_retry"
     LATTICE = "lattice"
     RELAXED = "relaxed"
     SHIFTED = "shifted"
+    RESERVED = "reserved"
     STOP = "stop"
 
 
@@ -77,6 +82,13 @@ class Certificate:
         that no way to the goal keeps it; False if that was not needed, or not so.
     reasons
         Why the verdict is not ``verified``; empty if it is.
+    min_separation_m
+        Least distance from any other robot at equal times, all the way; None where no separation
+        is asked or there is no other robot. Those that have not planned yet are where their last
+        plans lead.
+    min_moving_clearance_m
+        Least distance from any moving obstacle at equal times, all the way, negative inside one;
+        None without one.
     """
 
     min_clearance_m: float
@@ -89,6 +101,8 @@ class Certificate:
     best_margin_db: tuple[float, ...] = ()
     no_connected_way: bool = False
     reasons: tuple[str, ...] = ()
+    min_separation_m: float | None = None
+    min_moving_clearance_m: float | None = None
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
+from planopt.planning.programme.offenders import MOVING_LINES
 from planopt.planning.programme.pivot import find_pivot
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.refine import Refiner
@@ -20,6 +22,7 @@ from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.shifted import shifted_path
+from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.problems.problem import Problem
@@ -47,15 +50,20 @@ class ReachPlanner:
         self._search = GlobalSearch(problem, scene, self._margins)
         self._nlp: ReachNlp | None = None
         if problem.planner.name in METHODS:
+            lines = LINES_PER_SEGMENT + min(len(problem.workspace.moving), MOVING_LINES)
             self._nlp = build_reach_nlp(
                 problem.planner.horizon,
-                LINES_PER_SEGMENT,
+                lines,
                 METHODS[problem.planner.name],
                 problem.planner.budget_s,
             )
 
     def plan(
-        self, belief: Belief, position_m: NDArray[np.float64], warm: Plan | None = None
+        self,
+        belief: Belief,
+        position_m: NDArray[np.float64],
+        warm: Plan | None = None,
+        driven: int = 0,
     ) -> Plan:
         """Plan from `position_m` on what is believed now.
 
@@ -67,13 +75,21 @@ class ReachPlanner:
             ``(2,)`` where the robot is.
         warm
             The plan that led here, one step old; only used if it was verified.
+        driven
+            Steps of the run before this one: what moves has moved on since.
         """
         begun = perf_counter()
         problem, scene = self.problem, self.scene
         self._margins.refresh(belief.posterior)
-        start = self._search.find_start(position_m, belief.posterior.measurements.positions_m)
+        moving = obstacles_ahead(problem, driven)
+        start = self._search.find_start(
+            position_m, belief.posterior.measurements.positions_m, moving
+        )
         cost = ReachCost(problem, position_m)
-        judge = Judge(problem, scene.index, belief, position_m, cost)
+        reserved = None
+        if len(moving) and warm is not None:
+            reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
+        judge = Judge(problem, scene.index, belief, position_m, cost, moving, reserved)
         if start is None:
             chosen = self._without_start(judge, warm)
         else:
@@ -139,8 +155,7 @@ class ReachPlanner:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        standing = np.tile(judge.position_m, (horizon, 1))
-        return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+        return judge.standing(horizon)
 
 
 def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
-from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
+from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
 from planopt.planning.programme.polish import ReachTask, polish
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import ReachNlp
@@ -31,7 +31,6 @@ from planopt.planning.tolerances import (
     STEP_PAD_M,
 )
 from planopt.planning.worth.reach_cost import ReachCost
-from planopt.world.separation import separating_lines
 
 SLACK_TOLERANCE_DB = 1e-3
 """Missing dB below this count as none: the bound can be met after all."""
@@ -188,6 +187,7 @@ class Refiner:
                     np.vstack([task.start_m, polished.path_m]),
                     task.clearance_m,
                     task.step_length_m,
+                    self._judge.moving,
                 )
                 if lines is None:
                     return
@@ -225,12 +225,13 @@ class Refiner:
         if pivot is None:
             raise AssertionError("a refiner needs a pivot")
         ends = np.vstack([judge.position_m, path_m])
-        lines = separating_lines(
+        lines = lines_about(
             self._scene.pieces,
-            ends[:-1],
-            ends[1:],
+            judge.moving,
+            ends,
             self._nlp.lines,
-            LINE_REACH_STEPS * problem.step_length_m,
+            problem.constraints.clearance_m,
+            problem.step_length_m,
         )
         goal = np.asarray(problem.goal_m)
         at_goal = np.linalg.norm(path_m[-1] - goal) <= problem.constraints.goal_radius_m

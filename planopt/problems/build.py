@@ -60,6 +60,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
                 for index, table in enumerate(tables.world.obstacles)
                 for obstacle in _obstacles(table, index, folder)
             ),
+            tuple(table.obstacle for table in tables.world.moving),
         ),
         channel=_channel(tables.channel, folder),
         robots=tuple(
@@ -81,6 +82,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             tables.constraints.p_min,
             tables.constraints.clearance_m,
             tables.constraints.goal_radius_m,
+            tables.constraints.separation_m,
         ),
         planner=PlannerSettings(
             tables.planner.name,

@@ -27,6 +27,7 @@ from planopt.world.clearance import (
     index_obstacles,
     inside_bounds,
 )
+from planopt.world.moving_obstacle import centres_at
 from planopt.world.raster_files import raster_ending
 
 #: A drawn truth of more cells than this would not fit the memory of a small machine.
@@ -48,10 +49,40 @@ def check(problem: Problem) -> None:
         _check_place(problem, index, robot.start_m, f"robots[{number}].start_m")
         if robot.goal_m is not None:
             _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
+    _check_apart(problem)
     _check_channel(problem)
     for number, term in enumerate(problem.terms):
         if isinstance(term, CasadiTerm):
             _check_expression(problem, term, f"objective.terms[{number}]")
+
+
+def _check_apart(problem: Problem) -> None:
+    """Robots start apart from each other, and from where moving obstacles are at time 0."""
+    separation = problem.constraints.separation_m
+    starts = np.array([robot.start_m for robot in problem.robots])
+    for number, robot in enumerate(problem.robots):
+        for other in range(number):
+            distance = float(np.linalg.norm(starts[number] - starts[other]))
+            if distance < separation:
+                raise InputError(
+                    f"is {list(robot.start_m)}, {distance:.3g} m from the start of "
+                    f"{problem.robots[other].name}, less than the separation of {separation:g} m",
+                    file=problem.file,
+                    key=f"robots[{number}].start_m",
+                    remedy="move it, or lessen constraints.separation_m",
+                )
+        for obstacle in problem.workspace.moving:
+            centre = centres_at(obstacle, np.zeros(1))[0]
+            distance = float(np.linalg.norm(starts[number] - centre)) - obstacle.radius_m
+            if distance < problem.constraints.clearance_m:
+                raise InputError(
+                    f"is {list(robot.start_m)}, {distance:.3g} m from where the moving obstacle "
+                    f"{obstacle.name} is at time 0, less than the clearance of "
+                    f"{problem.constraints.clearance_m:g} m",
+                    file=problem.file,
+                    key=f"robots[{number}].start_m",
+                    remedy="move it, or lessen constraints.clearance_m",
+                )
 
 
 def check_files(problem: Problem) -> None:

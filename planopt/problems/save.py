@@ -29,6 +29,7 @@ from planopt.problems.objective import (
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
+from planopt.world.moving_obstacle import MovingObstacle
 from planopt.world.workspace import Obstacle
 
 
@@ -53,6 +54,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "world": {
             "bounds_m": list(problem.workspace.bounds_m),
             "obstacles": [_obstacle(obstacle) for obstacle in problem.workspace.obstacles],
+            "moving": [_moving(obstacle) for obstacle in problem.workspace.moving],
         },
         "channel": channel,
         "robots": [_plain(asdict(robot)) for robot in problem.robots],
@@ -160,6 +162,13 @@ def _obstacle(obstacle: Obstacle) -> dict[str, Any]:
     table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
     holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]
     return {**table, "holes": holes} if holes else table
+
+
+def _moving(obstacle: MovingObstacle) -> dict[str, Any]:
+    return {
+        **_plain(asdict(obstacle)),
+        "positions_m": [list(place) for place in obstacle.positions_m],
+    }
 
 
 def _ring(ring: shapely.LinearRing) -> list[list[float]]:

@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
+from planopt.problems.schema_moving import MovingTable
 from planopt.problems.schema_objective import (
     LearningTable,
     MappingTable,
@@ -90,6 +91,9 @@ class WorldTable(Table):
 
     bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
     obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
+    moving: list[MovingTable] = Field(
+        default=[], max_length=50, description="Obstacles that move as predicted."
+    )
 
 
 class RobotTable(Table):
@@ -133,10 +137,18 @@ class ConstraintsTable(Table):
         default=1.0,
         ge=0,
         le=1e4,
-        description="Least distance in metres of the swept path from every obstacle.",
+        description="Least distance in metres of the swept path from every obstacle, moving ones "
+        "included.",
     )
     goal_radius_m: float = Field(
         default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
+    )
+    separation_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e4,
+        description="Least distance in metres of any two robots at equal times, all the way; 0 "
+        "asks for none.",
     )
 
 
@@ -207,6 +219,7 @@ class ProblemFile(Table):
     @model_validator(mode="after")
     def _fits_the_task(self) -> ProblemFile:
         fault = _reach_fault(self) if self.problem.task == "reach" else _terms_fault(self)
+        fault = fault or _moving_fault(self)
         if fault is not None:
             raise PydanticCustomError("task", "{words}", {"words": fault})
         return self
@@ -259,6 +272,14 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     names = [robot.name for robot in tables.robots]
     if len(set(names)) < len(names):
         return "two robots have one name"
+    return None
+
+
+def _moving_fault(tables: ProblemFile) -> str | None:
+    """What keeps moving things from being told apart."""
+    names = [moving.name for moving in tables.world.moving]
+    if len(set(names)) < len(names):
+        return "two of world.moving have one name"
     return None
 
 

@@ -41,6 +41,8 @@ METRIC_NAMES = {
     "rms_db": MetricName("RMS error", "dB", 1.0, 2),
     "anmse_db": MetricName("ANMSE", "dB", 1.0, 2),
     "trace_m_db": MetricName("tr M", "dB", 1.0, 2),
+    "min_separation_m": MetricName("least distance of two robots", "m", 1.0, 3),
+    "min_moving_clearance_m": MetricName("least distance from moving obstacles", "m", 1.0, 3),
     "polish_gain": MetricName("gain of the polish", "%", 100.0, 2),
 }
 

@@ -22,6 +22,7 @@ from planopt.report.maps import (
     draw_places,
     ring_xy,
 )
+from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel
 from planopt.report.style import (
     PREDICTED,
@@ -84,6 +85,7 @@ def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Arti
     )
     draw_level(panel, layer, p_min, VERMILLION)
     margin = _draw_margin(panel, problem, window)
+    moving = draw_moving(panel, problem, len(plan.t_s) - 1, predicted=True)
     x, y = plan.positions_m.T
     panel.plot(x, y, color=WHITE, linewidth=4.0, zorder=PATH_Z, solid_capstyle="round")
     (path,) = panel.plot(
@@ -104,7 +106,7 @@ def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Arti
     if is_small(problem, window):
         draw_inset(panel, problem, plan.positions_m, window)
     level = Line2D([], [], color=VERMILLION, linewidth=1.2, label=f"P(connected) = {p_min:g}")
-    return [path, margin, level, *places]
+    return [path, margin, level, *moving, *places]
 
 
 def _draw_margin(panel: Panel, problem: Problem, window: Bounds) -> Artist:

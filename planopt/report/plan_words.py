@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from planopt.planning.plan import Plan, Verdict
+from planopt.planning.plan import Certificate, Plan, Verdict
 from planopt.problems.constraints import Constraints
 from planopt.report.style import spaced
 
@@ -36,6 +36,7 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
     lines = [
         f"verdict: {spaced(plan.verdict)} ({MEANING[plan.verdict]})",
         clearance,
+        *apart_words(proof),
         f"least P(connected) {proof.min_connectivity:.3f}, {constraints.p_min:g} asked "
         f"(posterior: {proof.posterior})",
         f"motion model kept to {proof.dynamics_defect:.2g} m; "
@@ -54,3 +55,16 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
             f"missed by at most {max(proof.relaxation_db):.2f} dB"
         )
     return [*lines, *proof.reasons, *([plan.message] if plan.message else [])]
+
+
+def apart_words(proof: Certificate) -> list[str]:
+    """How far a plan keeps from other robots and from what moves; nothing where nothing does."""
+    parts = [
+        f"{distance:.3f} m from {what}"
+        for distance, what in (
+            (proof.min_separation_m, "other robots"),
+            (proof.min_moving_clearance_m, "moving obstacles"),
+        )
+        if distance is not None
+    ]
+    return [f"always at least {', '.join(parts)}"] if parts else []

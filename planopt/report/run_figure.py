@@ -9,6 +9,7 @@ import numpy as np
 from planopt.planning.loop.run import StepLog
 from planopt.planning.loop.simulation import Simulation
 from planopt.report.maps import LAYER_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
+from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
     BLACK,
@@ -50,6 +51,7 @@ def draw_run(simulation: Simulation) -> Figure:
     entries = [
         *draw_places(panel, problem),
         *_draw_measurements(panel, simulation),
+        *draw_moving(panel, problem, len(run.log.t_s) - 1, predicted=False),
         *_draw_driven(panel, run.log),
         *_draw_first_plan(panel, simulation),
         *_draw_relaxed(panel, run.log),

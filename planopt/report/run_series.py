@@ -42,6 +42,7 @@ RUNG_LOOKS = {
     Rung.LATTICE: ("^", GREEN),
     Rung.RELAXED: ("D", PURPLE),
     Rung.SHIFTED: ("v", SKY),
+    Rung.RESERVED: ("P", BLACK),
     Rung.STOP: ("X", VERMILLION),
 }
 """Marker and colour of every rung of the failure ladder."""

@@ -12,6 +12,7 @@ from planopt.channel.belief import Belief
 from planopt.planning.plan import Plan
 from planopt.planning.team.team_run import TeamRun
 from planopt.problems.problem import Problem
+from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import NOTE_PT, head, legend_below
 from planopt.report.team_map import (
@@ -57,6 +58,7 @@ def draw_team_run(run: TeamRun) -> Figure:
     before = run.beliefs[0].posterior.measurements.positions_m[: run.first_measurements]
     for number, panel in enumerate(maps):
         drawn = draw_measured(panel, before, "measured before")
+        drawn += draw_moving(panel, problem, len(tracks[0]) - 1, predicted=False)
         drawn += draw_tracks(panel, problem, tracks)
         if plans:
             drawn += draw_plans(panel, problem, plans, 1)
@@ -106,6 +108,7 @@ def draw_team_plan(
     entries = draw_team_ground(figure, maps, problem, belief, np.concatenate(shown))
     for number, panel in enumerate(maps):
         drawn = draw_measured(panel, belief.posterior.measurements.positions_m, "measured")
+        drawn += draw_moving(panel, problem, len(plans[0].t_s) - 1, predicted=True)
         drawn += draw_plans(panel, problem, plans, 0)
         if target_m is not None:
             drawn += draw_expected_target(panel, target_m)

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from planopt.planning.plan import Plan
 from planopt.problems.objective import TrackingTerm
 from planopt.problems.problem import Problem
+from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.panel import Panel
+from planopt.report.plan_words import apart_words
 from planopt.report.style import BAND_WORDS, BAND_Z, BLACK, dress, legend_above, spaced
 from planopt.report.team_looks import robot_colour, robot_marker
 from planopt.report.team_series import TIME
@@ -30,13 +32,17 @@ def plan_series_of(
     def connectivity(panel: Panel, plans: Sequence[Plan]) -> None:
         _draw_connectivity(panel, problem, plans)
 
+    def apart(panel: Panel, plans: Sequence[Plan]) -> None:
+        draw_apart(panel, problem, [plan.positions_m for plan in plans], plans[0].t_s)
+
+    last = (apart,) if has_apart(problem) else ()
     if target_m is None:
-        return (power, connectivity) if problem.constraints.p_min > 0.0 else (power,)
+        return (power, connectivity, *last) if problem.constraints.p_min > 0.0 else (power, *last)
 
     def distance(panel: Panel, plans: Sequence[Plan]) -> None:
         _draw_distance(panel, problem, plans, target_m)
 
-    return distance, power, connectivity
+    return (distance, power, connectivity, *last)
 
 
 def _draw_curve(panel: Panel, plan: Plan, number: int, y: NDArray[np.float64]) -> None:
@@ -116,6 +122,7 @@ def team_plan_words(plans: Sequence[Plan]) -> list[str]:
         lines += [
             f"{plan.robot}: {spaced(plan.verdict)}, {clearance}, "
             f"least P(connected) {proof.min_connectivity:.3f}",
+            *(f"    {words}" for words in apart_words(proof)),
             f"    worth {plan.objective:.4g} (best start {plan.lattice_objective:.4g}); "
             f"rung {spaced(plan.rung)}, {1e3 * plan.wall_s:.0f} ms",
             *(f"    {reason}" for reason in proof.reasons[:2]),

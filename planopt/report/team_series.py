@@ -9,6 +9,7 @@ import numpy as np
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.team.team_run import TeamRun
+from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.panel import Panel
 from planopt.report.run_series import RUNG_LOOKS
 from planopt.report.style import (
@@ -37,15 +38,23 @@ def series_of(run: TeamRun) -> tuple[tuple[Drawer, float], ...]:
         (_draw_connectivity, 1.0),
         (_draw_connection, strip),
     )
-    rungs: tuple[Drawer, float] = (_draw_rungs, strip)
+    last: tuple[tuple[Drawer, float], ...] = ((_draw_rungs, strip),)
+    if has_apart(run.problem):
+        last = ((_draw_apart, 1.0), *last)
     if run.target is not None:
-        return ((_draw_target_variance, 1.3), *connection, (_draw_map_error, 1.0), rungs)
+        return ((_draw_target_variance, 1.3), *connection, (_draw_map_error, 1.0), *last)
     bounded = connection if run.problem.constraints.p_min > 0.0 else ()
     knowledge: tuple[tuple[Drawer, float], ...] = (
         (_draw_theta_variance, 1.0),
         (_draw_map_error, 1.0),
     )
-    return (*knowledge, *bounded, rungs)
+    return (*knowledge, *bounded, *last)
+
+
+def _draw_apart(panel: Panel, run: TeamRun) -> None:
+    """How far robots keep from each other and from what moves."""
+    log = run.runs[0].log
+    draw_apart(panel, run.problem, [one.log.positions_m for one in run.runs], log.t_s)
 
 
 def _draw_target_variance(panel: Panel, run: TeamRun) -> None:

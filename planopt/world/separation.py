@@ -62,12 +62,38 @@ class SeparatingLines:
         ``(s, c)`` distance in metres, or minus the depth of the overlap; infinite in empty slots.
     piece
         ``(s, c)`` number of the piece; -1 in empty slots.
+    start_offsets
+        ``(s, c)`` offsets that hold at the segment's start, where a line moves with what it keeps
+        the segment from; None where all stand still and `offsets` hold at both ends.
     """
 
     normals: NDArray[np.float64]
     offsets: NDArray[np.float64]
     gaps: NDArray[np.float64]
     piece: NDArray[np.int64]
+    start_offsets: NDArray[np.float64] | None = None
+
+    @property
+    def at_start(self) -> NDArray[np.float64]:
+        """``(s, c)`` offsets that hold at the segments' starts."""
+        return self.offsets if self.start_offsets is None else self.start_offsets
+
+    def rows(self, kept_m: float) -> NDArray[np.float64]:
+        """``(s, c, 4)`` normals and the offsets at end and start, with `kept_m` kept from them."""
+        kept = np.where(np.isfinite(self.gaps), kept_m, 0.0)
+        offsets = np.stack([self.offsets + kept, self.at_start + kept], axis=2)
+        return np.concatenate([self.normals, offsets], axis=2)
+
+
+def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingLines:
+    """The lines of both beside each other, for the same segments."""
+    return SeparatingLines(
+        normals=np.concatenate([first.normals, second.normals], axis=1),
+        offsets=np.concatenate([first.offsets, second.offsets], axis=1),
+        gaps=np.concatenate([first.gaps, second.gaps], axis=1),
+        piece=np.concatenate([first.piece, second.piece], axis=1),
+        start_offsets=np.concatenate([first.at_start, second.at_start], axis=1),
+    )
 
 
 def pack_pieces(workspace: Workspace) -> PackedPieces:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import shapely
 
+from planopt.world.moving_obstacle import MovingObstacle
+
 
 @dataclass(frozen=True)
 class Obstacle:
@@ -33,7 +35,10 @@ class Workspace:
         ``(x_min, y_min, x_max, y_max)`` in metres.
     obstacles
         The forbidden areas, in the order of the problem file.
+    moving
+        Obstacles that move as predicted.
     """
 
     bounds_m: tuple[float, float, float, float]
     obstacles: tuple[Obstacle, ...]
+    moving: tuple[MovingObstacle, ...] = ()

@@ -99,3 +99,69 @@ def test_threshold_must_be_above_the_floor(tables: Tables, built: Build) -> None
     assert caught.value.key == "stations[0].threshold_dbm"
     tables["channel"]["truth"]["floor_db"] = -75.1
     built(tables)
+
+
+CART = {"name": "cart", "radius_m": 1.0, "start_m": [5.0, 8.0], "velocity_m_s": [1.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"start_m": [5.0, 6.9]}, r"robots\[0\].start_m: .* 0.9 m from where .* cart is at time 0"),
+        ({"velocity_m_s": None}, r"world.moving\[0\]: needs either start_m and velocity_m_s, or"),
+        ({"times_s": [0.0], "positions_m": [[1.0, 1.0]]}, r"world.moving\[0\]: needs either"),
+        ({"radius_m": 0.0}, r"world.moving\[0\].radius_m"),
+        ({"probability": 1.0}, r"world.moving\[0\].probability"),
+        ({"position_std_m": -1.0}, r"world.moving\[0\].position_std_m"),
+        ({"name": "a b"}, r"world.moving\[0\].name"),
+        ({"speed": 1.0}, r"world.moving\[0\].speed"),
+    ],
+)
+def test_moving_obstacles_are_validated(
+    tables: Tables, built: Build, changes: dict[str, Any], message: str
+) -> None:
+    """With the key, and what to do."""
+    cart = {key: value for key, value in (CART | changes).items() if value is not None}
+    tables["world"]["moving"] = [cart]
+    with pytest.raises(InputError, match=message):
+        built(tables)
+
+
+@pytest.mark.parametrize(
+    ("times", "places", "message"),
+    [
+        ([0.0, 2.0], [[1.0, 1.0]], "has 2 times_s and 1 positions_m"),
+        ([2.0, 2.0], [[1.0, 1.0], [2.0, 2.0]], "has times_s that do not increase"),
+        ([], [], "times_s"),
+    ],
+)
+def test_times_and_places_go_together(
+    tables: Tables, built: Build, times: list[float], places: list[Any], message: str
+) -> None:
+    """As many of both, in order, at least one."""
+    cart = {"name": "cart", "radius_m": 1.0, "times_s": times, "positions_m": places}
+    tables["world"]["moving"] = [cart]
+    with pytest.raises(InputError, match=message):
+        built(tables)
+
+
+def test_moving_obstacles_have_names_of_their_own(tables: Tables, built: Build) -> None:
+    """Messages must say which."""
+    tables["world"]["moving"] = [CART, CART]
+    with pytest.raises(InputError, match=r"two of world.moving have one name"):
+        built(tables)
+
+
+def test_robots_must_start_apart(tables: Tables, built: Build) -> None:
+    """Exactly the separation is enough."""
+    second = {"name": "second", "start_m": [8.0, 5.0], "speed_max_m_s": 1.0}
+    tables["problem"]["task"] = "learn"
+    tables["objective"] = {"terms": [{"kind": "path_loss_learning"}]}
+    del tables["robots"][0]["goal_m"]
+    tables["robots"].append(second)
+    tables["constraints"]["separation_m"] = 3.0
+    assert built(tables).constraints.separation_m == 3.0
+    second["start_m"] = [7.9, 5.0]
+    with pytest.raises(InputError, match=r"2.9 m from the start of robot, less than") as e:
+        built(tables)
+    assert e.value.key == "robots[1].start_m"

@@ -139,3 +139,22 @@ def test_multipath_of_a_model_survives(tables: Tables, built: Build) -> None:
     truth = problem.channel.truth
     assert truth.multipath == Nakagami(3.27) and abs(truth.multipath_std_db - 2.60) < 0.01
     assert there_and_back(problem) == problem
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        {"start_m": [15.0, 8.0], "velocity_m_s": [1.0, -0.5]},
+        {"start_m": [15.0, 8.0], "velocity_m_s": [0.0, 0.0]},
+        {"times_s": [1.0, 2.5], "positions_m": [[15.0, 8.0], [0.1, 0.2]]},
+        {"times_s": [3.0], "positions_m": [[15.0, 8.0]], "velocity_m_s": [0.5, 0.25]},
+    ],
+)
+def test_what_moves_survives(tables: Tables, built: Build, motion: dict[str, Any]) -> None:
+    """Both ways to give a motion, and all that is not known of it."""
+    cart = {"name": "cart", "radius_m": 1.0, "position_std_m": 0.1, "probability": 0.95, **motion}
+    tables["world"]["moving"] = [cart]
+    tables["constraints"]["separation_m"] = 2.5
+    problem = built(tables)
+    assert problem.workspace.moving[0].probability == 0.95
+    assert there_and_back(problem) == problem

@@ -30,8 +30,7 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
     """
     found = judge.judged(judge.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
     if not found.sound:
-        standing = np.tile(judge.position_m, (len(path_m), 1))
-        found = judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
+        found = judge.standing(len(path_m))
     return judge.plan_from(found, wall_s=perf_counter() - begun_s)
 
 

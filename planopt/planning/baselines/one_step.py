@@ -19,6 +19,7 @@ from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan
 from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import nearest_measured_m
@@ -69,6 +70,8 @@ class OneStepPlanner:
         here = path[-1] if path else situation.position_m
         ends = here + self._offsets_m
         allowed = free_ends(self._problem, self._ground, here, ends)
+        begins = np.broadcast_to(here, ends.shape)
+        allowed &= steps_apart(situation.moving, len(path), begins, ends)
         if self._measures:
             spacing = self._problem.channel.measure_spacing_m
             allowed &= nearest_measured_m(situation.posterior, ends) >= spacing

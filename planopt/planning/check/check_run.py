@@ -29,6 +29,7 @@ from planopt.planning.loop.ending import ending
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.step_log import step_log
+from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
@@ -66,7 +67,8 @@ def check_run(
     ):
         posterior = grown_posterior(belief, posterior, count)
         path = np.stack([released.x_m, released.y_m], axis=1)
-        judgement = judge(problem, index, posterior, track[step - 1], path, released.kkt_residual)
+        moving, residual = obstacles_ahead(problem, step - 1), released.kkt_residual
+        judgement = judge(problem, index, posterior, track[step - 1], path, residual, moving)
         plan = rebuilt_reach_plan(problem, path, judgement, released, Effort())
         where = f"{RUN_FILE}, key plans[{step - 1}]"
         reasons += plan_reasons(problem, index, where, step, plan, plans[-1] if plans else None)

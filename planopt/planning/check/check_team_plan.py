@@ -23,6 +23,7 @@ from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
@@ -54,12 +55,15 @@ def check_team_plan(
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
     reasons: list[str] = []
+    paths = [steps.positions_m for steps in saved.steps]
     plans: list[Plan] = []
     aims: list[Aim] = []
     for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
         own, path = problem_of_robot(problem, number), steps.positions_m
         start = np.asarray(own.robots[0].start_m)
-        judgement = judge(own, index, posterior, start, path, robot.certificate.kkt_residual)
+        moving = beside(problem, 0, others_of(paths, number))
+        residual = robot.certificate.kkt_residual
+        judgement = judge(own, index, posterior, start, path, residual, moving)
         aim = aim_again(robot.aim, aim_of(watch, number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
         worth = worth_again(own, posterior, path, aim, region)

@@ -32,6 +32,7 @@ from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.plan import Certificate, Plan
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_run import ChannelLog
 from planopt.planning.team.team_seeds import team_seeds
@@ -85,8 +86,12 @@ def check_team_run(
     delivered = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
     seeds = team_seeds(problem, seed)
     watches = watched(watch_target(problem, seeds.target), tracks, delivered, seeds.target)
+    paths = [
+        [np.stack([released.x_m, released.y_m], axis=1) for released in robot.released]
+        for robot in record.plans
+    ]
     driven = [
-        _driven(saved, record, number, index, region, watches)
+        _driven(saved, record, number, index, region, watches, paths)
         for number in range(len(problem.robots))
     ]
     runs = [
@@ -138,8 +143,9 @@ def _driven(
     index: ObstacleIndex,
     region: Region,
     watches: Sequence[TargetWatch | None],
+    paths: Sequence[Sequence[NDArray[np.float64]]],
 ) -> _Driven:
-    """Every plan of robot number `number` on what it knew."""
+    """Every plan of robot number `number` on what it knew, beside the `paths` of all robots."""
     own = problem_of_robot(saved.problem, number)
     robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
     key = f"{RUN_FILE}, key plans[{number}].released"
@@ -155,8 +161,12 @@ def _driven(
         watch = watches[step - 1]
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
-        path = np.stack([released.x_m, released.y_m], axis=1)
-        judgement = judge(own, index, posterior, track[step - 1], path, released.kkt_residual)
+        path = paths[number][step - 1]
+        moving = beside(
+            saved.problem, step - 1, others_of([made[step - 1] for made in paths], number)
+        )
+        residual = released.kkt_residual
+        judgement = judge(own, index, posterior, track[step - 1], path, residual, moving)
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
         worth = worth_again(own, posterior, path, aim, region)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)

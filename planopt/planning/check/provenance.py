@@ -14,7 +14,7 @@ from planopt.problems.problem import Problem
 
 UNSOLVED = {
     Termination.LATTICE_ONLY: (Rung.PLAN, Rung.LATTICE, Rung.RELAXED),
-    Termination.STOPPED: (Rung.SHIFTED,),
+    Termination.STOPPED: (Rung.SHIFTED, Rung.RESERVED),
     Termination.NO_PATH: (Rung.STOP,),
 }
 """Terminations of plans for which no solver ran, and the rungs that these come from."""
@@ -24,6 +24,9 @@ UNPOLISHED_PLANNERS = ("lattice", "one_step", "random", "lawnmower")
 
 BASELINES = ("one_step", "random", "lawnmower")
 """Planners that compare a plan with no lattice path."""
+
+WITHOUT_SEARCH = (Rung.SHIFTED, Rung.RESERVED, Rung.STOP)
+"""Rungs whose paths no search found."""
 
 POLISHED = (Rung.PLAN, Rung.COLD_RETRY, Rung.RELAXED)
 """Rungs whose paths a solver may have found."""
@@ -55,6 +58,8 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
         faults.append("the path does not stand still")
     if rung is Rung.SHIFTED and not _is_shifted(plan, previous):
         faults.append("the path is not the rest of a verified plan before it")
+    if rung is Rung.RESERVED and not _is_rest(plan, previous):
+        faults.append("the path is not the rest of the plan before it")
     if rung is Rung.RELAXED and not plan.certificate.relaxed_steps:
         faults.append("every step meets constraints.p_min")
     # The bound of another task may be given up where the way to a goal would be searched for.
@@ -66,7 +71,13 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
 
 
 def _is_shifted(plan: Plan, previous: Plan | None) -> bool:
-    if previous is None or previous.verdict is not Verdict.VERIFIED:
+    return (
+        previous is not None and previous.verdict is Verdict.VERIFIED and _is_rest(plan, previous)
+    )
+
+
+def _is_rest(plan: Plan, previous: Plan | None) -> bool:
+    if previous is None:
         return False
     rest = np.vstack([previous.positions_m[1:], previous.positions_m[-1:]])
     return rest.shape == plan.positions_m.shape and np.abs(rest - plan.positions_m).max() <= EXACT
@@ -103,14 +114,14 @@ def _is_unpolished(problem: Problem) -> bool:
 
 def _objective_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
     """Of a sum of terms: what was found without the lattice is compared with itself."""
-    alone = plan.rung in (Rung.SHIFTED, Rung.STOP) or problem.planner.name in BASELINES
+    alone = plan.rung in WITHOUT_SEARCH or problem.planner.name in BASELINES
     return _unpolished_faults(plan) if alone else []
 
 
 def _reach_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
     faults: list[tuple[str, str]] = []
     pivot = plan.pivot
-    if pivot is None and plan.rung not in (Rung.SHIFTED, Rung.STOP):
+    if pivot is None and plan.rung not in WITHOUT_SEARCH:
         faults.append(("pivot", f"null, but the rung is {plan.rung.value}"))
     if pivot is not None and problem.cost_to_go == "geodesic":
         straight = float(np.linalg.norm(pivot.position_m - np.asarray(problem.goal_m)))

@@ -162,6 +162,8 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
     """A certificate; the clearance is null where there is no obstacle."""
     return {
         "min_clearance_m": finite(certificate.min_clearance_m),
+        "min_separation_m": finite(certificate.min_separation_m),
+        "min_moving_clearance_m": finite(certificate.min_moving_clearance_m),
         "min_connectivity": finite(certificate.min_connectivity),
         "dynamics_defect": finite(certificate.dynamics_defect),
         "kkt_residual": finite(certificate.kkt_residual),
@@ -178,7 +180,15 @@ def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
     """The keys of a certificate where there is no plan to certify; `reasons` say why."""
     return {
         **dict.fromkeys(
-            ("min_clearance_m", "min_connectivity", "dynamics_defect", "kkt_residual", "posterior")
+            (
+                "min_clearance_m",
+                "min_separation_m",
+                "min_moving_clearance_m",
+                "min_connectivity",
+                "dynamics_defect",
+                "kkt_residual",
+                "posterior",
+            )
         ),
         "relaxed_steps": [],
         "relaxation_db": [],

@@ -65,7 +65,7 @@ def simulate(
     learnt: list[bool] = []
     ended = ending(problem, track, learnt, None)
     while ended is None:
-        plan = planning.plan(belief, position, plans[-1] if plans else None)
+        plan = planning.plan(belief, position, plans[-1] if plans else None, len(plans))
         plans.append(plan)
         position = plan.positions_m[1]
         track.append(position)

@@ -42,8 +42,9 @@ def ending(
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
     if plan is not None:
         stood = bool(np.linalg.norm(here - track_m[-2]) <= STANDSTILL_M)
-        if stood and not learnt[-1] and plan.rung is not Rung.SHIFTED:
-            # Same place, same belief: the next plan would be this one again.
+        # Same place, same belief, and nothing that moves: the next plan would be this one again.
+        again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving
+        if stood and not learnt[-1] and again:
             return Outcome.STALLED, f"standing still with nothing new to learn{_detail(plan)}"
         if not any(learnt[-STALL_STEPS:]) and _circling(track_m, problem.step_length_m):
             return Outcome.STALLED, (

@@ -1,4 +1,4 @@
-"""Put the obstacles that a polished path came too near to into its separating lines."""
+"""The separating lines of a start path, and those that a polished path turned out to lack."""
 
 from __future__ import annotations
 
@@ -6,13 +6,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.world.separation import PackedPieces, SeparatingLines, lines_for, separating_lines
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs, path_distances_m
+from planopt.world.moving_lines import moving_lines
+from planopt.world.separation import (
+    PackedPieces,
+    SeparatingLines,
+    joined_lines,
+    lines_for,
+    separating_lines,
+)
 
 LINE_REACH_STEPS = 2.0
 """Pieces farther than this many longest steps from a segment get no line."""
 
 REPAIRS = 3
 """How often a polish whose proof objects is repeated with the objection built in."""
+
+
+MOVING_LINES = 3
+"""Nearest moving discs that each segment is kept from."""
+
+
+def moving_count(discs: MovingDiscs) -> int:
+    """Lines a segment that are for what moves; they come after those of obstacles."""
+    return min(MOVING_LINES, len(discs))
+
+
+def lines_about(
+    pieces: PackedPieces,
+    discs: MovingDiscs,
+    path_m: NDArray[np.float64],
+    count: int,
+    clearance_m: float,
+    step_length_m: float,
+) -> SeparatingLines:
+    """Lines of a start path from the convex pieces and the moving discs nearest to its segments.
+
+    Parameters
+    ----------
+    pieces, discs
+        What stands and what moves.
+    path_m
+        ``(N + 1, 2)`` the start path, the robot's place first.
+    count
+        Lines a segment in all.
+    clearance_m, step_length_m
+        Limits.
+    """
+    reach = LINE_REACH_STEPS * step_length_m
+    standing = count - moving_count(discs)
+    lines = separating_lines(pieces, path_m[:-1], path_m[1:], standing, reach)
+    if not len(discs):
+        return lines
+    return joined_lines(lines, moving_lines(discs, path_m, clearance_m, moving_count(discs), reach))
 
 
 def lines_with_offenders(
@@ -22,10 +68,11 @@ def lines_with_offenders(
     path_m: NDArray[np.float64],
     clearance_m: float,
     step_length_m: float,
+    discs: MovingDiscs = NOTHING_MOVES,
 ) -> SeparatingLines | None:
-    """Lines of the start path with the pieces that the result comes too near to put in.
+    """Lines of the start path with what the result comes too near to put in.
 
-    None if no piece is to blame.
+    None if nothing is to blame that has no line.
 
     Parameters
     ----------
@@ -37,10 +84,12 @@ def lines_with_offenders(
         ``(N + 1, 2)`` the path that the lines are of, and the result, the robot's place first.
     clearance_m, step_length_m
         Limits.
+    discs
+        What moves.
     """
-    count = lines.piece.shape[1]
-    now = separating_lines(pieces, path_m[:-1], path_m[1:], count, step_length_m)
-    chosen = lines.piece.copy()
+    standing = lines.piece.shape[1] - moving_count(discs)
+    chosen = lines.piece[:, :standing].copy()
+    now = separating_lines(pieces, path_m[:-1], path_m[1:], standing, step_length_m)
     changed = False
     limit = clearance_m - CLEARANCE_TOLERANCE_M
     for k, j in zip(*np.nonzero(now.gaps < limit), strict=True):
@@ -48,6 +97,25 @@ def lines_with_offenders(
         if offender >= 0 and offender not in chosen[k]:
             chosen[k, -1] = offender
             changed = True
-    if not changed:
+    needed = _discs_met(discs, lines.piece[:, standing:], path_m)
+    if not (changed or needed.any()):
         return None
-    return lines_for(pieces, start_path_m[:-1], start_path_m[1:], chosen)
+    again = lines_for(pieces, start_path_m[:-1], start_path_m[1:], chosen)
+    if not len(discs):
+        return again
+    reach = LINE_REACH_STEPS * step_length_m
+    return joined_lines(
+        again,
+        moving_lines(discs, start_path_m, clearance_m, moving_count(discs), reach, needed),
+    )
+
+
+def _discs_met(
+    discs: MovingDiscs, chosen: NDArray[np.int64], path_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which discs a path comes too near to in steps that have no line from them; (m, N)."""
+    if not len(discs):
+        return np.zeros((0, len(path_m) - 1), dtype=np.bool_)
+    near = path_distances_m(discs, path_m) < discs.apart_m - CLEARANCE_TOLERANCE_M
+    numbers = np.arange(len(discs))[:, None, None]
+    return near & ~(chosen == numbers).any(axis=2)

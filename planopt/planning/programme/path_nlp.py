@@ -124,7 +124,7 @@ def build_path_nlp(
     )
 
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", stages)
-    head, line = ca.SX.sym("head", 4), ca.SX.sym("line", 3 * n * lines)
+    head, line = ca.SX.sym("head", 4), ca.SX.sym("line", 4 * n * lines)
     x_sx, p_sx = ca.vertcat(q, s), ca.vertcat(head, line)
     g_sx = path_rows(n, lines, q, head[0:2], line)
     plain = g_sx.numel()

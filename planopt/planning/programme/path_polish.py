@@ -63,9 +63,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     n = nlp.horizon
     bound = np.zeros(0) if task.bound_db is None else task.bound_db
     slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
-    kept = np.isfinite(task.lines.gaps)
-    offsets = task.lines.offsets + np.where(kept, task.clearance_m + CLEARANCE_PAD_M, 0.0)
-    line = np.concatenate([task.lines.normals, offsets[:, :, None]], axis=2)
+    line = task.lines.rows(task.clearance_m + CLEARANCE_PAD_M)
     head = np.array([*task.start_m, task.scale, task.slack_weight])
     x_min, y_min, x_max, y_max = task.bounds_m
     variables = Bounds(

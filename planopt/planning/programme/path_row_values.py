@@ -19,7 +19,7 @@ def path_row_values(
     path_m
         ``(N + 1, 2)`` the robot's own place first.
     line
-        ``(N, lines, 3)`` normals and offsets.
+        ``(N, lines, 4)`` normals, offsets at the segments' ends and at their starts.
     """
     n, lines = int(line.shape[0]), int(line.shape[1])
     steps = np.diff(path_m, axis=0)
@@ -36,7 +36,7 @@ def path_row_values(
         [
             (steps**2).sum(1),
             (np.einsum("kji,ki->kj", line[:, :, :2], path_m[1:]) - line[:, :, 2]).ravel(),
-            (np.einsum("kji,ki->kj", line[1:, :, :2], path_m[1:-1]) - line[1:, :, 2]).ravel(),
+            (np.einsum("kji,ki->kj", line[1:, :, :2], path_m[1:-1]) - line[1:, :, 3]).ravel(),
         ]
     )
     return values, jacobian

@@ -74,12 +74,10 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     """Solve the programme from the task's start path."""
     n = nlp.horizon
     scale, slack_weight = (ELASTIC_COST_SCALE, 1.0) if task.elastic else (1.0, 0.0)
-    kept = np.isfinite(task.lines.gaps)
-    offsets = task.lines.offsets + np.where(kept, task.clearance_m + CLEARANCE_PAD_M, 0.0)
     head = np.array(
         [*task.start_m, *task.pivot_m, task.effort_s_m2, task.rate_s_m, scale, slack_weight]
     )
-    line = np.concatenate([task.lines.normals, offsets[:, :, None]], axis=2)
+    line = task.lines.rows(task.clearance_m + CLEARANCE_PAD_M)
     positions = _position_bounds(task, n)
     variables = Bounds(
         np.concatenate([positions.lower, np.zeros(n)]),

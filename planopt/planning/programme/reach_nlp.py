@@ -86,7 +86,7 @@ def build_reach_nlp(
     hessian = PathCallback("margin_hessian", n, 3 * n, lambda at: source.at(at).hessian)
 
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", n)
-    head, line = ca.SX.sym("head", 8), ca.SX.sym("line", 3 * n * lines)
+    head, line = ca.SX.sym("head", 8), ca.SX.sym("line", 4 * n * lines)
     x_sx, p_sx = ca.vertcat(q, s), ca.vertcat(head, line)
     f_sx = _objective(n, q, s, head)
     g_sx = path_rows(n, lines, q, head[0:2], line)

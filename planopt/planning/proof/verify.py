@@ -1,12 +1,12 @@
 """Judge a plan: clearance, motion, connectivity, from the problem and the belief alone.
 
 Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
-keeps the clearance and the workspace, every step keeps the speed, and the probability of connection
-(exact posterior, today's deviation: theory 4.1) is at least p_min at every step where that is
-possible. Where it is not possible is proven, not assumed. A step may miss the bound only if no
-place within reach meets it by then, or if no way to the goal keeps it at all and the steps below it
-lead across a gap by about the least length there is; and the bound must be
-met at one step of the plan at least: a threshold that cannot be met is an answer, not a plan.
+keeps the clearance, the workspace and its distance from all that moves, every step keeps the speed,
+and the probability of connection (exact posterior, today's deviation: theory 4.1) is at least p_min
+at every step where that is possible. Where it is not possible is proven, not assumed. A step may
+miss the bound only if no place within reach meets it by then, or if no way to the goal keeps it at
+all and the steps below it lead across a gap by about the least length there is; and the bound must
+be met at one step of the plan at least: a threshold that cannot be met is an answer, not a plan.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.predictions import certified_prediction, search_prediction
 from planopt.planning.proof.reachability import (
     best_margins_by_step,
@@ -35,6 +37,7 @@ from planopt.planning.tolerances import (
 from planopt.problems.problem import Problem
 from planopt.robots.single_integrator import dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
+from planopt.world.moving_discs import MovingDiscs
 
 OUTAGE_LEEWAY_STEPS = 2.0
 """How much longer, in longest steps, a way through a gap may be than the least one."""
@@ -50,11 +53,14 @@ class Judgement:
         See their types.
     power
         At every place of the path, the robot's own first; None if the path is not finite.
+    apart
+        Whether the path keeps from everything that moves.
     """
 
     certificate: Certificate
     verdict: Verdict
     power: Prediction | None
+    apart: bool = True
 
 
 def verify(
@@ -64,9 +70,10 @@ def verify(
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
+    moving: MovingDiscs | None = None,
 ) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path: see :func:`judge`."""
-    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual)
+    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual, moving)
     return judgement.certificate, judgement.verdict
 
 
@@ -77,6 +84,7 @@ def judge(
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
+    moving: MovingDiscs | None = None,
 ) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
 
@@ -90,12 +98,14 @@ def judge(
         Where the robot is, and the planned path from there.
     kkt_residual
         Passed on into the certificate.
+    moving
+        What moves during the steps; None for the problem's moving obstacles, from time 0 on.
     """
     constraints = problem.constraints
     radio = problem.stations[0]
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
-        return Judgement(broken, Verdict.VIOLATED, None)
+        return Judgement(broken, Verdict.VIOLATED, None, apart=False)
     reasons: list[str] = []
 
     swept = swept_clearance_m(index, positions_m)
@@ -107,6 +117,8 @@ def judge(
         )
     if not inside_bounds(problem.workspace, positions_m).all():
         reasons.append("the path leaves world.bounds_m")
+    apart = judge_apart(obstacles_ahead(problem, 0) if moving is None else moving, positions_m)
+    reasons += apart.reasons
     defect = dynamics_defect_m(positions_m, start_m, problem.step_length_m)
     if defect > DYNAMICS_TOLERANCE_M:
         reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
@@ -149,9 +161,11 @@ def judge(
         best_margin_db=best,
         no_connected_way=no_connected_way,
         reasons=tuple(reasons),
+        min_separation_m=apart.min_separation_m,
+        min_moving_clearance_m=apart.min_moving_clearance_m,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-    return Judgement(certificate, verdict, power)
+    return Judgement(certificate, verdict, power, apart=not apart.reasons)
 
 
 def _what_is_possible(

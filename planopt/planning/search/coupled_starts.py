@@ -10,9 +10,10 @@ from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.planning.search.straight_starts import driven_ways, straight_starts
 from planopt.planning.search.way_search import search_ways
-from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+from planopt.world.moving_discs import ways_gap_m
 
 SEED = 0
 """Every search begins anew from it: the same situation has the same starts."""
@@ -55,12 +56,19 @@ class CoupledStarts:
         def drive(turn: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
             return driven_ways(situation, self._index, self._rough, turn, speed)
 
+        ranking = LocalRanking(situation, ways)
+
+        def value(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+            begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
+            gap = ways_gap_m(situation.moving, np.concatenate([begin, ways_m], axis=1))
+            return np.where(gap >= -CLEARANCE_TOLERANCE_M, ranking(ways_m), -np.inf)
+
         found, _ = search_ways(
             situation.position_m,
             ways,
             self._problem.step_length_m - STEP_PAD_M,
             drive,
-            LocalRanking(situation, ways),
+            value,
             np.random.default_rng(SEED),
         )
         return list(found[:VALUED])

@@ -12,11 +12,13 @@ from planopt.planning.ground import first_moves
 from planopt.planning.scene import Scene
 from planopt.planning.search.frontier import OUT_OF_BOUND_FACTOR, Frontier
 from planopt.planning.search.lattice_search import search_lattice
+from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.search.road_map import Ways, shortest_ways, way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import inside_bounds, is_clear, swept_clearance_m
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 STAGNANT_STEPS = 0.75
 """A path that stays within this many longest steps of the robot gets nowhere; a lattice path can
@@ -82,12 +84,16 @@ class GlobalSearch:
         self._scene = scene
         self._margins = margins
         self._frontier = Frontier(scene.road_map, problem.step_length_m)
+        self._moving = NOTHING_MOVES
         self._rate = cost_rate_s_m(
             problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
         )
 
     def find_start(
-        self, position_m: NDArray[np.float64], measured_m: NDArray[np.float64]
+        self,
+        position_m: NDArray[np.float64],
+        measured_m: NDArray[np.float64],
+        moving: MovingDiscs = NOTHING_MOVES,
     ) -> GlobalStart | None:
         """Search from `position_m`; None if no node is in reach.
 
@@ -99,7 +105,10 @@ class GlobalSearch:
             ``(2,)`` where the robot is.
         measured_m
             ``(m, 2)`` where power has been measured.
+        moving
+            What moves during the steps.
         """
+        self._moving = moving
         if self._problem.reach.cost_to_go == "geodesic":
             start = self._search(position_m, self._scene.goal_node, self._scene.ways)
             return self._with_fine_first_step(position_m, start)
@@ -165,6 +174,7 @@ class GlobalSearch:
         fan[1::2] = places
         swept = swept_clearance_m(self._scene.index, fan)[0::2]
         clear = is_clear(swept, problem.constraints.clearance_m)
+        clear &= steps_apart(self._moving, 0, np.broadcast_to(position_m, places.shape), places)
         places = places[clear & inside_bounds(problem.workspace, places)]
         margin = self._margins.at(places)
         places, margin = places[margin >= MARGIN_PAD_DB], margin[margin >= MARGIN_PAD_DB]
@@ -210,6 +220,12 @@ class GlobalSearch:
         """Search once, with exact margins wherever the path rests on them."""
         settings, scene, margins = self._problem.planner, self._scene, self._margins
         first_nodes, first_lengths = first_moves(scene.ground, self._problem, position_m)
+        steps = settings.horizon if horizon is None else horizon
+        first_step = settings.horizon - steps
+        ends = scene.road_map.nodes_m[first_nodes]
+        begins = np.broadcast_to(position_m, ends.shape)
+        kept = steps_apart(self._moving, first_step, begins, ends)
+        first_nodes, first_lengths = first_nodes[kept], first_lengths[kept]
         if first_nodes.size == 0:
             return None
         nodes: NDArray[np.intp] | None = None
@@ -218,12 +234,14 @@ class GlobalSearch:
                 scene.road_map,
                 first_nodes,
                 first_lengths,
-                settings.horizon if horizon is None else horizon,
+                steps,
                 settings.step_s,
                 self._problem.reach.effort_weight_s2_m2,
                 target,
                 self._penalty_s(),
                 self._rate * ways.cost_m,
+                self._moving,
+                first_step,
             )
             if found is None:
                 return None

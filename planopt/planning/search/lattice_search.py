@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.reach import step_cost_s
+from planopt.planning.search.moving_moves import MovingMoves, steps_apart
 from planopt.planning.search.road_map import RoadMap
 from planopt.world.lattice import REACH_TOLERANCE_M
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ def search_lattice(
     goal_node: int,
     node_penalty_s: NDArray[np.float64],
     terminal_cost_s: NDArray[np.float64],
+    moving: MovingDiscs = NOTHING_MOVES,
+    first_step: int = 0,
 ) -> LatticePath | None:
     """Find the cheapest path of `horizon` steps, or None if no node can be reached at all.
 
@@ -61,6 +65,10 @@ def search_lattice(
         ``(n,)`` added for every step that ends at a node.
     terminal_cost_s
         ``(n,)`` added for the last node.
+    moving
+        What moves and closes moves for a step; the first steps are the caller's.
+    first_step
+        Which of the steps of `moving` the path begins with.
     """
     if first_nodes.size == 0:
         return None
@@ -83,11 +91,12 @@ def search_lattice(
     for k in range(1, horizon):
         stage = near[: np.searchsorted(radius, reach * (k + 2), side="right")]
         arriving = cost[road_map.sources[stage]] + move_cost
+        rests = _without_blocked(road_map, moving, first_step + k, stage, arriving, goal_node)
         move = arriving.argmin(axis=1)
         best = arriving[np.arange(len(stage)), move] + node_penalty_s[stage]
         at_goal = np.nonzero(stage == goal_node)[0]
         rest = cost[goal_node] + node_penalty_s[goal_node]
-        if at_goal.size and rest <= best[at_goal[0]]:
+        if rests and at_goal.size and rest <= best[at_goal[0]]:
             best[at_goal[0]] = rest
             move[at_goal[0]] = stay
         cost = np.full(count + 1, np.inf)
@@ -105,3 +114,31 @@ def search_lattice(
         row = int(np.nonzero(stages[k] == nodes[k + 1])[0][0])
         nodes[k] = road_map.sources[nodes[k + 1], came_by[k][row]]
     return LatticePath(nodes=nodes, cost_s=float(total[end]))
+
+
+def _without_blocked(
+    road_map: RoadMap,
+    moving: MovingDiscs,
+    step: int,
+    stage: NDArray[np.intp],
+    arriving: NDArray[np.float64],
+    goal_node: int,
+) -> bool:
+    """Close the moves to the nodes of a stage that come too near to what moves, in one step.
+
+    Returns whether the robot may rest at the goal during the step.
+    """
+    if not len(moving):
+        return True
+    place = road_map.lattice
+    window = slice(0, place.shape[0]), slice(0, place.shape[1])
+    rows, columns, blocked = MovingMoves(place, moving).hindered(step, *window)
+    nodes = road_map.number[rows, columns]
+    at = np.full(len(road_map.nodes_m) + 1, -1, dtype=np.intp)
+    at[stage] = np.arange(len(stage))
+    # A node that is not free has the number -1, which is the last place.
+    row = at[nodes]
+    arriving[row[row >= 0]] = np.where(blocked.T[row >= 0], np.inf, arriving[row[row >= 0]])
+    nodes_m = road_map.nodes_m
+    goal = nodes_m[[goal_node]]
+    return bool(steps_apart(moving, step, goal, goal)[0])

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.search.moving_moves import MovingMoves
 from planopt.world.lattice import MOVES, Lattice
 
 Window = tuple[slice, slice]
@@ -60,12 +61,15 @@ class LatticeValues:
         For each stage its window's values; the windows grow by `REACH` nodes to each side.
     windows
         The windows, in the lattice with its margin.
+    moving
+        What moves beside the lattice, and closes moves for a step.
     """
 
     table: MoveTable
     move_value: NDArray[np.float64]
     values: tuple[NDArray[np.float64], ...]
     windows: tuple[Window, ...]
+    moving: MovingMoves | None = None
 
 
 def move_table(lattice: Lattice) -> MoveTable:
@@ -92,6 +96,7 @@ def search_rewards(
     move_value: NDArray[np.float64],
     horizon: int,
     reward: StageReward,
+    moving: MovingMoves | None = None,
 ) -> LatticeValues:
     """Find the best value of every node that N = `horizon` steps can lead to.
 
@@ -109,6 +114,8 @@ def search_rewards(
         N.
     reward
         What it is worth to be at a node after a step; minus infinity at nodes that are not free.
+    moving
+        What moves and closes moves for a step; the first steps are the caller's.
     """
     shape = table.lattice.shape
     low, high = first.min(axis=0), first.max(axis=0)
@@ -121,8 +128,11 @@ def search_rewards(
     values = [value]
     for k in range(1, horizon):
         frame.put(windows[k - 1], values[-1])
-        values.append(frame.arriving(k) + reward(k + 1, _inner(windows[k])))
-    return LatticeValues(table, move_value, tuple(values), tuple(windows))
+        arriving = frame.arriving(k)
+        if moving is not None:
+            frame.pass_by(moving, k, arriving)
+        values.append(arriving + reward(k + 1, _inner(windows[k])))
+    return LatticeValues(table, move_value, tuple(values), tuple(windows), moving)
 
 
 class _Frame:
@@ -178,6 +188,19 @@ class _Frame:
             axis=0, initial=-np.inf
         )
         return best
+
+    def pass_by(self, moving: MovingMoves, stage: int, best: NDArray[np.float64]) -> None:
+        """Correct the best values at nodes that some move comes too near to a moving disc for."""
+        window = self._windows[stage]
+        rows, columns, blocked = moving.hindered(stage, *_inner(window))
+        rows, columns = rows + REACH, columns + REACH
+        moves = np.arange(len(MOVES))[:, None]
+        from_row, from_column = rows - MOVES[:, 1:], columns - MOVES[:, :1]
+        arriving = self._value[from_row - self._top, from_column - self._left]
+        arriving = arriving + self._table.closed[moves, from_row, from_column]
+        arriving += self._move_value[:, None]
+        arriving[blocked] = -np.inf
+        best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
     def _find_hindered(self) -> None:
         """List the hindered nodes of all windows by the stage that first looks at them."""
@@ -275,12 +298,20 @@ def path_to(found: LatticeValues, end: tuple[int, int]) -> NDArray[np.intp]:
     moves = np.asarray(MOVES)
     for k in range(len(found.values) - 1, 0, -1):
         sources = nodes[k] - moves[:, [1, 0]]
-        nodes[k - 1] = sources[_best_source(found, k - 1, sources)]
+        blocked = None
+        if found.moving is not None:
+            blocked = found.moving.blocked(k, nodes[k, :1], nodes[k, 1:])[:, 0]
+        nodes[k - 1] = sources[_best_source(found, k - 1, sources, blocked)]
     return nodes
 
 
-def _best_source(found: LatticeValues, stage: int, sources: NDArray[np.intp]) -> int:
-    """Which of the 21 `sources` (iy, ix) the best value came from."""
+def _best_source(
+    found: LatticeValues,
+    stage: int,
+    sources: NDArray[np.intp],
+    blocked: NDArray[np.bool_] | None,
+) -> int:
+    """Which of the 21 `sources` (iy, ix) the best value came from, by a move not `blocked`."""
     window, value = found.windows[stage], found.values[stage]
     rows = sources[:, 0] + REACH - window[0].start
     columns = sources[:, 1] + REACH - window[1].start
@@ -289,6 +320,8 @@ def _best_source(found: LatticeValues, stage: int, sources: NDArray[np.intp]) ->
     which = np.flatnonzero(there)
     closed = found.table.closed[which, sources[which, 0] + REACH, sources[which, 1] + REACH]
     arriving[which] = value[rows[which], columns[which]] + closed + found.move_value[which]
+    if blocked is not None:
+        arriving[blocked] = -np.inf
     return int(np.argmax(arriving))
 
 

@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts
+from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import best_ends, move_table, path_to, search_rewards
 from planopt.planning.search.stage_rewards import StageRewards, move_values
-from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
 from planopt.world.lattice_moves import LONGEST_MOVE
+from planopt.world.moving_discs import ways_gap_m
 
 STARTS = 2
 """Starts that are handed on, best first."""
@@ -107,6 +109,7 @@ class StartSearch:
             paths.append(shifted_m)
         if self._coupled is not None:
             paths += self._coupled.find_ways(situation, paths)
+        paths = self._apart(situation, paths)
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), self._missing_db(situation, path)) for path in paths]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
@@ -119,12 +122,29 @@ class StartSearch:
                 kept.append(start)
         return kept
 
+    def _apart(
+        self, situation: Situation, paths: list[NDArray[np.float64]]
+    ) -> list[NDArray[np.float64]]:
+        """The paths that keep from all that moves; all of them where none does."""
+        if not len(situation.moving):
+            return paths
+        kept = [
+            path
+            for path in paths
+            if ways_gap_m(situation.moving, np.vstack([situation.position_m, path])[None])[0]
+            >= -CLEARANCE_TOLERANCE_M
+        ]
+        return kept or paths
+
     def _lattice_paths(self, situation: Situation) -> list[NDArray[np.float64]]:
         """The best paths on the lattice; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
+        road_map = self._ground.road_map
+        moving = situation.moving
+        kept = first_steps_apart(moving, situation.position_m, road_map.nodes_m[nodes])
+        nodes, lengths = nodes[kept], lengths[kept]
         if not len(nodes):
             return []
-        road_map = self._ground.road_map
         first = np.stack([road_map.rows[nodes], road_map.columns[nodes]], axis=1)
         first_value = move_values(self._problem, lengths)
         rewards = StageRewards(situation, self._field)
@@ -137,6 +157,7 @@ class StartSearch:
                 self._move_values,
                 self._problem.planner.horizon,
                 rewards,
+                MovingMoves(road_map.lattice, moving) if len(moving) else None,
             )
             apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
             paths = [path_to(found, end) for end in best_ends(found, self._ends, apart)]

@@ -2,7 +2,8 @@
 
 All ways are driven at once. Where the next step of one is about to leave the free space it turns
 aside as little as needed and goes on from there, along a wall or out of a corner. Afterwards every
-segment is checked exactly, and a way stands still from where it would not be clear.
+segment is checked exactly, and a way stands still from where it would not be clear. Of what moves,
+steps keep clear as long as there is a way aside.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.rough_clearance import RoughClearance
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
@@ -93,13 +95,17 @@ def driven_ways(
         ahead = _direction(heading) * step[:, None]
         ways[:, k + 1] = ways[:, k] + ahead
         places = ways[:, k, None] + ahead[:, None] * shares
-        blocked = np.flatnonzero(~rough.is_free(places, clear).all(axis=1))
+        ahead_free = rough.is_free(places, clear).all(axis=1)
+        ahead_free &= steps_apart(situation.moving, k, ways[:, k], ways[:, k + 1])
+        blocked = np.flatnonzero(~ahead_free)
         if not len(blocked):
             continue
         angles = heading[blocked, None] + aside
         moves = _direction(angles) * step[blocked, None, None]
         places = ways[blocked, k][:, None, None] + moves[:, :, None] * shares
         free = rough.is_free(places, clear).all(axis=2)
+        begins = np.broadcast_to(ways[blocked, k][:, None], moves.shape)
+        free &= steps_apart(situation.moving, k, begins, begins + moves)
         chosen = free.argmax(axis=1)
         rows = np.arange(len(blocked))
         heading[blocked] = angles[rows, chosen]

@@ -22,6 +22,7 @@ from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import Steering
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,8 @@ class Member:
         position_m: NDArray[np.float64],
         watched: Aim,
         warm: Plan | None,
+        moving: MovingDiscs = NOTHING_MOVES,
+        reserved_m: NDArray[np.float64] | None = None,
     ) -> tuple[Plan, Aim]:
         """Plan from `position_m` (2,) on what this robot believes.
 
@@ -70,6 +73,10 @@ class Member:
             What is known of the target.
         warm
             The plan that led here, or None.
+        moving
+            What it must keep from.
+        reserved_m
+            ``(N + 1, 2)`` what the others keep clear of for it; None where nothing moves.
         """
         situation = Situation(
             self.problem,
@@ -78,11 +85,20 @@ class Member:
             watched.target_m,
             self.region,
             information=watched.information,
+            moving=moving,
         )
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
             situation = replace(situation, steering_m=place)
-        judge = Judge(self.problem, self.ground.index, belief, position_m, PathWorth(situation))
+        judge = Judge(
+            self.problem,
+            self.ground.index,
+            belief,
+            position_m,
+            PathWorth(situation),
+            moving,
+            reserved_m[1:] if reserved_m is not None and len(moving) else None,
+        )
         plan = self.planner.plan(situation, judge, warm)
         return plan, replace(watched, steering_m=situation.steering_m)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from planopt.planning.plan import Certificate
 
@@ -40,4 +40,11 @@ def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
         reasons=tuple(
             f"{robot}: {reason}" for robot, c in certificates.items() for reason in c.reasons
         ),
+        min_separation_m=least_of(c.min_separation_m for c in all_of_them),
+        min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in all_of_them),
     )
+
+
+def least_of(values: Iterable[float | None]) -> float | None:
+    """The least of the numbers that there are; None if there is none."""
+    return min((value for value in values if value is not None), default=None)

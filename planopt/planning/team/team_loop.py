@@ -1,6 +1,7 @@
 """The closed loop for a sum of terms: every robot plans, moves, measures, and all look again.
 
-Robots plan one after the other, each on what it believes itself. What happens is fixed by the seed:
+Robots plan one after the other, each on what it believes itself, and keep apart as
+:mod:`planopt.planning.team.team_step` says. What happens is fixed by the seed:
 the truth, the first measurements, the target's way and the sensors' noise.
 """
 
@@ -24,6 +25,7 @@ from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.team_run import TeamRun
 from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.overrides import with_overrides
@@ -74,10 +76,16 @@ def simulate_team(
     delivered: list[NDArray[np.bool_]] = []
     for step in range(1, problem.planner.max_steps + 1):
         watch = watches[-1]
-        for number, member in enumerate(crew):
-            known = aim_of(watch, number, problem.planner.horizon)
-            warm = plans[number][-1] if plans[number] else None
-            plan, aim = member.plan(beliefs[number], tracks[number][-1], known, warm)
+        moment = TeamMoment(
+            driven=step - 1,
+            beliefs=beliefs,
+            positions_m=[track[-1] for track in tracks],
+            watched=[aim_of(watch, number, problem.planner.horizon) for number in range(len(crew))],
+            warm=[made[-1] if made else None for made in plans],
+        )
+        for number, (plan, aim) in enumerate(
+            zip(*plan_together(problem, crew, moment), strict=True)
+        ):
             plans[number].append(plan)
             aims[number].append(aim)
         for number in range(len(crew)):

@@ -12,6 +12,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
+from planopt.planning.team.least_distances import least_moving_clearances_m, least_separations_m
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 
@@ -92,7 +93,7 @@ class TeamRun:
     @property
     def metrics(self) -> dict[str, float]:
         """What the run is judged by, of all robots together (design, section 3)."""
-        return team_metrics(self.runs, self.target, self.channel)
+        return team_metrics(self.problem, self.runs, self.target, self.channel)
 
     @property
     def verified_rate(self) -> float:
@@ -101,7 +102,7 @@ class TeamRun:
 
 
 def team_metrics(
-    runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
+    problem: Problem, runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
 ) -> dict[str, float]:
     """What a run is judged by, of all robots together, by name (design, section 3)."""
     found: dict[str, float] = {}
@@ -118,4 +119,10 @@ def team_metrics(
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
     found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
+    tracks = [run.log.positions_m for run in runs]
+    if len(tracks) > 1:
+        found["min_separation_m"] = float(least_separations_m(tracks).min())
+    if problem.workspace.moving:
+        clearances = least_moving_clearances_m(problem, tracks)
+        found["min_moving_clearance_m"] = float(clearances.min())
     return found

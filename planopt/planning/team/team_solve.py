@@ -8,6 +8,7 @@ from planopt.planning.prepare import prepare
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
+from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
@@ -44,10 +45,14 @@ def solve_team(
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
     steps = problem.planner.horizon
-    made = [
-        member.plan(belief, member.start_m, aim_of(watch, number, steps), None)
-        for number, member in enumerate(build_crew(problem, seeds))
-    ]
-    return TeamSolution(
-        problem, seed, belief, tuple(plan for plan, _ in made), tuple(aim for _, aim in made)
+    crew = build_crew(problem, seeds)
+    robots = range(len(crew))
+    moment = TeamMoment(
+        driven=0,
+        beliefs=[belief for _ in robots],
+        positions_m=[member.start_m for member in crew],
+        watched=[aim_of(watch, number, steps) for number in robots],
+        warm=[None for _ in robots],
     )
+    plans, aims = plan_together(problem, crew, moment)
+    return TeamSolution(problem, seed, belief, tuple(plans), tuple(aims))

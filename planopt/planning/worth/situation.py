@@ -27,6 +27,7 @@ from planopt.problems.objective import (
 )
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import Sensor
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,8 @@ class Situation:
         none above the threshold, or nothing steers.
     information
         ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
+    moving
+        What moves during the steps.
     """
 
     problem: Problem
@@ -59,6 +62,7 @@ class Situation:
     region: Region
     steering_m: NDArray[np.float64] | None = None
     information: NDArray[np.float64] | None = None
+    moving: MovingDiscs = NOTHING_MOVES
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )

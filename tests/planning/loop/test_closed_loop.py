@@ -181,8 +181,8 @@ def test_circling_is_a_stall(monkeypatch):
     import planopt.planning.loop.closed_loop as closed_loop
 
     class Pacing(closed_loop.ReachPlanner):
-        def plan(self, belief, position_m, warm=None):
-            plan = super().plan(belief, position_m, None)
+        def plan(self, belief, position_m, warm=None, driven=0):
+            plan = super().plan(belief, position_m, None, driven)
             there = np.array([5.0, 15.0]) if position_m[0] > 5.5 else np.array([6.0, 15.0])
             return replace(plan, positions_m=np.vstack([position_m, there, there]))
 

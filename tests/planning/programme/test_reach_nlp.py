@@ -42,7 +42,7 @@ def point(nlp):
     nlp.source.use(saddle)
     x = generator.standard_normal(3 * N)
     head = np.array([0.3, -0.2, 5.0, 4.0, 0.7, 1.3, 0.9, 2.5])
-    return x, np.concatenate([head, generator.standard_normal(3 * N * LINES)])
+    return x, np.concatenate([head, generator.standard_normal(4 * N * LINES)])
 
 
 def objective(x, p):
@@ -56,9 +56,9 @@ def objective(x, p):
 def rows(x, p):
     """The docstring's rows in NumPy."""
     q = np.vstack([p[:2], x[: 2 * N].reshape(N, 2)])
-    lines = p[8:].reshape(N, LINES, 3)
-    ends = [n @ q[k + 1] - b for k in range(N) for *n, b in lines[k]]
-    starts = [n @ q[k] - b for k in range(1, N) for *n, b in lines[k]]
+    lines = p[8:].reshape(N, LINES, 4)
+    ends = [n @ q[k + 1] - b for k in range(N) for *n, b, _ in lines[k]]
+    starts = [n @ q[k] - b for k in range(1, N) for *n, _, b in lines[k]]
     speed = (np.diff(q, axis=0) ** 2).sum(1)
     return np.concatenate([speed, ends, starts, saddle(q[1:]).value + x[2 * N :]])
 
@@ -123,7 +123,7 @@ def test_every_structure_solves(horizon, lines):
     """One step, no lines: as many variables and multipliers as the structure says."""
     nlp = build_reach_nlp(horizon, lines)
     nlp.source.use(bowl_margins([0.0, 0.0], 100.0))
-    parameters = np.zeros(8 + 3 * horizon * lines)
+    parameters = np.zeros(8 + 4 * horizon * lines)
     parameters[:8] = [0.0, 0.0, 9.0, 0.0, 0.1, 1.0, 1.0, 0.0]
     plain = horizon + (2 * horizon - 1) * lines
     lower = np.concatenate([np.full(horizon, -np.inf), np.zeros(plain)])

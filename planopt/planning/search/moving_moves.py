@@ -1,0 +1,153 @@
+"""Which moves of a lattice come too near to what moves, stage by stage, near it only."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.tolerances import CLEARANCE_PAD_M
+from planopt.world.lattice import MOVES, Lattice
+from planopt.world.lattice_moves import LONGEST_MOVE
+from planopt.world.moving_discs import MovingDiscs, passing_gaps_m
+
+TINY_M2 = 1e-30
+"""A relative move of less than this squared length is a standstill."""
+
+
+def first_steps_apart(
+    discs: MovingDiscs, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether first steps from a place (2,) to `ends_m` (n, 2) keep from all that moves; (n,).
+
+    From a place that is nearer than planners keep, they may lead away.
+    """
+    return steps_apart(discs, 0, np.broadcast_to(position_m, ends_m.shape), ends_m)
+
+
+def steps_apart(
+    discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether straight ways (..., 2) during one step, 0 the first, keep from all that moves; (...).
+
+    A way that begins nearer than planners keep may lead away.
+    """
+    if not len(discs):
+        return np.ones(starts_m.shape[:-1], dtype=np.bool_)
+    begin = discs.centres_m[:, step].reshape(-1, *([1] * (starts_m.ndim - 1)), 2)
+    apart = discs.apart_m[:, step].reshape(begin.shape[:-1])
+    here = np.linalg.norm(starts_m - begin, axis=-1) - apart
+    wanted = np.minimum(CLEARANCE_PAD_M, here) if step == 0 else CLEARANCE_PAD_M
+    return np.asarray((passing_gaps_m(discs, step, starts_m, ends_m) >= wanted).all(axis=0))
+
+
+class MovingMoves:
+    """The moves of a lattice beside what moves.
+
+    Seen from a disc, a move along (dx, dy) is the same vector wherever it ends, so that one formula
+    serves all nodes.
+
+    Parameters
+    ----------
+    lattice
+        Whose moves.
+    discs
+        What moves.
+    """
+
+    def __init__(self, lattice: Lattice, discs: MovingDiscs) -> None:
+        self._lattice = lattice
+        self._discs = discs
+
+    def hindered(
+        self, step: int, rows: slice, columns: slice
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """Nodes of a window that some move in one step does not lead to, and which moves these are.
+
+        Parameters
+        ----------
+        step
+            0 is the first of the horizon.
+        rows, columns
+            The window, in the lattice.
+
+        Returns
+        -------
+        (n,), (n,), (21, n) arrays
+            Rows, columns, and whether each move to the node comes too near.
+        """
+        nodes: list[NDArray[np.intp]] = []
+        moves: list[NDArray[np.bool_]] = []
+        for number in range(len(self._discs)):
+            high, wide = self._about(step, number, rows, columns)
+            blocked = self._blocked_by(step, number, high[:, None], wide)
+            row, column = np.nonzero(blocked.any(axis=0))
+            nodes.append(high[row] * self._lattice.shape[1] + wide[column])
+            moves.append(blocked[:, row, column])
+        found, place = np.unique(np.concatenate(nodes), return_inverse=True)
+        together = np.zeros((len(MOVES), len(found)), dtype=np.bool_)
+        begin = 0
+        for blocked in moves:
+            end = begin + int(blocked.shape[1])
+            together[:, place[begin:end]] |= blocked
+            begin = end
+        return found // self._lattice.shape[1], found % self._lattice.shape[1], together
+
+    def blocked(
+        self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Whether each move to nodes (n,) in one step comes too near; ``(21, n)``."""
+        found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
+        for number in range(len(self._discs)):
+            found |= self._blocked_by(step, number, rows, columns)
+        return found
+
+    def _about(
+        self, step: int, number: int, rows: slice, columns: slice
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of a window where a move could come too near to a disc."""
+        lattice, discs = self._lattice, self._discs
+        before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
+        reach = (
+            float(discs.apart_m[number, step])
+            + CLEARANCE_PAD_M
+            + LONGEST_MOVE * lattice.spacing_m
+            + float(np.linalg.norm(centre - before))
+        )
+        (left, right), (low, high) = (
+            (
+                (float(centre[axis] - lattice.origin_m[axis]) - reach) / lattice.spacing_m,
+                (float(centre[axis] - lattice.origin_m[axis]) + reach) / lattice.spacing_m,
+            )
+            for axis in (0, 1)
+        )
+        return (
+            np.arange(max(int(rows.start), math.floor(low)), min(int(rows.stop), high + 1)).astype(
+                np.intp
+            ),
+            np.arange(
+                max(int(columns.start), math.floor(left)), min(int(columns.stop), right + 1)
+            ).astype(np.intp),
+        )
+
+    def _blocked_by(
+        self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Whether each move to nodes, given by rows and columns that broadcast, meets one disc."""
+        lattice, discs = self._lattice, self._discs
+        before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
+        x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]
+        y = lattice.origin_m[1] + lattice.spacing_m * rows - centre[1]
+        across = lattice.spacing_m * MOVES - (centre - before)
+        square = np.maximum((across * across).sum(axis=1), TINY_M2)
+        shape = (len(MOVES), *([1] * max(x.ndim, y.ndim)))
+        dx, dy, square = (
+            across[:, 0].reshape(shape),
+            across[:, 1].reshape(shape),
+            square.reshape(shape),
+        )
+        # Backwards from the end: the way is nearest to the disc at this share of it.
+        share = np.clip((dx * x + dy * y) / square, 0.0, 1.0)
+        limit = float(discs.apart_m[number, step]) + CLEARANCE_PAD_M
+        return np.asarray((x - share * dx) ** 2 + (y - share * dy) ** 2 < limit**2)

@@ -1,0 +1,116 @@
+"""One step of all robots: they plan one after the other, and once more where one is stuck.
+
+In the first round each robot keeps from what the later ones have reserved
+(:mod:`planopt.planning.team.reservations`), so that everyone has a way out. Where a robot finds no
+verified plan that way, because the others leave it none, a second round asks it first, and each
+robot keeps from the plans made before it only: the others make room if they can. What comes of that
+is released only if all plans keep apart from each other and more of them are verified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.planning.plan import Plan, Verdict
+from planopt.planning.team.crew import Member
+from planopt.planning.team.reservations import (
+    beside_each_other,
+    moving_for,
+    reserved_path,
+)
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
+from planopt.planning.worth.aim import Aim
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class TeamMoment:
+    """Where all robots are, and what they know.
+
+    Attributes
+    ----------
+    driven
+        Steps of the run before this one.
+    beliefs, positions_m, watched, warm
+        Of each robot: what it believes of the channel, its place (2,), what it knows of the target,
+        and the plan that led here or None.
+    """
+
+    driven: int
+    beliefs: Sequence[Belief]
+    positions_m: Sequence[NDArray[np.float64]]
+    watched: Sequence[Aim]
+    warm: Sequence[Plan | None]
+
+
+def plan_together(
+    problem: Problem, crew: Sequence[Member], moment: TeamMoment
+) -> tuple[list[Plan], list[Aim]]:
+    """A plan for every robot, and what it was made for.
+
+    Parameters
+    ----------
+    problem
+        With all robots.
+    crew
+        All of them.
+    moment
+        Where they are, and what they know.
+    """
+    order = list(range(len(crew)))
+    plans, aims = _in_order(problem, crew, moment, order, keep_reserved=True)
+    stuck = [number for number in order if plans[number].verdict is not Verdict.VERIFIED]
+    if stuck and len(crew) > 1 and problem.constraints.separation_m > 0.0:
+        again = stuck + [number for number in order if number not in stuck]
+        tried, tried_aims = _in_order(problem, crew, moment, again, keep_reserved=False)
+        if _keep_apart(problem, tried) and _verified(tried) > _verified(plans):
+            return tried, tried_aims
+    return plans, aims
+
+
+def _in_order(
+    problem: Problem,
+    crew: Sequence[Member],
+    moment: TeamMoment,
+    order: Sequence[int],
+    *,
+    keep_reserved: bool,
+) -> tuple[list[Plan], list[Aim]]:
+    """Let robots plan in this order, each beside the plans made, and what is reserved if asked."""
+    reserved = [
+        reserved_path(place, None if plan is None else plan.positions_m, problem.planner.horizon)
+        for place, plan in zip(moment.positions_m, moment.warm, strict=True)
+    ]
+    made: dict[int, tuple[Plan, Aim]] = {}
+    for number in order:
+        others = {
+            other: made[other][0].positions_m if other in made else reserved[other]
+            for other in range(len(crew))
+            if other != number and (keep_reserved or other in made)
+        }
+        made[number] = crew[number].plan(
+            moment.beliefs[number],
+            moment.positions_m[number],
+            moment.watched[number],
+            moment.warm[number],
+            moving_for(problem, moment.driven, others),
+            reserved[number],
+        )
+    plans = [made[number][0] for number in range(len(crew))]
+    aims = [made[number][1] for number in range(len(crew))]
+    return beside_each_other(problem, moment.driven, plans), aims
+
+
+def _keep_apart(problem: Problem, plans: Sequence[Plan]) -> bool:
+    limit = problem.constraints.separation_m - CLEARANCE_TOLERANCE_M
+    found = [plan.certificate.min_separation_m for plan in plans]
+    return all(distance is None or distance >= limit for distance in found)
+
+
+def _verified(plans: Sequence[Plan]) -> int:
+    return sum(plan.verdict is Verdict.VERIFIED for plan in plans)

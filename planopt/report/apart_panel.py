@@ -1,0 +1,57 @@
+"""How far robots keep from each other, and from moving obstacles, over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.team.least_distances import least_moving_clearances_m, least_separations_m
+from planopt.problems.problem import Problem
+from planopt.report.panel import Panel
+from planopt.report.style import BLUE, VERMILLION, dress, legend_above
+
+TIME = "time [s]"
+
+
+def has_apart(problem: Problem) -> bool:
+    """Whether a problem asks robots to keep apart from each other or from what moves."""
+    separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
+    return separated or bool(problem.workspace.moving)
+
+
+def draw_apart(
+    panel: Panel,
+    problem: Problem,
+    tracks_m: Sequence[NDArray[np.float64]],
+    t_s: NDArray[np.float64],
+) -> None:
+    """Draw the least distances during each step, and what must be kept.
+
+    Parameters
+    ----------
+    panel, problem
+        Where, and of what.
+    tracks_m
+        ``(n + 1, 2)`` where each robot is, or is planned to be, from time 0 on.
+    t_s
+        ``(n + 1,)`` when.
+    """
+    lowest = 0.0
+    curves: list[tuple[str, str, float, NDArray[np.float64]]] = []
+    if len(tracks_m) > 1:
+        separation = problem.constraints.separation_m
+        curves.append(("two robots", BLUE, separation, least_separations_m(tracks_m)))
+    if problem.workspace.moving:
+        least = least_moving_clearances_m(problem, tracks_m)
+        curves.append(("moving obstacle", VERMILLION, problem.constraints.clearance_m, least))
+    for label, colour, asked, least in curves:
+        # The value of a step stands over the whole of it.
+        steps = np.append(least[:1], least)
+        panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
+        panel.axhline(asked, color=colour, linestyle="dashed")
+        lowest = min(lowest, float(least.min()))
+    dress(panel, "least distance (dashed: asked)", TIME, "distance [m]")
+    panel.set_ylim(lowest, None)
+    legend_above(panel)

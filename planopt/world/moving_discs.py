@@ -1,0 +1,117 @@
+"""Discs that move straight during each step: moving obstacles, and the other robots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.world.closest_approach import closest_approach_m
+
+
+@dataclass(frozen=True, eq=False)
+class MovingDiscs:
+    """Where m discs are predicted over the next N steps.
+
+    Attributes
+    ----------
+    names
+        What messages call them.
+    centres_m
+        ``(m, N + 1, 2)`` now and at each step's end; straight and even between.
+    radius_m
+        ``(m, N)`` during each step.
+    least_m
+        ``(m,)`` how far a robot must stay from the disc.
+    is_robot
+        ``(m,)`` whether it is another robot; robots are points.
+    """
+
+    names: tuple[str, ...]
+    centres_m: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    least_m: NDArray[np.float64]
+    is_robot: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """How many there are, m."""
+        return len(self.names)
+
+    @property
+    def apart_m(self) -> NDArray[np.float64]:
+        """``(m, N)`` least distance of a robot from each centre during each step."""
+        return self.radius_m + self.least_m[:, None]
+
+
+NOTHING_MOVES = MovingDiscs(
+    (), np.zeros((0, 1, 2)), np.zeros((0, 0)), np.zeros(0), np.zeros(0, dtype=np.bool_)
+)
+"""No disc at all."""
+
+
+def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
+    """The discs of both, over as many steps."""
+    if not len(first) or not len(second):
+        return first if len(first) else second
+    return MovingDiscs(
+        (*first.names, *second.names),
+        np.concatenate([first.centres_m, second.centres_m]),
+        np.concatenate([first.radius_m, second.radius_m]),
+        np.concatenate([first.least_m, second.least_m]),
+        np.concatenate([first.is_robot, second.is_robot]),
+    )
+
+
+def passing_gaps_m(
+    discs: MovingDiscs,
+    step: int,
+    starts_m: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """By how much straight ways during one step keep more than they must from every disc; (m, ...).
+
+    Parameters
+    ----------
+    discs
+        What moves.
+    step
+        0 is the first.
+    starts_m, ends_m
+        ``(..., 2)`` places at the step's begin and end.
+    """
+    shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
+    before = discs.centres_m[:, step].reshape(shape)
+    after = discs.centres_m[:, step + 1].reshape(shape)
+    near = closest_approach_m(starts_m, ends_m, before, after)
+    return near - discs.apart_m[:, step].reshape(shape[:-1])
+
+
+def path_distances_m(discs: MovingDiscs, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least distance of a path (N + 1, 2) from each centre during each step; ``(m, N)``."""
+    return closest_approach_m(
+        path_m[:-1], path_m[1:], discs.centres_m[:, :-1], discs.centres_m[:, 1:]
+    )
+
+
+def ways_gap_m(discs: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least of all gaps along each of many ways; infinite without discs.
+
+    Parameters
+    ----------
+    discs
+        What moves.
+    ways_m
+        ``(c, N + 1, 2)``.
+
+    Returns
+    -------
+    (c,) array
+        Metres more than must be kept; negative where a way comes too near.
+    """
+    if not len(discs):
+        return np.full(len(ways_m), np.inf)
+    near = closest_approach_m(
+        ways_m[:, None, :-1], ways_m[:, None, 1:], discs.centres_m[:, :-1], discs.centres_m[:, 1:]
+    )
+    return (near - discs.apart_m).min(axis=(1, 2))

@@ -1,0 +1,128 @@
+"""An obstacle that moves as predicted: a disc whose centre goes straight between known places.
+
+What is not known of its way may grow the disc. The error of the predicted centre, t seconds after
+the prediction was made, is ``e_0 + a t^2 / 2`` with e_0 and a Gaussian, independent, and of equal
+deviation along both axes. During a step it moves straight from its value at the begin to that at
+the end, so it stays within a disc if both do. An error of deviation sigma exceeds
+``sigma sqrt(-2 log q)`` with probability q (Rayleigh's distribution); with q = (1 - P) / 2 at both
+ends the centre stays within the larger radius during the whole step with probability P at least.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.world.moving_discs import MovingDiscs
+
+
+@dataclass(frozen=True)
+class MovingObstacle:
+    """One moving disc.
+
+    Attributes
+    ----------
+    name
+        What messages call it.
+    radius_m
+        Of the disc.
+    times_s, positions_m
+        Where its centre is at these times, increasing; it stands before the first and moves
+        straight between.
+    velocity_m_s
+        How it moves after the last.
+    position_std_m, acceleration_std_m_s2
+        Deviations of the predicted centre along each axis: now, and of its acceleration.
+    probability
+        With which, at least, the centre keeps within what the disc is grown by, for each step.
+    """
+
+    name: str
+    radius_m: float
+    times_s: tuple[float, ...]
+    positions_m: tuple[tuple[float, float], ...]
+    velocity_m_s: tuple[float, float] = (0.0, 0.0)
+    position_std_m: float = 0.0
+    acceleration_std_m_s2: float = 0.0
+    probability: float = 0.99
+
+
+def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Predicted centres at times (n,); ``(n, 2)``."""
+    known = np.asarray(obstacle.times_s)
+    places = np.asarray(obstacle.positions_m)
+    after = np.maximum(times_s - known[-1], 0.0)
+    return np.stack(
+        [
+            np.interp(times_s, known, places[:, axis]) + after * obstacle.velocity_m_s[axis]
+            for axis in (0, 1)
+        ],
+        axis=1,
+    )
+
+
+def growth_m(obstacle: MovingObstacle, ahead_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the disc is grown by for a step that ends `ahead_s` (n,) from now; (n,)."""
+    deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
+    return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
+
+
+def predicted_discs(
+    obstacles: tuple[MovingObstacle, ...],
+    now_s: float,
+    step_s: float,
+    steps: int,
+    clearance_m: float,
+) -> MovingDiscs:
+    """What moves over the next steps.
+
+    A disc moves straight during a step. Where its way turns within one, the disc of that step is as
+    much larger as the turn leads away from the straight way, so that it covers the true one.
+
+    Parameters
+    ----------
+    obstacles
+        What moves.
+    now_s
+        The time at which the first step begins.
+    step_s, steps
+        Duration of a step, and how many, N.
+    clearance_m
+        Least distance from every disc.
+    """
+    times = now_s + step_s * np.arange(steps + 1, dtype=np.float64)
+    centres = np.array([centres_at(obstacle, times) for obstacle in obstacles])
+    radius = np.array(
+        [
+            obstacle.radius_m + _turn_m(obstacle, times) + growth_m(obstacle, times[1:] - now_s)
+            for obstacle in obstacles
+        ]
+    )
+    return MovingDiscs(
+        tuple(obstacle.name for obstacle in obstacles),
+        centres.reshape(-1, steps + 1, 2),
+        radius.reshape(-1, steps),
+        np.full(len(obstacles), clearance_m),
+        np.zeros(len(obstacles), dtype=np.bool_),
+    )
+
+
+def _turn_m(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far the centre is from the straight way of each step at most; (n - 1,).
+
+    Both are straight between turns, so that they are farthest apart at one.
+    """
+    known = np.asarray(obstacle.times_s)
+    turns = known[(known > times_s[0]) & (known < times_s[-1])]
+    step = np.searchsorted(times_s, turns, side="right") - 1
+    ends = centres_at(obstacle, times_s)
+    share = ((turns - times_s[step]) / (times_s[step + 1] - times_s[step]))[:, None]
+    chord = (1.0 - share) * ends[step] + share * ends[step + 1]
+    farthest = np.zeros(len(times_s) - 1)
+    away = np.linalg.norm(centres_at(obstacle, turns) - chord, axis=1)
+    # A turn at a step's own end is none but for rounding.
+    np.maximum.at(farthest, step, np.where(away > 1e-12, away, 0.0))
+    return farthest

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.prediction import Prediction
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.verify import judge
@@ -76,6 +77,8 @@ class Judge:
         ``(2,)`` where the robot is.
     objective
         What a path (N, 2) from there is worth.
+    history
+        What has happened on the run before.
     """
 
     problem: Problem
@@ -83,6 +86,7 @@ class Judge:
     belief: Belief
     position_m: NDArray[np.float64]
     objective: Callable[[NDArray[np.float64]], float]
+    history: History = BEGINNING
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -112,6 +116,7 @@ class Judge:
             self.position_m,
             path,
             candidate.kkt_residual,
+            self.history,
         )
         certificate = judgement.certificate
         sound = (

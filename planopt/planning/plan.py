@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.rule_result import RuleResult
+
 
 class Termination(StrEnum):
     """Why the search for a plan stopped. Says nothing about what the plan is worth."""
@@ -77,6 +79,8 @@ class Certificate:
         that no way to the goal keeps it; False if that was not needed, or not so.
     reasons
         Why the verdict is not ``verified``; empty if it is.
+    rule
+        What is achieved of a rule of connectivity other than p_min at each step where possible.
     """
 
     min_clearance_m: float
@@ -89,6 +93,7 @@ class Certificate:
     best_margin_db: tuple[float, ...] = ()
     no_connected_way: bool = False
     reasons: tuple[str, ...] = ()
+    rule: RuleResult | None = None
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from planopt.problems.channel_setup import (
     SampledMeasurements,
 )
 from planopt.problems.problem import Problem
+from planopt.problems.rule_checks import check_rule
 from planopt.world.clearance import (
     ObstacleIndex,
     clearance_m,
@@ -47,6 +48,7 @@ def check(problem: Problem) -> None:
         if robot.goal_m is not None:
             _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
     _check_channel(problem)
+    check_rule(problem)
 
 
 def check_files(problem: Problem) -> None:

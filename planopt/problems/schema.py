@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
+from planopt.problems.schema_constraints import ConstraintsTable
 from planopt.problems.schema_objective import (
     LearningTable,
     MappingTable,
@@ -111,27 +112,6 @@ class StationTable(Table):
     )
     threshold_dbm: Decibels = Field(
         description="Received power in dBm from which on a robot is connected."
-    )
-
-
-class ConstraintsTable(Table):
-    """``[constraints]``: what every plan must keep."""
-
-    p_min: float = Field(
-        default=0.0,
-        ge=0,
-        lt=1,
-        description="Least probability of connection at every step where that is possible; 0 asks "
-        "for none. The task reach needs it above 0.",
-    )
-    clearance_m: float = Field(
-        default=1.0,
-        ge=0,
-        le=1e4,
-        description="Least distance in metres of the swept path from every obstacle.",
-    )
-    goal_radius_m: float = Field(
-        default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
     )
 
 

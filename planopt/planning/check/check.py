@@ -28,6 +28,7 @@ from planopt.planning.files.run_json import no_run_json
 from planopt.planning.files.saved import PLAN_FILE
 from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_plan_json
 from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.rule_result import worst_result
 
 
 @dataclass(frozen=True)
@@ -145,4 +146,5 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
         best_margin_db=tuple(c.best_margin_db[0] for _, c in missed if c.best_margin_db),
         no_connected_way=any(c.no_connected_way for c in certificates),
         reasons=tuple(reason for c in certificates for reason in c.reasons),
+        rule=worst_result(c.rule for c in certificates),
     )

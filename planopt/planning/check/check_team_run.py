@@ -25,6 +25,7 @@ from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of
 from planopt.planning.files.team_run_json import TeamRunRecord, team_plans_json, team_record_json
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.history import history_of
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
@@ -86,7 +87,7 @@ def check_team_run(
     seeds = team_seeds(problem, seed)
     watches = watched(watch_target(problem, seeds.target), tracks, delivered, seeds.target)
     driven = [
-        _driven(saved, record, number, index, region, watches)
+        _driven(saved, record, number, index, region, watches, delivered[:, number])
         for number in range(len(problem.robots))
     ]
     runs = [
@@ -138,6 +139,7 @@ def _driven(
     index: ObstacleIndex,
     region: Region,
     watches: Sequence[TargetWatch | None],
+    connected: NDArray[np.bool_],
 ) -> _Driven:
     """Every plan of robot number `number` on what it knew."""
     own = problem_of_robot(saved.problem, number)
@@ -156,12 +158,15 @@ def _driven(
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
         path = np.stack([released.x_m, released.y_m], axis=1)
-        judgement = judge(own, index, posterior, track[step - 1], path, released.kkt_residual)
+        history = history_of(own, track[:step], connected[: step - 1])
+        judgement = judge(
+            own, index, posterior, track[step - 1], path, released.kkt_residual, history
+        )
         aim = aim_again(
             released.aim,
             None if watch is None else watch.expected_m(number, own.planner.horizon),
         )
-        worth = worth_again(own, posterior, path, aim, region)
+        worth = worth_again(own, posterior, path, aim, region, history)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)

@@ -11,6 +11,7 @@ from planopt.channel.belief import Belief
 from planopt.objectives.mapping import Region
 from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground, build_ground
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Plan
 from planopt.planning.planners import Planner, planner_for
 from planopt.planning.robot_problem import problem_of_robot
@@ -57,6 +58,7 @@ class Member:
         position_m: NDArray[np.float64],
         target_m: NDArray[np.float64] | None,
         warm: Plan | None,
+        history: History = BEGINNING,
     ) -> tuple[Plan, Aim]:
         """Plan from `position_m` (2,) on what this robot believes.
 
@@ -70,12 +72,18 @@ class Member:
             ``(N, 2)`` where it expects the target; None without one.
         warm
             The plan that led here, or None.
+        history
+            What has happened on the run before.
         """
-        situation = Situation(self.problem, belief.posterior, position_m, target_m, self.region)
+        situation = Situation(
+            self.problem, belief.posterior, position_m, target_m, self.region, history=history
+        )
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
             situation = replace(situation, steering_m=place)
-        judge = Judge(self.problem, self.ground.index, belief, position_m, PathWorth(situation))
+        judge = Judge(
+            self.problem, self.ground.index, belief, position_m, PathWorth(situation), history
+        )
         plan = self.planner.plan(situation, judge, warm)
         return plan, Aim(target_m, situation.steering_m)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from planopt.planning.plan import Certificate
+from planopt.planning.rule_result import worst_result
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
@@ -40,4 +41,5 @@ def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
         reasons=tuple(
             f"{robot}: {reason}" for robot, c in certificates.items() for reason in c.reasons
         ),
+        rule=worst_result(c.rule for c in all_of_them),
     )

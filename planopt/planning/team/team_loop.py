@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
+from planopt.planning.history import history_of
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.robot_run import completed_run
@@ -77,7 +78,12 @@ def simulate_team(
         for number, member in enumerate(crew):
             expected = None if watch is None else watch.expected_m(number, problem.planner.horizon)
             warm = plans[number][-1] if plans[number] else None
-            plan, aim = member.plan(beliefs[number], tracks[number][-1], expected, warm)
+            history = history_of(
+                member.problem,
+                np.array(tracks[number]),
+                np.array([arrived[number] for arrived in delivered], dtype=bool),
+            )
+            plan, aim = member.plan(beliefs[number], tracks[number][-1], expected, warm, history)
             plans[number].append(plan)
             aims[number].append(aim)
         for number in range(len(crew)):

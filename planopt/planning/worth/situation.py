@@ -12,6 +12,7 @@ from planopt.channel.prediction import Prediction
 from planopt.objectives.mapping import Region, Uncertainty
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.proof.predictions import search_prediction
 from planopt.problems.objective import LearningTerm, MappingTerm, TrackingTerm
 from planopt.problems.problem import Problem
@@ -37,6 +38,8 @@ class Situation:
     steering_m
         ``(2,)`` the place of the highest J_CH that the two-layer form steers to; None if there is
         none above the threshold, or nothing steers.
+    history
+        What has happened on the run before: rules over the whole run count it.
     """
 
     problem: Problem
@@ -45,6 +48,7 @@ class Situation:
     target_m: NDArray[np.float64] | None
     region: Region
     steering_m: NDArray[np.float64] | None = None
+    history: History = BEGINNING
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )

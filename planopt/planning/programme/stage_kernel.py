@@ -56,11 +56,15 @@ def stage_margins(
 
 
 def margins_of(
-    mean: Derivatives, deviation: Derivatives, threshold_dbm: float, z: float
+    mean: Derivatives,
+    deviation: Derivatives,
+    threshold_dbm: float,
+    z: float | NDArray[np.float64],
 ) -> StageMargins:
-    """``mean - z deviation - threshold`` of every stage."""
+    """``mean - z deviation - threshold`` of every stage, z one for all or ``(n,)``."""
+    each = np.broadcast_to(z, len(mean.value))
     return StageMargins(
-        value=mean.value - z * deviation.value - threshold_dbm,
-        gradient=mean.gradient - z * deviation.gradient,
-        hessian=mean.hessian - z * deviation.hessian,
+        value=mean.value - each * deviation.value - threshold_dbm,
+        gradient=mean.gradient - each[:, None] * deviation.gradient,
+        hessian=mean.hessian - each[:, None] * deviation.hessian,
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
+from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
 from planopt.planning.worth.aim import Aim
@@ -92,7 +93,7 @@ class TeamRun:
     @property
     def metrics(self) -> dict[str, float]:
         """What the run is judged by, of all robots together (design, section 3)."""
-        return team_metrics(self.runs, self.target, self.channel)
+        return team_metrics(self.problem, self.runs, self.target, self.channel)
 
     @property
     def verified_rate(self) -> float:
@@ -101,7 +102,7 @@ class TeamRun:
 
 
 def team_metrics(
-    runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
+    problem: Problem, runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
 ) -> dict[str, float]:
     """What a run is judged by, of all robots together, by name (design, section 3)."""
     found: dict[str, float] = {}
@@ -117,5 +118,6 @@ def team_metrics(
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
+    found |= rule_metrics(problem, runs)
     found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
     return found

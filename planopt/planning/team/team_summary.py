@@ -70,7 +70,7 @@ def summary_of(
         seed=seed,
         outcome=Outcome.COMPLETED,
         reason=runs[0].reason,
-        metrics=team_metrics(runs, target, channel),
+        metrics=team_metrics(problem, runs, target, channel),
         rungs=dict(rungs),
         verified_rate=float(np.mean([run.verified_rate for run in runs])),
         step_s=np.concatenate([run.log.step_s[1:] for run in runs]),

@@ -75,7 +75,7 @@ def test_plain_problems_say_nothing_of_rules(learning, built):
         ("average", {"p_min": 0.9, "slack_price": 1.0}, "needs slack_max_db"),
         ("sometimes", {"p_min": 0.9}, "each_step"),
         ("stated_times", {"p_min": 0.9, "connected_times_s": [0.5]}, "no multiple"),
-        ("stated_times", {"p_min": 0.9, "connected_times_s": [-1.0]}, "more than 0"),
+        ("stated_times", {"p_min": 0.9, "connected_times_s": [-1.0]}, "greater than 0"),
         ("data", {**GOOD["data"], "data_mbit": float("inf")}, "finite"),
     ],
 )

@@ -15,21 +15,16 @@ def check_rule(problem: Problem) -> None:
     Raises
     ------
     InputError
-        The task cannot be planned under it, or a time is none at which a step ends.
+        The task has no price for slack, or a time is none at which a step ends.
     """
     rule, planner = problem.constraints.rule, problem.planner
-    if problem.task == "reach":
-        for key, plain in (
-            ("connectivity", rule.connectivity == "each_step"),
-            ("slack_max_db", rule.slack_max_db is None),
-        ):
-            if not plain:
-                raise InputError(
-                    f"is {getattr(rule, key)}, which task reach does not plan with",
-                    file=problem.file,
-                    key=f"constraints.{key}",
-                    remedy="leave it out: the task reach keeps p_min at each step where possible",
-                )
+    if problem.task == "reach" and rule.slack_price > 0.0:
+        raise InputError(
+            f"is {rule.slack_price:g}, but the objective of task reach has no price for slack",
+            file=problem.file,
+            key="constraints.slack_price",
+            remedy="leave it out: slack_max_db alone bounds the slack",
+        )
     for number, time_s in enumerate(rule.connected_times_s):
         steps = time_s / planner.step_s
         if round(steps) < 1 or abs(steps - round(steps)) > WHOLE_STEPS:

@@ -193,7 +193,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         return "task reach has no objective.terms"
     if tables.targets:
         return "task reach has no targets"
-    if tables.constraints.p_min == 0.0:
+    if tables.constraints.p_min == 0.0 and tables.constraints.connectivity != "data":
         return "task reach needs constraints.p_min above 0"
     if tables.planner.name not in ("auto", "lattice"):
         return f"planner.name {tables.planner.name} is not for task reach: use auto or lattice"

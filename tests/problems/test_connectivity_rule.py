@@ -86,9 +86,10 @@ def test_keys_that_do_not_fit_are_refused(form, keys, words, learning, built):
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("keys", [{"connectivity": "joint"}, {"slack_max_db": 1.0}])
-def test_reach_keeps_to_its_own_rule(keys, tables, built):
-    """What the task reach does not plan with is refused at its key."""
-    tables["constraints"] |= keys
-    with pytest.raises(InputError, match=f"constraints.{next(iter(keys))}"):
+def test_reach_has_no_price_for_slack(tables, built):
+    """It is refused at its key; slack without a price is not."""
+    tables["constraints"] |= {"slack_max_db": 1.0}
+    assert built(tables).constraints.rule.slack_max_db == 1.0
+    tables["constraints"] |= {"slack_price": 1.0}
+    with pytest.raises(InputError, match=r"constraints\.slack_price"):
         built(tables)

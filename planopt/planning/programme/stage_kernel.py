@@ -36,7 +36,10 @@ class StageMargins:
 
 
 def stage_margins(
-    model: NeighbourModel, positions_m: NDArray[np.float64], threshold_dbm: float, z: float
+    model: NeighbourModel,
+    positions_m: NDArray[np.float64],
+    threshold_dbm: float,
+    z: float | NDArray[np.float64],
 ) -> StageMargins:
     """Margin of each stage k at ``positions_m[k]``, from ``model``'s k-th neighbour set.
 
@@ -49,7 +52,7 @@ def stage_margins(
     threshold_dbm
         Upsilon_TH.
     z
-        Standard normal quantile of p_min.
+        Standard normal quantile of p_min, or ``(n,)`` of each stage's own probability.
     """
     mean, deviation = stage_prediction(model, positions_m)
     return margins_of(mean, deviation, threshold_dbm, z)

@@ -29,6 +29,11 @@ UNASKED = 0.5
 """Level of a step that nothing is asked of: its row is there, without a bound."""
 
 
+LEAST_LEVEL = 1e-3
+"""A step of a sum that may be less certain than this is not bounded; none must be more certain than
+one less this."""
+
+
 @dataclass(frozen=True, eq=False)
 class RuleRows:
     """What is asked of a path of N steps.
@@ -105,6 +110,24 @@ def rule_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
 
 def _held(threshold_dbm: float, level: float, asked: NDArray[np.bool_]) -> RuleRows:
     return RuleRows(threshold_dbm, np.where(asked, level, UNASKED), asked)
+
+
+def step_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
+    """The rows of a programme that bounds single steps only, about a path (N, 2).
+
+    A bound on a sum becomes one on each of its steps: what the path has to spare, or lacks, is
+    spread evenly over them.
+    """
+    rows = rule_rows(situation, path_m)
+    if rows.weight is None:
+        return rows
+    power = situation.power(path_m)
+    chance = connection_probability(power.mean_db, power.deviation_db, rows.threshold_dbm)
+    spare = (rows.sum_of(power) - rows.total) / max(float(rows.weight.sum()), 1e-9)
+    level = chance - spare
+    asked = (rows.weight > 0.0) & (level > LEAST_LEVEL)
+    level = np.clip(level, LEAST_LEVEL, 1.0 - LEAST_LEVEL)
+    return RuleRows(rows.threshold_dbm, np.where(asked, level, UNASKED), asked)
 
 
 def first_risk(situation: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -181,7 +181,7 @@ def test_circling_is_a_stall(monkeypatch):
     import planopt.planning.loop.closed_loop as closed_loop
 
     class Pacing(closed_loop.ReachPlanner):
-        def plan(self, belief, position_m, warm=None):
+        def plan(self, belief, position_m, warm=None, _history=None):
             plan = super().plan(belief, position_m, None)
             there = np.array([5.0, 15.0]) if position_m[0] > 5.5 else np.array([6.0, 15.0])
             return replace(plan, positions_m=np.vstack([position_m, there, there]))

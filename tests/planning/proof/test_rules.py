@@ -10,10 +10,12 @@ from rules_scene import hand_made
 from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_everywhere
 from scipy.special import ndtr
 
+from planopt.channel.connection.joint_connectivity import joint_connectivity
 from planopt.channel.joint import sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.outage import longest_run
 from planopt.planning.proof.verify import judge
 from planopt.world.clearance import index_obstacles
@@ -87,6 +89,17 @@ def test_joint_is_the_share_of_sampled_channels_that_connect_throughout():
     assert result.achieved < chances(posterior).min()
     for p_min, verdict in ((share - 0.02, Verdict.VERIFIED), (share + 0.02, Verdict.VIOLATED)):
         assert judged(hand_made("joint", p_min=p_min), faint)[0].verdict is verdict
+
+
+def test_joint_counts_less_its_error():
+    """The integral's error is taken off, so that the bound is one."""
+    problem = hand_made("joint", p_min=0.5)
+    prediction = path_prediction(belief_of(problem, faint).posterior, ALONG[1:])
+    found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(0), 1e-3)
+    result = joint_result(problem, prediction)
+    assert found.exact.error > 0.0
+    assert result.achieved == found.exact.value - found.exact.error
+    assert "integral" in result.method
 
 
 def test_outage_in_metres_and_seconds():

@@ -12,7 +12,7 @@ import numpy as np
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.filter_gain import covariance_gain, information_gain
 from planopt.objectives.stage_chain import chained
-from planopt.objectives.tracking_derivatives import FIRST, SECOND, tracking_reward_derivatives
+from planopt.objectives.tracking_derivatives import tracking_reward_derivatives
 from planopt.objectives.tracking_filter import FilteredTracking, bounding_information
 from planopt.targets.information_filter import covariance_of, predicted_information
 from planopt.targets.rounding import Derivatives
@@ -130,7 +130,8 @@ def _noise(sensing: Derivatives) -> Derivatives:
     """The variance of a measured coordinate, 2 / tr Lambda^-1, with derivatives."""
     value = 2.0 / sensing.value
     first = -value / sensing.value
-    products = sensing.gradient[:, FIRST] * sensing.gradient[:, SECOND]
+    along, across = sensing.gradient.T
+    products = np.stack([along * along, along * across, across * across], axis=1)
     return Derivatives(
         value,
         first[:, None] * sensing.gradient,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.prediction import Prediction
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.verify import judge
@@ -89,6 +90,8 @@ class Judge:
         What moves during the steps.
     reserved_m
         ``(N, 2)`` the rest of the last plan, which the other robots keep clear of; None without.
+    history
+        What has happened on the run before.
     """
 
     problem: Problem
@@ -98,6 +101,7 @@ class Judge:
     objective: Callable[[NDArray[np.float64]], float]
     moving: MovingDiscs = NOTHING_MOVES
     reserved_m: NDArray[np.float64] | None = None
+    history: History = BEGINNING
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -128,6 +132,7 @@ class Judge:
             path,
             candidate.kkt_residual,
             self.moving,
+            self.history,
         )
         certificate = judgement.certificate
         clearance = np.array([certificate.min_clearance_m])

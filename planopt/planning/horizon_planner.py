@@ -6,10 +6,7 @@ from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db
-from planopt.channel.prediction import Prediction
 from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.ground import Ground
@@ -24,11 +21,12 @@ from planopt.planning.programme.offenders import (
 )
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
-from planopt.planning.programme.polished import Polished
+from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
 from planopt.planning.search.start_search import Start, StartSearch
 from planopt.planning.shifted import shifted_path
-from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import local_worth
+from planopt.planning.worth.risk_allocation import Allocation
+from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rule_rows
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
@@ -36,21 +34,14 @@ from planopt.problems.problem import Problem
 LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
 
-LOCAL_PAD_DB = 0.04
-"""Margin asked of the local model, corrected at the start, beyond the bound: it is off by less at
-nine of ten returned points (48 neighbours, 1,000 measurements, xi 4, beta 20 m)."""
+ALLOCATIONS = 4
+"""How often the risk of all steps together is shared out again, each with a polish."""
 
 VALUE_IN_SOLVER = 10.0
 """What the start's worth counts in the solver, whatever its unit: its tolerances are absolute."""
 
-GIVEN_UP_DB = 1e-3
-"""A larger slack says that the solver found no better place; a smaller one is its tolerance."""
-
 RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 """Where another solve may go on from the point; what a failed one leaves may be anywhere."""
-
-MISSING_DB_COST = 100.0
-"""What a missing dB counts in the solver, where the bound cannot be kept."""
 
 
 class HorizonPlanner:
@@ -72,7 +63,6 @@ class HorizonPlanner:
         self.problem = problem
         self.ground = ground
         self._search = StartSearch(problem, ground, thorough)
-        self._bounded = problem.constraints.p_min > 0.0
         self._nlp: PathNlp | None = None
         self._fit_lines(min(len(problem.workspace.moving), MOVING_LINES))
 
@@ -104,7 +94,8 @@ class HorizonPlanner:
                 settings.horizon,
                 lines,
                 structure_of(self.problem),
-                self._bounded,
+                has_step_rows(self.problem),
+                has_sum_row(self.problem),
                 METHODS[settings.name],
                 settings.budget_s,
             )
@@ -195,7 +186,8 @@ class HorizonPlanner:
             raise AssertionError("this planner does not polish")
         if budget.spent:
             return []
-        evaluate = local_worth(situation, start.path_m)
+        rows = rule_rows(situation, start.path_m)
+        evaluate = local_worth(situation, start.path_m, rows)
         ends = np.vstack([situation.position_m, start.path_m])
         task = PathTask(
             start_m=situation.position_m,
@@ -214,10 +206,11 @@ class HorizonPlanner:
             evaluate=evaluate,
             scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
         )
-        if self._bounded:
-            task = self._with_bound(task, situation)
+        task = with_bounds(task, situation, rows)
+        allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
         found: list[Candidate] = []
-        for _ in range(REPAIRS):
+        tried: list[Allocation] = []
+        for _ in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
             candidate = replace(
@@ -228,14 +221,14 @@ class HorizonPlanner:
                 kkt_residual=point.kkt_residual,
                 multipliers=point.multipliers,
             )
-            if self._lacks(situation, point):
+            if lacks(situation, rows, point):
                 # It is known to be improvable, and proving that would be dear.
                 found.append(candidate)
                 if budget.spent or point.termination not in RETURNED:
                     return found
-                task = self._recentred(task, situation, point)
+                task = recentred(task, situation, rows, point)
                 continue
-            if start.missing_db == 0.0 and candidate.objective < start.worth:
+            if start.missing_db == 0.0 and candidate.objective < start.worth and not allocations:
                 # The start will be asked for in its place.
                 return [*found, candidate]
             candidate = judge.judged(candidate)
@@ -243,50 +236,17 @@ class HorizonPlanner:
                 candidate = replace(candidate, rung=Rung.RELAXED)
             found.append(candidate)
             repaired = self._repaired(task, situation, candidate)
-            if repaired is None or budget.spent:
+            if budget.spent:
                 return found
-            task = repaired
+            if repaired is not None:
+                task = repaired
+                continue
+            again = rows_again(situation, rows, candidate, tried) if allocations else None
+            if again is None:
+                return found
+            rows, allocations = again, allocations - 1
+            task = with_bounds(moved(task, situation, rows, candidate.path_m), situation, rows)
         return found
-
-    def _with_bound(self, task: PathTask, situation: Situation) -> PathTask:
-        """Ask for the bound where the start keeps it, and for the least missing dB elsewhere.
-
-        A start that keeps the bound with less than is wanted stays feasible.
-        """
-        wanted, local, exact = self._wanted(task, situation)
-        kept = exact >= -MARGIN_TOLERANCE_DB
-        return replace(
-            task,
-            bound_db=np.where(kept, np.minimum(wanted, local), wanted),
-            slack_limit_db=np.where(kept, 0.0, np.inf),
-            slack_weight=MISSING_DB_COST,
-        )
-
-    def _wanted(
-        self, task: PathTask, situation: Situation
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """What the local margins must reach for the bound, and local and exact ones at the start.
-
-        Where the local model is too optimistic by e at the start, it is asked for e more, and for
-        less where it is not optimistic enough.
-        """
-        margins = task.evaluate(task.path_m).margins
-        if margins is None:
-            raise AssertionError("a bounded problem has margins")
-        exact = self._margins_db(situation.power(task.path_m))
-        return LOCAL_PAD_DB + margins.value - exact, margins.value, exact
-
-    def _lacks(self, situation: Situation, point: Polished) -> bool:
-        """Whether a returned path misses the bound where the solver thought that it keeps it."""
-        if not self._bounded or not np.isfinite(point.path_m).all():
-            return False
-        margins = self._margins_db(situation.power(point.path_m))
-        return bool((margins[point.slack_db <= GIVEN_UP_DB] < -MARGIN_TOLERANCE_DB).any())
-
-    def _recentred(self, task: PathTask, situation: Situation, point: Polished) -> PathTask:
-        """The task from a returned path on: its neighbours, and the error measured there."""
-        task = replace(task, path_m=point.path_m, evaluate=local_worth(situation, point.path_m))
-        return replace(task, bound_db=self._wanted(task, situation)[0])
 
     def _repaired(
         self, task: PathTask, situation: Situation, candidate: Candidate
@@ -304,14 +264,6 @@ class HorizonPlanner:
             situation.moving,
         )
         return None if lines is None else replace(task, lines=lines)
-
-    def _margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        return bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            self.problem.stations[0].threshold_dbm,
-            self.problem.constraints.p_min,
-        )
 
 
 def _with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:

@@ -20,7 +20,13 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
         The path.
     """
     parts = list(certificate.reasons)
-    if certificate.relaxed_steps and not parts:
+    rule = certificate.rule
+    if rule is not None and rule.slack_db > 0.0:
+        if not parts:
+            parts.append(
+                f"connectivity ({rule.connectivity}) is kept with a slack of {rule.slack_db:.2f} dB"
+            )
+    elif certificate.relaxed_steps and not parts:
         worst = max(certificate.relaxation_db)
         parts.append(
             f"the connectivity bound cannot be met from here at steps "

@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.rule_result import RuleResult
+
 
 class Termination(StrEnum):
     """Why the search for a plan stopped. Says nothing about what the plan is worth."""
@@ -89,6 +91,8 @@ class Certificate:
     min_moving_clearance_m
         Least distance from any moving obstacle at equal times, all the way, negative inside one;
         None without one.
+    rule
+        What is achieved of a rule of connectivity other than p_min at each step where possible.
     """
 
     min_clearance_m: float
@@ -103,6 +107,7 @@ class Certificate:
     reasons: tuple[str, ...] = ()
     min_separation_m: float | None = None
     min_moving_clearance_m: float | None = None
+    rule: RuleResult | None = None
 
 
 @dataclass(frozen=True)

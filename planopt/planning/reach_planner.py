@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
@@ -21,10 +24,15 @@ from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
 from planopt.planning.search.node_margins import NodeMargins
+from planopt.planning.search.rule_search import RuleSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.reach_cost import ReachCost
+from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.rule_rows import RuleRows, step_rows
+from planopt.planning.worth.situation import Situation
+from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.problems.problem import Problem
 
 LINES_PER_SEGMENT = 4
@@ -45,9 +53,14 @@ class ReachPlanner:
     def __init__(self, problem: Problem, scene: Scene) -> None:
         self.problem = problem
         self.scene = scene
-        radio = problem.stations[0]
+        radio = eased(problem).stations[0]
         self._margins = NodeMargins(scene.road_map, radio.threshold_dbm, problem.constraints.p_min)
         self._search = GlobalSearch(problem, scene, self._margins)
+        self._eased = eased(problem)
+        self._rule_search = None
+        if problem.constraints.rule != ConnectivityRule():
+            self._rule_search = RuleSearch(self._eased, scene)
+            self._region = workspace_region(problem)
         self._nlp: ReachNlp | None = None
         if problem.planner.name in METHODS:
             lines = LINES_PER_SEGMENT + min(len(problem.workspace.moving), MOVING_LINES)
@@ -63,7 +76,7 @@ class ReachPlanner:
         belief: Belief,
         position_m: NDArray[np.float64],
         warm: Plan | None = None,
-        driven: int = 0,
+        history: History = BEGINNING,
     ) -> Plan:
         """Plan from `position_m` on what is believed now.
 
@@ -75,21 +88,35 @@ class ReachPlanner:
             ``(2,)`` where the robot is.
         warm
             The plan that led here, one step old; only used if it was verified.
-        driven
-            Steps of the run before this one: what moves has moved on since.
+        history
+            What has happened on the run before.
         """
         begun = perf_counter()
         problem, scene = self.problem, self.scene
         self._margins.refresh(belief.posterior)
-        moving = obstacles_ahead(problem, driven)
-        start = self._search.find_start(
-            position_m, belief.posterior.measurements.positions_m, moving
-        )
+        moving = obstacles_ahead(problem, history.steps)
+        rows_of = None
+        if self._rule_search is None:
+            start = self._search.find_start(
+                position_m, belief.posterior.measurements.positions_m, moving
+            )
+        else:
+            situation = Situation(
+                self._eased,
+                belief.posterior,
+                position_m,
+                None,
+                self._region,
+                moving=moving,
+                history=history,
+            )
+            start = self._rule_search.find_start(situation, self._margins.margin_db)
+            rows_of = partial(step_rows, situation)
         cost = ReachCost(problem, position_m)
         reserved = None
         if len(moving) and warm is not None:
             reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
-        judge = Judge(problem, scene.index, belief, position_m, cost, moving, reserved)
+        judge = Judge(problem, scene.index, belief, position_m, cost, moving, reserved, history)
         if start is None:
             chosen = self._without_start(judge, warm)
         else:
@@ -103,7 +130,8 @@ class ReachPlanner:
             )
             cost = replace(cost, pivot=pivot)
             budget = budget_from(problem, begun)
-            chosen = self._climb(replace(judge, objective=cost), cost, start, warm, budget)
+            judge = replace(judge, objective=cost)
+            chosen = self._climb(judge, cost, start, warm, budget, rows_of)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         return replace(plan, pivot=cost.pivot)
 
@@ -114,12 +142,15 @@ class ReachPlanner:
         start: GlobalStart,
         warm: Plan | None,
         budget: Budget,
+        rows_of: Callable[[NDArray[np.float64]], RuleRows] | None,
     ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
         tried: list[Candidate] = []
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
-            refiner = Refiner(self._nlp, self.scene, judge, cost, start, lattice.objective, budget)
+            refiner = Refiner(
+                self._nlp, self.scene, judge, cost, start, lattice.objective, budget, rows_of
+            )
             for attempt in refiner.attempts(shifted_path(warm)):
                 tried.append(attempt)
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
@@ -156,6 +187,17 @@ class ReachPlanner:
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
         return judge.standing(horizon)
+
+
+def eased(problem: Problem) -> Problem:
+    """The problem with its threshold lowered by the slack that is allowed, which costs nothing."""
+    rule = problem.constraints.rule
+    if not rule.slack_max_db:
+        return problem
+    radio = problem.stations[0]
+    lower = replace(radio, threshold_dbm=radio.threshold_dbm - rule.slack_max_db)
+    hard = replace(problem.constraints, rule=replace(rule, slack_max_db=0.0))
+    return replace(problem, stations=(lower,), constraints=hard)
 
 
 def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_quantile
 from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate, Judge
@@ -31,6 +32,7 @@ from planopt.planning.tolerances import (
     STEP_PAD_M,
 )
 from planopt.planning.worth.reach_cost import ReachCost
+from planopt.planning.worth.rule_rows import RuleRows
 
 SLACK_TOLERANCE_DB = 1e-3
 """Missing dB below this count as none: the bound can be met after all."""
@@ -65,6 +67,9 @@ class Refiner:
         Its cost.
     budget
         Once it is spent there are no more attempts.
+    rows_of
+        From a path to the rows of a rule of connectivity other than p_min at each step; None for
+        that.
     """
 
     def __init__(
@@ -76,6 +81,7 @@ class Refiner:
         start: GlobalStart,
         lattice_objective: float,
         budget: Budget,
+        rows_of: Callable[[NDArray[np.float64]], RuleRows] | None = None,
     ) -> None:
         self._nlp = nlp
         self._scene = scene
@@ -84,6 +90,8 @@ class Refiner:
         self._start = start
         self._lattice_objective = lattice_objective
         self._budget = budget
+        self._rows_of = rows_of
+        self._rows = None if rows_of is None else rows_of(start.path_m)
 
     def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
         """Yield judged candidates, best hope first; the caller stops when one is good enough.
@@ -139,8 +147,9 @@ class Refiner:
         if np.linalg.norm(faster[there[0] - 2] - faster[-1]) > 0.0:
             return None
         begun = perf_counter()
+        self._look_at(faster)
         task = self._task(faster)
-        bound = np.minimum(task.margins(faster).value, MARGIN_PAD_DB)
+        bound = self._asked(np.minimum(task.margins(faster).value, MARGIN_PAD_DB))
         polished = polish(self._nlp, replace(task, bound_db=bound))
         iterations = candidate.iterations + polished.iterations
         solve_s = candidate.solve_s + perf_counter() - begun
@@ -155,6 +164,7 @@ class Refiner:
         """
         if self._budget.spent:
             return
+        self._look_at(path_m)
         task = self._task(path_m)
         exact = self._start_margins(path_m)
         local = task.margins(path_m).value
@@ -174,7 +184,7 @@ class Refiner:
         for _ in range(REPAIRS):
             if self._budget.spent:
                 return
-            polished = polish(self._nlp, replace(task, bound_db=bound))
+            polished = polish(self._nlp, replace(task, bound_db=self._asked(bound)))
             iterations += polished.iterations
             candidate = self._judged(polished, rung, perf_counter() - begun, iterations)
             yield candidate
@@ -194,7 +204,8 @@ class Refiner:
                 task = replace(task, lines=lines)
             if candidate.power is None:
                 return
-            lacking = -missing - self._judge.margins_db(candidate.power)[1:]
+            planned = Prediction(candidate.power.mean_db[1:], candidate.power.deviation_db[1:])
+            lacking = -missing - self._margins_db(planned)
             if candidate.sound and not (lacking > 0.0).any():
                 return
             bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
@@ -207,7 +218,7 @@ class Refiner:
             self._nlp,
             replace(
                 task,
-                bound_db=wanted,
+                bound_db=self._asked(wanted),
                 slack_limit_db=np.where(exact < 0.0, np.inf, 0.0),
                 elastic=True,
             ),
@@ -261,7 +272,9 @@ class Refiner:
         problem = self._judge.problem
         model = neighbour_model(self._judge.belief.posterior, path_m, problem.planner.neighbours)
         threshold = problem.stations[0].threshold_dbm
-        z = bound_quantile(problem.constraints.p_min)
+        z: float | NDArray[np.float64] = bound_quantile(problem.constraints.p_min)
+        if self._rows is not None:
+            threshold, z = self._rows.threshold_dbm, self._rows.quantile
 
         def margins(positions_m: NDArray[np.float64]) -> StageMargins:
             return stage_margins(model, positions_m, threshold, z)
@@ -270,7 +283,23 @@ class Refiner:
 
     def _start_margins(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Margins of a start path."""
-        return self._judge.margins_db(search_prediction(self._judge.belief.posterior, path_m))
+        if self._rows_of is not None:
+            rows = self._rows_of(path_m)
+            return rows.margins_db(search_prediction(self._judge.belief.posterior, path_m))
+        return self._margins_db(search_prediction(self._judge.belief.posterior, path_m))
+
+    def _look_at(self, path_m: NDArray[np.float64]) -> None:
+        """Take the rule's rows about a path."""
+        if self._rows_of is not None:
+            self._rows = self._rows_of(path_m)
+
+    def _margins_db(self, power: Prediction) -> NDArray[np.float64]:
+        """Margins that the rows ask for; infinite where nothing is asked."""
+        return self._judge.margins_db(power) if self._rows is None else self._rows.margins_db(power)
+
+    def _asked(self, bound_db: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bounds at the steps that are asked for, none at others."""
+        return bound_db if self._rows is None else np.where(self._rows.asked, bound_db, -np.inf)
 
     def _judged(self, polished: Polished, rung: Rung, solve_s: float, iterations: int) -> Candidate:
         candidate = self._judge.candidate(polished.path_m, rung, polished.termination)

@@ -22,3 +22,7 @@ MARGIN_PAD_DB = 0.02
 
 STANDSTILL_M = 1e-3
 """A step shorter than this does not count as moving."""
+
+RULE_TOLERANCE = 1e-7
+"""The verifier's: what :data:`MARGIN_TOLERANCE_DB` is in probability, as a share of what is asked
+where that is more than one."""

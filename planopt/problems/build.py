@@ -14,7 +14,6 @@ from planopt.problems.channel_setup import (
     RasterTruth,
     SampledMeasurements,
 )
-from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective, TermsObjective
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
@@ -78,12 +77,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
         ),
         objective=_objective(tables),
         targets=tuple(table.target for table in tables.targets),
-        constraints=Constraints(
-            tables.constraints.p_min,
-            tables.constraints.clearance_m,
-            tables.constraints.goal_radius_m,
-            tables.constraints.separation_m,
-        ),
+        constraints=tables.constraints.constraints,
         planner=PlannerSettings(
             tables.planner.name,
             tables.planner.horizon,

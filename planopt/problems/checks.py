@@ -20,6 +20,7 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.objective import CasadiTerm
 from planopt.problems.problem import Problem
+from planopt.problems.rule_checks import check_rule
 from planopt.world.clearance import (
     ObstacleIndex,
     clearance_m,
@@ -51,6 +52,7 @@ def check(problem: Problem) -> None:
             _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
     _check_apart(problem)
     _check_channel(problem)
+    check_rule(problem)
     for number, term in enumerate(problem.terms):
         if isinstance(term, CasadiTerm):
             _check_expression(problem, term, f"objective.terms[{number}]")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from planopt.problems.connectivity_rule import ConnectivityRule
 
 
 @dataclass(frozen=True)
@@ -12,16 +14,24 @@ class Constraints:
     Attributes
     ----------
     p_min
-        Least probability of connection at every step where that is possible; 0 asks for none.
+        Least probability of connection, of what `rule` says; 0 asks for none.
     clearance_m
         Least distance of the whole swept path from every obstacle, and from every moving one.
     goal_radius_m
         The goal is reached within this distance of it.
     separation_m
         Least distance of any two robots at equal times, all the way; 0 asks for none.
+    rule
+        Where, when or over what the connection is asked for; at each step unless it says else.
     """
 
     p_min: float
     clearance_m: float
     goal_radius_m: float
     separation_m: float = 0.0
+    rule: ConnectivityRule = field(default_factory=ConnectivityRule)
+
+    @property
+    def asks_connection(self) -> bool:
+        """Whether anything is asked of the connection."""
+        return self.p_min > 0.0 or self.rule.connectivity == "data"

@@ -16,6 +16,8 @@ import shapely
 
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements, ModelTruth, RasterTruth
+from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import Constraints
 from planopt.problems.load import problem_from_tables
 from planopt.problems.objective import (
     CasadiTerm,
@@ -61,7 +63,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "stations": [_station(station) for station in problem.stations],
         "targets": [_plain(asdict(target)) for target in problem.targets],
         "objective": _objective(problem),
-        "constraints": asdict(problem.constraints),
+        "constraints": _constraints(problem.constraints),
         "planner": _plain(asdict(problem.planner)),
         "report": asdict(problem.report),
     }
@@ -104,6 +106,14 @@ def _objective(problem: Problem) -> dict[str, Any]:
     return {
         "terms": [{"kind": KINDS[type(term)], **_plain(asdict(term))} for term in problem.terms]
     }
+
+
+def _constraints(constraints: Constraints) -> dict[str, Any]:
+    """The rule's keys beside the others, those that say no more than their defaults left out."""
+    default = asdict(ConnectivityRule())
+    rule = {k: v for k, v in asdict(constraints.rule).items() if v != default[k]}
+    own = {k: v for k, v in asdict(constraints).items() if k != "rule"}
+    return {**own, **_plain(rule)}
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
+from planopt.problems.schema_constraints import ConstraintsTable
 from planopt.problems.schema_moving import MovingTable
 from planopt.problems.schema_objective import (
     LearningTable,
@@ -123,35 +124,6 @@ class StationTable(Table):
     )
 
 
-class ConstraintsTable(Table):
-    """``[constraints]``: what every plan must keep."""
-
-    p_min: float = Field(
-        default=0.0,
-        ge=0,
-        lt=1,
-        description="Least probability of connection at every step where that is possible; 0 asks "
-        "for none. The task reach needs it above 0.",
-    )
-    clearance_m: float = Field(
-        default=1.0,
-        ge=0,
-        le=1e4,
-        description="Least distance in metres of the swept path from every obstacle, moving ones "
-        "included.",
-    )
-    goal_radius_m: float = Field(
-        default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
-    )
-    separation_m: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e4,
-        description="Least distance in metres of any two robots at equal times, all the way; 0 "
-        "asks for none.",
-    )
-
-
 class PlannerTable(Table):
     """``[planner]``: how plans are found."""
 
@@ -245,7 +217,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         return "task reach has no objective.terms"
     if tables.targets:
         return "task reach has no targets"
-    if tables.constraints.p_min == 0.0:
+    if tables.constraints.p_min == 0.0 and tables.constraints.connectivity != "data":
         return "task reach needs constraints.p_min above 0"
     if tables.planner.name in ("one_step", "random", "lawnmower"):
         return (

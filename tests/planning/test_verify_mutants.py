@@ -1,6 +1,7 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
-Each mutant is a change of a few characters in `verify.py` or `reachability.py`. Good and bad plans
+Each mutant is a change of a few characters in `verify.py`, `single_steps.py` or
+`reachability.py`. Good and bad plans
 are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
 which must say something else of at least one of them. A mutant that survives is a hole here.
 """
@@ -264,6 +265,7 @@ CASES: dict[str, Case] = {
 }
 
 VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
+STEPS = "planopt.planning.proof.rules.single_steps"
 
 
 def source_of(module: str) -> str:
@@ -282,11 +284,13 @@ def module_of(name: str, source: str) -> ModuleType:
     return module
 
 
-def verifier_of(verify: str, reachability: str) -> Callable[..., tuple]:
-    """The verifier of two texts, the second serving the first."""
-    searches, judging = module_of(REACHABILITY, reachability), module_of(VERIFY, verify)
+def verifier_of(verify: str, steps: str, reachability: str) -> Callable[..., tuple]:
+    """The verifier of three texts, each serving the one before."""
+    searches, bound = module_of(REACHABILITY, reachability), module_of(STEPS, steps)
+    judging = module_of(VERIFY, verify)
     for name in ("best_margins_by_step", "connected_way_exists", "least_outage_m"):
-        setattr(judging, name, getattr(searches, name))
+        setattr(bound, name, getattr(searches, name))
+    judging.__dict__["judge_single_steps"] = bound.judge_single_steps
     return judging.verify
 
 
@@ -332,7 +336,7 @@ def said(verifier: Callable[..., tuple], case: Case) -> Said:
 @pytest.mark.parametrize("name", CASES)
 def test_source_as_it_is(name):
     """Every plan is judged as it must be, by the very texts that are mutated below."""
-    verifier = verifier_of(source_of(VERIFY), source_of(REACHABILITY))
+    verifier = verifier_of(source_of(VERIFY), source_of(STEPS), source_of(REACHABILITY))
     assert said(verifier, CASES[name]) == expected(CASES[name])
 
 
@@ -421,50 +425,50 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "dynamics_defect_m(positions_m[:-1], start_m,",
     ),
     "connectivity of all but the last step": (
-        VERIFY,
+        STEPS,
         "power.mean_db[1:], power.deviation_db[1:]",
         "power.mean_db[:-1], power.deviation_db[:-1]",
     ),
     "connectivity bound for half": (
-        VERIFY,
+        STEPS,
         "margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)",
         "margins = bound_margin_db(mean, deviation, radio.threshold_dbm, 0.5)",
     ),
     "deviation not counted": (
-        VERIFY,
+        STEPS,
         "margins = bound_margin_db(mean, deviation,",
         "margins = bound_margin_db(mean, 0.0 * deviation,",
     ),
     "margin tolerance times a million": (
-        VERIFY,
+        STEPS,
         "margins < -MARGIN_TOLERANCE_DB",
         "margins < -1e6 * MARGIN_TOLERANCE_DB",
     ),
     "margins the wrong way round": (
-        VERIFY,
+        STEPS,
         "margins < -MARGIN_TOLERANCE_DB",
         "margins > MARGIN_TOLERANCE_DB",
     ),
     "missed steps one too early": (
-        VERIFY,
-        "np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0] + 1",
-        "np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0]",
+        STEPS,
+        "& asked)[0] + 1",
+        "& asked)[0]",
     ),
     "a way round makes no difference": (
-        VERIFY,
+        STEPS,
         "if not no_connected_way:",
         "if True:",
     ),
-    "a gap may always be crossed": (VERIFY, "if not no_connected_way:", "if False:"),
+    "a gap may always be crossed": (STEPS, "if not no_connected_way:", "if False:"),
     "below the bound only where nothing is in reach": (
-        VERIFY,
+        STEPS,
         "            if margin >= 0.0\n",
         "            if margin < 0.0\n",
     ),
     "bound that is met nowhere accepted": (
-        VERIFY,
-        "if len(missed) == len(margins):",
-        "if len(missed) > len(margins):",
+        STEPS,
+        "if len(missed) == count and count:",
+        "if len(missed) > count and count:",
     ),
     "verdict turned round": (
         VERIFY,
@@ -497,32 +501,32 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "reach = step_length_m",
     ),
     "hopeless at the last step, the wrong way round": (
-        VERIFY,
+        STEPS,
         "if best[-1] < 0.0 or",
         "if best[-1] >= 0.0 or",
     ),
-    "no outage leads across": (VERIFY, "if driven <= saved", "if driven < 0.0 * saved"),
-    "outage however long": (VERIFY, "OUTAGE_LEEWAY_STEPS *", "1e3 *"),
-    "outage of no leeway": (VERIFY, "OUTAGE_LEEWAY_STEPS *", "-1.0 *"),
+    "no outage leads across": (STEPS, "if driven <= saved", "if driven < 0.0 * saved"),
+    "outage however long": (STEPS, "OUTAGE_LEEWAY_STEPS *", "1e3 *"),
+    "outage of no leeway": (STEPS, "OUTAGE_LEEWAY_STEPS *", "-1.0 *"),
     "any outage will do": (
-        VERIFY,
+        STEPS,
         "reasons += _needless_outage(",
         "_needless_outage(",
     ),
-    "outage turned round": (VERIFY, "saved = float(here - end)", "saved = float(end - here)"),
-    "outage of the wrong steps": (VERIFY, "axis=1)[missed - 1].sum()", "axis=1).sum()"),
+    "outage turned round": (STEPS, "saved = float(here - end)", "saved = float(end - here)"),
+    "outage of the wrong steps": (STEPS, "axis=1)[missed - 1].sum()", "axis=1).sum()"),
     "outage without the bound": (
         REACHABILITY,
         "margin_db(nodes) < 0.0",
         "margin_db(nodes) < -1e9",
     ),
     "way turned round": (
-        VERIFY,
+        STEPS,
         "return best, not connected_way_exists(",
         "return best, connected_way_exists(",
     ),
     "way to where the robot is": (
-        VERIFY,
+        STEPS,
         "        start_m,\n        np.asarray(problem.goal_m),",
         "        start_m,\n        start_m,",
     ),
@@ -555,14 +559,14 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     ),
     "flood from the start alone": (REACHABILITY, "max(within_m, 0.5", "max(0.0, 0.5"),
     "start within the bound turned round": (
-        VERIFY,
+        STEPS,
         "bool(here[0] >= 0.0)",
         "bool(here[0] < 0.0)",
     ),
-    "start always within the bound": (VERIFY, "bool(here[0] >= 0.0)", "True"),
-    "start never within the bound": (VERIFY, "bool(here[0] >= 0.0)", "False"),
-    "ways begin a step from the start": (VERIFY, "else first * length", "else 1e-3 * length"),
-    "ways begin anywhere": (VERIFY, "else first * length", "else 1e3 * length"),
+    "start always within the bound": (STEPS, "bool(here[0] >= 0.0)", "True"),
+    "start never within the bound": (STEPS, "bool(here[0] >= 0.0)", "False"),
+    "ways begin a step from the start": (STEPS, "else first * length", "else 1e-3 * length"),
+    "ways begin anywhere": (STEPS, "else first * length", "else 1e3 * length"),
     "flood that does not turn corners": (REACHABILITY, "np.ones((3, 3)", "np.eye(3"),
     "grid mirrored": (
         REACHABILITY,
@@ -596,10 +600,10 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
 def test_mutant_is_found_out(name):
     """At least one plan is judged otherwise, or not at all."""
     module, original, instead = MUTANTS[name]
-    sources = {VERIFY: source_of(VERIFY), REACHABILITY: source_of(REACHABILITY)}
+    sources = {name: source_of(name) for name in (VERIFY, STEPS, REACHABILITY)}
     assert sources[module].count(original) == 1, "the mutant does not fit the source any more"
     sources[module] = sources[module].replace(original, instead)
-    verifier = verifier_of(sources[VERIFY], sources[REACHABILITY])
+    verifier = verifier_of(sources[VERIFY], sources[STEPS], sources[REACHABILITY])
 
     def is_judged_right(case: Case) -> bool:
         try:

@@ -20,6 +20,7 @@ FIT = 1e-3
 
 PREDICTED_NAMES = frozenset(
     (
+        "achieved",
         "anmse_db",
         "best_margin_db",
         "connectivity",
@@ -29,6 +30,7 @@ PREDICTED_NAMES = frozenset(
         "predicted_min_connectivity",
         "relaxation_db",
         "rms_db",
+        "slack_db",
         "trace_m_db",
     )
 )

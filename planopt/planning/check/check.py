@@ -28,6 +28,7 @@ from planopt.planning.files.run_json import no_run_json
 from planopt.planning.files.saved import PLAN_FILE
 from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_plan_json
 from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
 
 
@@ -148,4 +149,5 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
         reasons=tuple(reason for c in certificates for reason in c.reasons),
         min_separation_m=least_of(c.min_separation_m for c in certificates),
         min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in certificates),
+        rule=worst_result(c.rule for c in certificates),
     )

@@ -25,6 +25,7 @@ from planopt.planning.files.saved import RUN_FILE
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_run
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.history import history_of
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.run import Outcome, Run
@@ -60,6 +61,9 @@ def check_run(
     reasons = obstacles_met(problem, index, track)
     if np.abs(track[0] - problem.robots[0].start_m).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: the run does not start at robots[0].start_m")
+    truth = None if given is None else given.truth
+    true = steps.numbers["true_db"] if truth is None else true_power_dbm(truth, track)
+    connected = true[1:] >= problem.stations[0].threshold_dbm
     plans: list[Plan] = []
     posterior = first_posterior(belief)
     for step, (released, count) in enumerate(
@@ -67,8 +71,17 @@ def check_run(
     ):
         posterior = grown_posterior(belief, posterior, count)
         path = np.stack([released.x_m, released.y_m], axis=1)
-        moving, residual = obstacles_ahead(problem, step - 1), released.kkt_residual
-        judgement = judge(problem, index, posterior, track[step - 1], path, residual, moving)
+        history = history_of(problem, track[:step], connected[: step - 1])
+        judgement = judge(
+            problem,
+            index,
+            posterior,
+            track[step - 1],
+            path,
+            released.kkt_residual,
+            obstacles_ahead(problem, history.steps),
+            history,
+        )
         plan = rebuilt_reach_plan(problem, path, judgement, released, Effort())
         where = f"{RUN_FILE}, key plans[{step - 1}]"
         reasons += plan_reasons(problem, index, where, step, plan, plans[-1] if plans else None)
@@ -79,8 +92,6 @@ def check_run(
             )
         plans.append(plan)
     posterior = grown_posterior(belief, posterior, len(belief.measurements))
-    truth = None if given is None else given.truth
-    true = steps.numbers["true_db"] if truth is None else true_power_dbm(truth, track)
     log = step_log(problem, track, true, plans)
     taken = taken_on_the_way(problem, belief, track, true)
     outcome, reason, faults = _ended(problem, track, taken, plans)

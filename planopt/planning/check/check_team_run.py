@@ -25,6 +25,7 @@ from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of
 from planopt.planning.files.team_run_json import TeamRunRecord, team_plans_json, team_record_json
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.history import history_of
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
@@ -91,7 +92,7 @@ def check_team_run(
         for robot in record.plans
     ]
     driven = [
-        _driven(saved, record, number, index, region, watches, paths)
+        _driven(saved, record, number, index, region, watches, paths, delivered[:, number])
         for number in range(len(problem.robots))
     ]
     runs = [
@@ -144,6 +145,7 @@ def _driven(
     region: Region,
     watches: Sequence[TargetWatch | None],
     paths: Sequence[Sequence[NDArray[np.float64]]],
+    connected: NDArray[np.bool_],
 ) -> _Driven:
     """Every plan of robot number `number` on what it knew, beside the `paths` of all robots."""
     own = problem_of_robot(saved.problem, number)
@@ -162,13 +164,20 @@ def _driven(
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
         path = paths[number][step - 1]
-        moving = beside(
-            saved.problem, step - 1, others_of([made[step - 1] for made in paths], number)
+        history = history_of(own, track[:step], connected[: step - 1])
+        others = others_of([made[step - 1] for made in paths], number)
+        judgement = judge(
+            own,
+            index,
+            posterior,
+            track[step - 1],
+            path,
+            released.kkt_residual,
+            beside(saved.problem, history.steps, others),
+            history,
         )
-        residual = released.kkt_residual
-        judgement = judge(own, index, posterior, track[step - 1], path, residual, moving)
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
-        worth = worth_again(own, posterior, path, aim, region)
+        worth = worth_again(own, posterior, path, aim, region, history)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)

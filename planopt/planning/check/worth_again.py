@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.mapping import Region
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
@@ -19,6 +20,7 @@ def worth_again(
     path_m: NDArray[np.float64],
     aim: Aim,
     region: Region,
+    history: History = BEGINNING,
 ) -> float:
     """The weighted sum of the terms.
 
@@ -34,8 +36,17 @@ def worth_again(
         What it was made for.
     region
         Where the map is wanted.
+    history
+        What had happened on the run before.
     """
     at = Situation(
-        problem, posterior, path_m[0], aim.target_m, region, aim.steering_m, aim.information
+        problem,
+        posterior,
+        path_m[0],
+        aim.target_m,
+        region,
+        aim.steering_m,
+        aim.information,
+        history=history,
     )
     return PathWorth(at)(path_m[1:])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -159,7 +160,11 @@ def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
-    """A certificate; the clearance is null where there is no obstacle."""
+    """A certificate; the clearance is null where there is no obstacle.
+
+    A rule of connectivity has its key only where it is another than p_min at each step.
+    """
+    rule = certificate.rule
     return {
         "min_clearance_m": finite(certificate.min_clearance_m),
         "min_separation_m": finite(certificate.min_separation_m),
@@ -173,6 +178,7 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
         "best_margin_db": finite_list(certificate.best_margin_db),
         "no_connected_way": certificate.no_connected_way,
         "reasons": list(certificate.reasons),
+        **({} if rule is None else {"rule": asdict(rule)}),
     }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
+from planopt.planning.history import history_of
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.metrics import metrics_of
@@ -65,7 +66,10 @@ def simulate(
     learnt: list[bool] = []
     ended = ending(problem, track, learnt, None)
     while ended is None:
-        plan = planning.plan(belief, position, plans[-1] if plans else None, len(plans))
+        here = true_power_dbm(truth, np.array(track[1:]).reshape(-1, 2))
+        connected = here >= problem.stations[0].threshold_dbm
+        history = history_of(problem, np.array(track), connected)
+        plan = planning.plan(belief, position, plans[-1] if plans else None, history)
         plans.append(plan)
         position = plan.positions_m[1]
         track.append(position)

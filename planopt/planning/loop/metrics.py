@@ -20,6 +20,10 @@ POSSIBLE = {
     "final_trace_p": (0.0, np.inf),
     "delivered": (0.0, 1.0),
     "rms_db": (0.0, np.inf),
+    "stated_times_connected": (0.0, 1.0),
+    "least_connected_share": (0.0, 1.0),
+    "longest_outage_s": (0.0, np.inf),
+    "data_mbit": (0.0, np.inf),
 }
 """Least and largest value that a metric can have; one that is not here can have any."""
 

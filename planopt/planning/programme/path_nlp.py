@@ -7,6 +7,10 @@ each stage's connectivity bound::
     max   scale * value(q_1, ..., q_N) - slack_weight sum s_k
     s.t.  the rows of planopt.planning.programme.path_rows
           margin_k(q_k) + s_k >= bound_k             k = 1..N             "connectivity"
+          total(q_1, ..., q_N) + c t >= bound                             "connectivity"
+
+There are rows of margins, one of a total (a sum over stages), or none. The total's slack t is in dB
+like the others, c what a dB is worth.
 
 Value and margins come by callbacks with exact first and second derivatives. What the value couples
 (:data:`planopt.planning.programme.path_value.Structure`) is known to the solver. It is
@@ -60,8 +64,8 @@ class PathNlp:
     ----------
     horizon, lines
         Its structure: N, and separating lines a segment.
-    bounded
-        Whether it has connectivity rows.
+    bounded, summed
+        Whether it has connectivity rows of margins, or that of a total.
     source
         Where its value and margins come from.
     solver
@@ -79,6 +83,7 @@ class PathNlp:
     solver: Any
     solve: SolveNlp
     callbacks: tuple[Any, ...]
+    summed: bool = False
 
 
 def build_path_nlp(
@@ -86,6 +91,7 @@ def build_path_nlp(
     lines: int,
     structure: Structure,
     bounded: bool,
+    summed: bool = False,
     method: Method = "ipopt",
     budget_s: float | None = None,
 ) -> PathNlp:
@@ -98,7 +104,9 @@ def build_path_nlp(
     structure
         Which stages the value couples.
     bounded
-        Whether connectivity is bounded.
+        Whether connectivity is bounded at stages.
+    summed
+        Whether a sum over stages is bounded.
     method
         Whose solver: IPOPT's, or sequential convex programming.
     budget_s
@@ -106,7 +114,8 @@ def build_path_nlp(
     """
     n = horizon
     source = ValueSource()
-    stages = n if bounded else 0
+    stages, totals = n if bounded else 0, int(summed)
+    slacks = stages + totals
     curved = {"stagewise": 3 * n, "chain": 7 * n - 4, "full": 4 * n * n}[structure]
     callbacks = (
         PathCallback("value", n, 1, lambda at: np.array([source.at(at).value])),
@@ -122,9 +131,18 @@ def build_path_nlp(
         if bounded
         else ()
     )
+    sums = (
+        (
+            PathCallback("total", n, 1, lambda at: np.array([source.total_at(at).value])),
+            PathCallback("total_gradient", n, 2 * n, lambda at: source.total_at(at).gradient),
+            PathCallback("total_hessian", n, 3 * n, lambda at: source.total_at(at).hessian),
+        )
+        if summed
+        else ()
+    )
 
-    q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", stages)
-    head, line = ca.SX.sym("head", 4), ca.SX.sym("line", 4 * n * lines)
+    q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", slacks)
+    head, line = ca.SX.sym("head", 5), ca.SX.sym("line", 4 * n * lines)
     x_sx, p_sx = ca.vertcat(q, s), ca.vertcat(head, line)
     g_sx = path_rows(n, lines, q, head[0:2], line)
     plain = g_sx.numel()
@@ -132,13 +150,16 @@ def build_path_nlp(
     m, dm, hm = (
         ca.SX.sym(name, width * stages) for name, width in (("m", 1), ("dm", 2), ("hm", 3))
     )
-    lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + stages)
+    w, dw, hw = (
+        ca.SX.sym(name, width * totals) for name, width in (("w", 1), ("dw", 2 * n), ("hw", 3 * n))
+    )
+    lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + slacks)
     # The solver minimises.
     f_sx = -head[2] * v + head[3] * ca.sum1(s)
-    df_sx = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(stages))
+    df_sx = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(slacks))
     value_curvature = _curvature(hv, n, structure)
     curvature = (
-        -lam_f * head[2] * ca.diagcat(value_curvature, ca.SX(stages, stages))
+        -lam_f * head[2] * ca.diagcat(value_curvature, ca.SX(slacks, slacks))
         + ca.hessian(ca.dot(lam[:plain], g_sx), x_sx)[0]
     )
     rows_sx, jacobian_sx = g_sx, ca.jacobian(g_sx, x_sx)
@@ -148,38 +169,49 @@ def build_path_nlp(
         rows_sx = ca.vertcat(g_sx, m + s)
         by_place = ca.diagcat(*[dm[2 * k : 2 * k + 2].T for k in range(n)])
         jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(by_place, ca.SX.eye(n)))
+    if summed:
+        curvature += ca.diagcat(_blocks(lam[plain] * hw, n), ca.SX(1, 1))
+        rows_sx = ca.vertcat(g_sx, w + head[4] * s)
+        jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(dw.T, head[4]))
     objective = ca.Function("f", [x_sx, p_sx, v], [f_sx])
     gradient = ca.Function("df", [p_sx, dv], [df_sx])
-    rows = ca.Function("g", [x_sx, p_sx, m], [rows_sx])
-    jacobian = ca.Function("dg", [x_sx, p_sx, dm], [jacobian_sx])
-    hessian = ca.Function("h", [x_sx, p_sx, lam_f, lam, hv, hm], [ca.triu(curvature)])
+    rows = ca.Function("g", [x_sx, p_sx, m, w], [rows_sx])
+    jacobian = ca.Function("dg", [x_sx, p_sx, dm, dw], [jacobian_sx])
+    hessian = ca.Function("h", [x_sx, p_sx, lam_f, lam, hv, hm, hw], [ca.triu(curvature)])
 
-    x, p = ca.MX.sym("x", 2 * n + stages), ca.MX.sym("p", p_sx.numel())
-    lam_f_mx, lam_mx = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + stages)
+    x, p = ca.MX.sym("x", 2 * n + slacks), ca.MX.sym("p", p_sx.numel())
+    lam_f_mx, lam_mx = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + slacks)
     at = x[: 2 * n]
     margin, margin_gradient, margin_hessian = (
         [callback(at) for callback in margins] if bounded else [ca.MX(0, 1)] * 3
     )
-    f, g = objective(x, p, callbacks[0](at)), rows(x, p, margin)
+    total, total_gradient, total_hessian = (
+        [callback(at) for callback in sums] if summed else [ca.MX(0, 1)] * 3
+    )
+    f, g = objective(x, p, callbacks[0](at)), rows(x, p, margin, total)
     options = OPTIONS | NEAR_START | SETTLED | time_limit(budget_s)
     # The solver asks these two for derivatives only; values here would be computed for nothing.
-    no_f, no_g = ca.MX.nan(1), ca.MX.nan(plain + stages)
+    no_f, no_g = ca.MX.nan(1), ca.MX.nan(plain + slacks)
     options["grad_f"] = ca.Function(
         "nlp_grad_f", [x, p], [no_f, gradient(p, callbacks[1](at))], ["x", "p"], ["f", "grad_f_x"]
     )
     options["jac_g"] = ca.Function(
-        "nlp_jac_g", [x, p], [no_g, jacobian(x, p, margin_gradient)], ["x", "p"], ["g", "jac_g_x"]
+        "nlp_jac_g",
+        [x, p],
+        [no_g, jacobian(x, p, margin_gradient, total_gradient)],
+        ["x", "p"],
+        ["g", "jac_g_x"],
     )
     options["hess_lag"] = ca.Function(
         "nlp_hess_l",
         [x, p, lam_f_mx, lam_mx],
-        [hessian(x, p, lam_f_mx, lam_mx, callbacks[2](at), margin_hessian)],
+        [hessian(x, p, lam_f_mx, lam_mx, callbacks[2](at), margin_hessian, total_hessian)],
         ["x", "p", "lam_f", "lam_g"],
         ["triu_hess_gamma_x_x"],
     )
     solver = ca.nlpsol("path", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
     solve = solve_by(method, solver, n, budget_s)
-    return PathNlp(n, lines, bounded, source, solver, solve, (*callbacks, *margins))
+    return PathNlp(n, lines, bounded, source, solver, solve, (*callbacks, *margins, *sums), summed)
 
 
 def _curvature(entries: Any, n: int, structure: Structure) -> Any:

@@ -40,9 +40,13 @@ class PathTask:
     bound_db
         ``(N,)`` what the margins must reach, or None where no connectivity is bounded.
     slack_limit_db
-        ``(N,)`` how much of it may be missing; zero where the bound is hard.
+        ``(N,)`` how much of it may be missing; zero where the bound is hard. ``(1,)`` of a total.
     slack_weight
         Cost of a missing dB.
+    total_bound
+        What the sum over stages must reach, or None where none is bounded.
+    total_per_db
+        What a dB of slack adds to it.
     """
 
     start_m: NDArray[np.float64]
@@ -56,15 +60,19 @@ class PathTask:
     bound_db: NDArray[np.float64] | None = None
     slack_limit_db: NDArray[np.float64] | None = None
     slack_weight: float = 0.0
+    total_bound: float | None = None
+    total_per_db: float = 0.0
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     """Solve the programme from the task's start path."""
     n = nlp.horizon
     bound = np.zeros(0) if task.bound_db is None else task.bound_db
+    if task.total_bound is not None:
+        bound = np.append(bound, task.total_bound)
     slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
     line = task.lines.rows(task.clearance_m + CLEARANCE_PAD_M)
-    head = np.array([*task.start_m, task.scale, task.slack_weight])
+    head = np.array([*task.start_m, task.scale, task.slack_weight, task.total_per_db])
     x_min, y_min, x_max, y_max = task.bounds_m
     variables = Bounds(
         np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound))]),
@@ -77,8 +85,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         np.concatenate([np.full(n, longest**2), np.full(plain + len(bound), np.inf)]),
     )
     nlp.source.use(task.evaluate)
-    margins = task.evaluate(task.path_m).margins
-    missing = np.zeros(0) if margins is None else np.maximum(bound - margins.value, 0.0)
+    missing = np.zeros(0) if len(bound) == 0 else _missing_db(task, bound)
     point = nlp.solve(
         np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit)]),
         np.concatenate([head, line.ravel()]),
@@ -92,7 +99,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         "line_end": lam[n : n + ends].reshape(n, nlp.lines),
         "line_start": lam[n + ends : n + plain].reshape(n - 1, nlp.lines),
     }
-    if nlp.bounded:
+    if nlp.bounded or nlp.summed:
         multipliers["connectivity"] = lam[n + plain :]
     return Polished(
         path_m=point.positions_m,
@@ -102,6 +109,16 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         kkt_residual=_residual(task, point, line, rows, variables),
         multipliers=multipliers,
     )
+
+
+def _missing_db(task: PathTask, bound: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Slack that the start path needs."""
+    at = task.evaluate(task.path_m)
+    if at.margins is not None:
+        return np.maximum(bound - at.margins.value, 0.0)
+    if at.total is None:
+        raise AssertionError("a bound on nothing")
+    return np.maximum(bound - at.total.value, 0.0) / task.total_per_db
 
 
 def _residual(
@@ -124,8 +141,12 @@ def _residual(
         rows = np.concatenate([rows, at.margins.value + point.slack_db])
         jacobian = np.concatenate([jacobian, connectivity.reshape(n, 2 * n)])
     slack_columns = np.zeros((len(jacobian), slacks))
-    if slacks:
+    if at.margins is not None:
         slack_columns[-slacks:] = np.eye(slacks)
+    if at.total is not None:
+        rows = np.append(rows, at.total.value + task.total_per_db * point.slack_db)
+        jacobian = np.vstack([jacobian, at.total.gradient.reshape(1, 2 * n)])
+        slack_columns = np.vstack([slack_columns, [[task.total_per_db]]])
     return kkt_residual(
         np.concatenate(
             [-task.scale * at.value.gradient.ravel(), np.full(slacks, task.slack_weight)]

@@ -38,10 +38,14 @@ class PathValue:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Value and connectivity margins of one path; the margins only where they are bounded."""
+    """Value, connectivity margins and sum of one path; the last two only where bounded.
+
+    The sum is one over stages, with a Hessian ``(N, 3)``.
+    """
 
     value: PathValue
     margins: StageMargins | None
+    total: PathValue | None = None
 
 
 EvaluatePath = Callable[[NDArray[np.float64]], Evaluation]
@@ -75,6 +79,13 @@ class ValueSource:
         if margins is None:
             raise AssertionError("a bounded programme was given no margins")
         return margins
+
+    def total_at(self, flat: NDArray[np.float64]) -> PathValue:
+        """The bounded sum at positions flattened to (2 N,)."""
+        total = self._at(flat).total
+        if total is None:
+            raise AssertionError("a programme that bounds a sum was given none")
+        return total
 
     def _at(self, flat: NDArray[np.float64]) -> Evaluation:
         key = flat.tobytes()

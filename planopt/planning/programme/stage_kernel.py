@@ -36,7 +36,10 @@ class StageMargins:
 
 
 def stage_margins(
-    model: NeighbourModel, positions_m: NDArray[np.float64], threshold_dbm: float, z: float
+    model: NeighbourModel,
+    positions_m: NDArray[np.float64],
+    threshold_dbm: float,
+    z: float | NDArray[np.float64],
 ) -> StageMargins:
     """Margin of each stage k at ``positions_m[k]``, from ``model``'s k-th neighbour set.
 
@@ -49,18 +52,22 @@ def stage_margins(
     threshold_dbm
         Upsilon_TH.
     z
-        Standard normal quantile of p_min.
+        Standard normal quantile of p_min, or ``(n,)`` of each stage's own probability.
     """
     mean, deviation = stage_prediction(model, positions_m)
     return margins_of(mean, deviation, threshold_dbm, z)
 
 
 def margins_of(
-    mean: Derivatives, deviation: Derivatives, threshold_dbm: float, z: float
+    mean: Derivatives,
+    deviation: Derivatives,
+    threshold_dbm: float,
+    z: float | NDArray[np.float64],
 ) -> StageMargins:
-    """``mean - z deviation - threshold`` of every stage."""
+    """``mean - z deviation - threshold`` of every stage, z one for all or ``(n,)``."""
+    each = np.broadcast_to(z, len(mean.value))
     return StageMargins(
-        value=mean.value - z * deviation.value - threshold_dbm,
-        gradient=mean.gradient - z * deviation.gradient,
-        hessian=mean.hessian - z * deviation.hessian,
+        value=mean.value - each * deviation.value - threshold_dbm,
+        gradient=mean.gradient - each[:, None] * deviation.gradient,
+        hessian=mean.hessian - each[:, None] * deviation.hessian,
     )

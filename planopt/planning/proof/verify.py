@@ -2,45 +2,34 @@
 
 Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
 keeps the clearance, the workspace and its distance from all that moves, every step keeps the speed,
-and the probability of connection (exact posterior, today's deviation: theory 4.1) is at least p_min
-at every step where that is possible. Where it is not possible is proven, not assumed. A step may
-miss the bound only if no place within reach meets it by then, or if no way to the goal keeps it at
-all and the steps below it lead across a gap by about the least length there is; and the bound must
-be met at one step of the plan at least: a threshold that cannot be met is an answer, not a plan.
+and the rule of connectivity holds by the exact posterior and today's deviation (theory 4.1). At
+single steps it may be missed where nothing keeps it
+(:mod:`planopt.planning.proof.rules.single_steps`), but the bound must be met at one step of the
+plan at least: a threshold that cannot be met is an answer, not a plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.proof.apart import judge_apart
-from planopt.planning.proof.predictions import certified_prediction, search_prediction
-from planopt.planning.proof.reachability import (
-    best_margins_by_step,
-    connected_way_exists,
-    least_outage_m,
-)
-from planopt.planning.tolerances import (
-    CLEARANCE_TOLERANCE_M,
-    DYNAMICS_TOLERANCE_M,
-    MARGIN_TOLERANCE_DB,
-)
+from planopt.planning.proof.predictions import certified_prediction
+from planopt.planning.proof.rules.single_steps import judge_single_steps
+from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
 from planopt.robots.single_integrator import dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 from planopt.world.moving_discs import MovingDiscs
-
-OUTAGE_LEEWAY_STEPS = 2.0
-"""How much longer, in longest steps, a way through a gap may be than the least one."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +60,12 @@ def verify(
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
     moving: MovingDiscs | None = None,
+    history: History = BEGINNING,
 ) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path: see :func:`judge`."""
-    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual, moving)
+    judgement = judge(
+        problem, index, posterior, start_m, positions_m, kkt_residual, moving, history
+    )
     return judgement.certificate, judgement.verdict
 
 
@@ -85,6 +77,7 @@ def judge(
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
     moving: MovingDiscs | None = None,
+    history: History = BEGINNING,
 ) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
 
@@ -100,6 +93,8 @@ def judge(
         Passed on into the certificate.
     moving
         What moves during the steps; None for the problem's moving obstacles, from time 0 on.
+    history
+        What has happened on the run before: rules over the whole run count it.
     """
     constraints = problem.constraints
     radio = problem.stations[0]
@@ -126,136 +121,29 @@ def judge(
     power, kind = certified_prediction(posterior, positions_m)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
-    # Without a bound every margin is infinite.
-    margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
-    missed = np.nonzero(margins < -MARGIN_TOLERANCE_DB)[0] + 1
-    here = bound_margin_db(
-        power.mean_db[:1], power.deviation_db[:1], radio.threshold_dbm, constraints.p_min
-    )
-    best, no_connected_way = _what_is_possible(
-        problem, index, posterior, start_m, missed, starts_within=bool(here[0] >= 0.0)
-    )
-    if not no_connected_way:
-        reasons += [
-            f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "
-            f"although a place with {margin:.2f} dB to spare is within reach"
-            + (", and so is a way to the goal that keeps it" if problem.task == "reach" else "")
-            for step, margin in zip(missed, best, strict=True)
-            if margin >= 0.0
-        ][:1]
-    if no_connected_way:
-        reasons += _needless_outage(problem, index, posterior, positions_m, missed)
-    if len(missed) == len(margins):
-        reasons.append(
-            f"constraints.p_min {constraints.p_min:g} is met at none of the {len(margins)} steps, "
-            f"the best place found within reach has a margin of {max(best):.2f} dB"
-        )
+    result, steps = None, None
+    if constraints.rule.by_step:
+        steps = judge_single_steps(problem, history, index, posterior, start_m, positions_m, power)
+        result = steps.result
+        reasons += steps.reasons
+    else:
+        planned = Prediction(mean, deviation)
+        result = whole_plan_result(problem, history, posterior, positions_m, planned)
+        reasons += rule_reasons(problem, result)
     certificate = Certificate(
         min_clearance_m=clearance,
         min_connectivity=float(probability.min()),
         dynamics_defect=defect,
         kkt_residual=kkt_residual,
         posterior=kind,
-        relaxed_steps=tuple(int(step) for step in missed),
-        relaxation_db=tuple(float(-margins[step - 1]) for step in missed),
-        best_margin_db=best,
-        no_connected_way=no_connected_way,
+        relaxed_steps=() if steps is None else steps.relaxed_steps,
+        relaxation_db=() if steps is None else steps.relaxation_db,
+        best_margin_db=() if steps is None else steps.best_margin_db,
+        no_connected_way=steps is not None and steps.no_connected_way,
         reasons=tuple(reasons),
         min_separation_m=apart.min_separation_m,
         min_moving_clearance_m=apart.min_moving_clearance_m,
+        rule=result,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     return Judgement(certificate, verdict, power, apart=not apart.reasons)
-
-
-def _what_is_possible(
-    problem: Problem,
-    index: ObstacleIndex,
-    posterior: ChannelPosterior,
-    start_m: NDArray[np.float64],
-    missed: NDArray[np.intp],
-    starts_within: bool,
-) -> tuple[tuple[float, ...], bool]:
-    """Best margin within reach at each missed step; whether no way to the goal keeps the bound.
-
-    The second is only searched for where there is a goal and some missed step could have been met.
-    Ways begin at the
-    start if that keeps the bound, else at the places nearest to it that do: those within reach by
-    the first step that meets the bound or could.
-    """
-    constraints, length = problem.constraints, problem.step_length_m
-    margin_db = _margins_of(problem, posterior)
-    if missed.size == 0:
-        return (), False
-    best = best_margins_by_step(
-        index,
-        problem.workspace.bounds_m,
-        margin_db,
-        start_m,
-        length,
-        missed,
-        constraints.clearance_m,
-    )
-    if best[-1] < 0.0 or problem.task != "reach":
-        return best, False
-    possible = {int(step) for step, margin in zip(missed, best, strict=True) if margin >= 0.0}
-    impossible = set(missed.tolist()) - possible
-    first = next(step for step in range(1, int(missed[-1]) + 1) if step not in impossible)
-    return best, not connected_way_exists(
-        index,
-        problem.workspace.bounds_m,
-        margin_db,
-        start_m,
-        np.asarray(problem.goal_m),
-        constraints.clearance_m,
-        length,
-        within_m=0.0 if starts_within else first * length,
-    )
-
-
-def _needless_outage(
-    problem: Problem,
-    index: ObstacleIndex,
-    posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
-    missed: NDArray[np.intp],
-) -> list[str]:
-    """Object to missed steps that lead across no gap, where no way to the goal keeps the bound.
-
-    What is driven below the bound must be saved on the least outage of the rest of the way, but
-    for the two steps of leeway that the grid and the steps at the gap's edges need.
-    """
-    here, end = least_outage_m(
-        index,
-        problem.workspace.bounds_m,
-        _margins_of(problem, posterior),
-        positions_m[[0, -1]],
-        np.asarray(problem.goal_m),
-        problem.constraints.clearance_m,
-        problem.step_length_m,
-    )
-    driven = float(np.linalg.norm(np.diff(positions_m, axis=0), axis=1)[missed - 1].sum())
-    saved = float(here - end)
-    if driven <= saved + OUTAGE_LEEWAY_STEPS * problem.step_length_m:
-        return []
-    return [
-        f"{driven:.1f} m are driven below constraints.p_min {problem.constraints.p_min:g}, which "
-        f"shortens what must be driven below it on the way to the goal by {saved:.1f} m"
-    ]
-
-
-def _margins_of(
-    problem: Problem, posterior: ChannelPosterior
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Connectivity margin by position, as searches look at it."""
-
-    def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        power = search_prediction(posterior, places)
-        return bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            problem.stations[0].threshold_dbm,
-            problem.constraints.p_min,
-        )
-
-    return margin_db

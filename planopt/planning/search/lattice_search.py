@@ -62,7 +62,7 @@ def search_lattice(
     goal_node
         Staying there costs nothing.
     node_penalty_s
-        ``(n,)`` added for every step that ends at a node.
+        ``(n,)`` added for every step that ends at a node, or ``(N, n)`` for each step its own.
     terminal_cost_s
         ``(n,)`` added for the last node.
     moving
@@ -73,6 +73,7 @@ def search_lattice(
     if first_nodes.size == 0:
         return None
     count = len(road_map.nodes_m)
+    penalty_s = np.broadcast_to(node_penalty_s, (horizon, count))
     # A step is at most the longest move, so stage k cannot leave this disc about the first nodes.
     reach = float(road_map.lengths_m.max()) + REACH_TOLERANCE_M
     distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[first_nodes[0]], axis=1)
@@ -84,7 +85,7 @@ def search_lattice(
 
     cost = np.full(count + 1, np.inf)
     cost[first_nodes] = (
-        step_cost_s(first_length_m, step_s, effort_weight_s2_m2) + node_penalty_s[first_nodes]
+        step_cost_s(first_length_m, step_s, effort_weight_s2_m2) + penalty_s[0, first_nodes]
     )
     came_by: list[NDArray[np.intp]] = []
     stages: list[NDArray[np.intp]] = []
@@ -93,9 +94,9 @@ def search_lattice(
         arriving = cost[road_map.sources[stage]] + move_cost
         rests = _without_blocked(road_map, moving, first_step + k, stage, arriving, goal_node)
         move = arriving.argmin(axis=1)
-        best = arriving[np.arange(len(stage)), move] + node_penalty_s[stage]
+        best = arriving[np.arange(len(stage)), move] + penalty_s[k, stage]
         at_goal = np.nonzero(stage == goal_node)[0]
-        rest = cost[goal_node] + node_penalty_s[goal_node]
+        rest = cost[goal_node] + penalty_s[k, goal_node]
         if rests and at_goal.size and rest <= best[at_goal[0]]:
             best[at_goal[0]] = rest
             move[at_goal[0]] = stay

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.connectivity import connection_probability
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.path_loss import regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
@@ -32,6 +32,7 @@ from planopt.objectives.local_channel import (
 from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.path_loss_learning import theta_information
 from planopt.objectives.tracking import tracking_reward
+from planopt.planning.search.ways_missing import ways_missing
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.expression_inputs import known_inputs
 from planopt.planning.worth.situation import Situation
@@ -92,16 +93,11 @@ class LocalRanking:
         worth = np.zeros(len(ways_m))
         for term in at.problem.terms:
             worth += term.weight * _value(term, at, batch, self._grid)
-        p_min = at.problem.constraints.p_min
-        if p_min == 0.0:
+        if not at.problem.constraints.asks_connection:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
-        power = batch.power()
-        margin = bound_margin_db(
-            power.mean_db, power.deviation_db, at.problem.stations[0].threshold_dbm, p_min
-        )
-        missing = np.maximum(-margin, 0.0).reshape(batch.shape).sum(axis=1)
+        missing = ways_missing(at, _legs_m(at, ways_m), batch.power())
         return worth - self._missing_db_cost * missing
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.objectives.energy import expected_transmit_power_w
+from planopt.planning.search.guide import Guide
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import Window
 from planopt.planning.tolerances import MARGIN_PAD_DB
@@ -45,10 +46,13 @@ class StageRewards:
         What is known.
     field
         Predictions at the nodes, refreshed for the situation.
+    guide
+        How the rule of connectivity is minded.
     """
 
-    def __init__(self, situation: Situation, field: NodeField) -> None:
+    def __init__(self, situation: Situation, field: NodeField, guide: Guide) -> None:
         self._situation = situation
+        self._guide = guide
         self._field = field
         shape = field.mean_db.shape
         self._alone: NDArray[np.float64] | None = None
@@ -59,6 +63,9 @@ class StageRewards:
         self._largest = self._largest_reward()
         # Nodes that are not free, or out of reach, are left at these.
         self._chance, self._fixed = np.zeros(shape), np.full(shape, -np.inf)
+        # The same at steps that nothing is asked of.
+        self._unasked = self._fixed if guide.asked.all() else self._fixed.copy()
+        self._credit = self._largest * guide.credit
         self._look_at(field.window)
 
     def __call__(self, stage: int, window: Window) -> NDArray[np.float64]:
@@ -74,7 +81,9 @@ class StageRewards:
         self._look_at((nodes[:, 0], nodes[:, 1]))
 
     def _rewards(self, where: Window | Nodes, stage: int | NDArray[np.intp]) -> NDArray[np.float64]:
-        reward = self._fixed[where].copy()
+        reward = np.where(self._guide.asked[stage], self._fixed[where], self._unasked[where])
+        if self._credit.any():
+            reward += self._credit[stage] * self._chance[where]
         for term in self._situation.problem.terms:
             if isinstance(term, TrackingTerm):
                 settings = self._situation.tracking(term)
@@ -97,10 +106,9 @@ class StageRewards:
         fixed = np.zeros_like(mean) if self._alone is None else self._alone[where]
         for term in problem.terms:
             fixed = fixed + term.weight * self._by_power(term, mean, deviation, chance)
-        if problem.constraints.p_min > 0.0:
-            margin = bound_margin_db(
-                mean, deviation, radio.threshold_dbm, problem.constraints.p_min
-            )
+        self._unasked[where] = np.where(known, fixed, -np.inf)
+        if self._guide.asked.any():
+            margin = bound_margin_db(mean, deviation, radio.threshold_dbm, self._guide.level)
             missing = np.maximum(MARGIN_PAD_DB - margin, 0.0)
             cost = MISSING_DB_SHARE * missing + problem.planner.horizon * (missing > 0.0)
             fixed = fixed - self._largest * cost

@@ -7,15 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts
+from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import best_ends, move_table, path_to, search_rewards
 from planopt.planning.search.stage_rewards import StageRewards, move_values
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
@@ -58,7 +59,8 @@ class Start:
     worth
         What it is worth by all terms.
     missing_db
-        By how much its steps miss the connectivity bound, in all.
+        By how much it misses the rule of connectivity, as
+        :func:`planopt.planning.worth.rule_worth.rule_missing` counts.
     """
 
     path_m: NDArray[np.float64]
@@ -111,7 +113,7 @@ class StartSearch:
             paths += self._coupled.find_ways(situation, paths)
         paths = self._apart(situation, paths)
         worth = PathWorth(situation)
-        starts = [Start(path, worth(path), self._missing_db(situation, path)) for path in paths]
+        starts = [Start(path, worth(path), rule_missing(situation, path)) for path in paths]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
         count = self._starts if self._coupled is None else max(self._starts, COUPLED_STARTS)
         kept: list[Start] = []
@@ -137,7 +139,15 @@ class StartSearch:
         return kept or paths
 
     def _lattice_paths(self, situation: Situation) -> list[NDArray[np.float64]]:
-        """The best paths on the lattice; the first with good values where it rests on them."""
+        """The best paths on the lattice, under every guide that suits the rule of connectivity."""
+        return find_guided(
+            situation,
+            lambda guide: self._guided_paths(situation, guide),
+            lambda path: rule_missing(situation, path) == 0.0,
+        )
+
+    def _guided_paths(self, situation: Situation, guide: Guide) -> list[NDArray[np.float64]]:
+        """The best paths under a guide; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
         road_map = self._ground.road_map
         moving = situation.moving
@@ -147,7 +157,7 @@ class StartSearch:
             return []
         first = np.stack([road_map.rows[nodes], road_map.columns[nodes]], axis=1)
         first_value = move_values(self._problem, lengths)
-        rewards = StageRewards(situation, self._field)
+        rewards = StageRewards(situation, self._field, guide)
         paths: list[NDArray[np.intp]] = []
         for _ in range(CORRECTIONS + 1):
             found = search_rewards(
@@ -161,31 +171,19 @@ class StartSearch:
             )
             apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
             paths = [path_to(found, end) for end in best_ends(found, self._ends, apart)]
-            if not paths or not self._loses(rewards, paths[0]):
+            if not paths or not self._loses(rewards, paths[0], guide):
                 break
         return [self._field.places_m(path) for path in paths]
 
-    def _loses(self, rewards: StageRewards, path: NDArray[np.intp]) -> bool:
+    def _loses(self, rewards: StageRewards, path: NDArray[np.intp], guide: Guide) -> bool:
         """Whether the path is worth less once its nodes have good values.
 
         They get them where the bound rests on them.
         """
-        if self._problem.constraints.p_min == 0.0:
+        if not (guide.asked.any() or guide.credit.any()):
             return False
         before = float(rewards.along(path).sum())
         if not self._field.correct(path):
             return False
         rewards.corrected(path)
         return float(rewards.along(path).sum()) < before - SETTLED_SHARE * abs(before)
-
-    def _missing_db(self, situation: Situation, path_m: NDArray[np.float64]) -> float:
-        if self._problem.constraints.p_min == 0.0:
-            return 0.0
-        power = situation.power(path_m)
-        margins = bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            self._problem.stations[0].threshold_dbm,
-            self._problem.constraints.p_min,
-        )
-        return float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())

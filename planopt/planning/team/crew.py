@@ -11,6 +11,7 @@ from planopt.channel.belief import Belief
 from planopt.objectives.mapping import Region
 from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground, build_ground
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Plan
 from planopt.planning.planners import Planner, planner_for
 from planopt.planning.robot_problem import problem_of_robot
@@ -60,6 +61,7 @@ class Member:
         warm: Plan | None,
         moving: MovingDiscs = NOTHING_MOVES,
         reserved_m: NDArray[np.float64] | None = None,
+        history: History = BEGINNING,
     ) -> tuple[Plan, Aim]:
         """Plan from `position_m` (2,) on what this robot believes.
 
@@ -77,6 +79,8 @@ class Member:
             What it must keep from.
         reserved_m
             ``(N + 1, 2)`` what the others keep clear of for it; None where nothing moves.
+        history
+            What has happened on the run before.
         """
         situation = Situation(
             self.problem,
@@ -86,6 +90,7 @@ class Member:
             self.region,
             information=watched.information,
             moving=moving,
+            history=history,
         )
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
@@ -98,6 +103,7 @@ class Member:
             PathWorth(situation),
             moving,
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
+            history,
         )
         plan = self.planner.plan(situation, judge, warm)
         return plan, replace(watched, steering_m=situation.steering_m)

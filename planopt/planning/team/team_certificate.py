@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from planopt.planning.plan import Certificate
+from planopt.planning.rule_result import worst_result
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
@@ -42,6 +43,7 @@ def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
         ),
         min_separation_m=least_of(c.min_separation_m for c in all_of_them),
         min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in all_of_them),
+        rule=worst_result(c.rule for c in all_of_them),
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
+from planopt.planning.history import history_of
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.robot_run import completed_run
@@ -77,10 +78,17 @@ def simulate_team(
     for step in range(1, problem.planner.max_steps + 1):
         watch = watches[-1]
         moment = TeamMoment(
-            driven=step - 1,
             beliefs=beliefs,
             positions_m=[track[-1] for track in tracks],
             watched=[aim_of(watch, number, problem.planner.horizon) for number in range(len(crew))],
+            histories=[
+                history_of(
+                    member.problem,
+                    np.array(tracks[number]),
+                    np.array([arrived[number] for arrived in delivered], dtype=bool),
+                )
+                for number, member in enumerate(crew)
+            ],
             warm=[made[-1] if made else None for made in plans],
         )
         for number, (plan, aim) in enumerate(

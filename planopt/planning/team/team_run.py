@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
+from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
 from planopt.planning.team.least_distances import least_moving_clearances_m, least_separations_m
@@ -118,6 +119,7 @@ def team_metrics(
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
+    found |= rule_metrics(problem, runs)
     found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
     tracks = [run.log.positions_m for run in runs]
     if len(tracks) > 1:

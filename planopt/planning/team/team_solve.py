@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from planopt.channel.one_thread import one_blas_thread
+from planopt.planning.history import BEGINNING
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.team.crew import build_crew
@@ -48,10 +49,10 @@ def solve_team(
     crew = build_crew(problem, seeds)
     robots = range(len(crew))
     moment = TeamMoment(
-        driven=0,
         beliefs=[belief for _ in robots],
         positions_m=[member.start_m for member in crew],
         watched=[aim_of(watch, number, steps) for number in robots],
+        histories=[BEGINNING for _ in robots],
         warm=[None for _ in robots],
     )
     plans, aims = plan_together(problem, crew, moment)

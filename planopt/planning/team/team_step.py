@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
+from planopt.planning.history import History
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.team.crew import Member
 from planopt.planning.team.reservations import (
@@ -34,18 +35,21 @@ class TeamMoment:
 
     Attributes
     ----------
-    driven
-        Steps of the run before this one.
-    beliefs, positions_m, watched, warm
+    beliefs, positions_m, watched, histories, warm
         Of each robot: what it believes of the channel, its place (2,), what it knows of the target,
-        and the plan that led here or None.
+        what has happened on the run before, and the plan that led here or None.
     """
 
-    driven: int
     beliefs: Sequence[Belief]
     positions_m: Sequence[NDArray[np.float64]]
     watched: Sequence[Aim]
+    histories: Sequence[History]
     warm: Sequence[Plan | None]
+
+    @property
+    def driven(self) -> int:
+        """Steps of the run before this one."""
+        return self.histories[0].steps
 
 
 def plan_together(
@@ -100,6 +104,7 @@ def _in_order(
             moment.warm[number],
             moving_for(problem, moment.driven, others),
             reserved[number],
+            moment.histories[number],
         )
     plans = [made[number][0] for number in range(len(crew))]
     aims = [made[number][1] for number in range(len(crew))]

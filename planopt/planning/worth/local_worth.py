@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_quantile
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
 from planopt.objectives.information_derivatives import (
@@ -20,9 +19,11 @@ from planopt.objectives.information_derivatives import (
 from planopt.objectives.local_channel import LocalChannel, LocalGrid, local_channel, local_grid
 from planopt.objectives.motion_derivatives import path_length_derivatives
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
+from planopt.objectives.tracking_derivatives import connectivity_derivatives
 from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
 from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue, Structure
 from planopt.planning.programme.stage_kernel import margins_of
+from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_prediction import StagePredictor
 from planopt.planning.worth.stage_terms import stage_term_derivatives
@@ -49,14 +50,16 @@ LENGTH_ROUNDING_SHARE = 0.01
 
 def needs_stages(problem: Problem) -> bool:
     """Whether predictions of single stages are needed: by a term, or to bound connectivity."""
-    return problem.constraints.p_min > 0.0 or any(
+    return problem.constraints.asks_connection or any(
         isinstance(term, TrackingTerm | TransmissionEnergyTerm | CasadiTerm)
         for term in problem.terms
     )
 
 
-def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePath:
-    """Worth and margins about a start path (N, 2), for a solver."""
+def local_worth(
+    situation: Situation, path_m: NDArray[np.float64], rows: RuleRows | None = None
+) -> EvaluatePath:
+    """Worth about a start path (N, 2), and what a solver must bound by `rows`."""
     problem, posterior = situation.problem, situation.posterior
     structure = structure_of(problem)
     predict_stages = (
@@ -72,22 +75,33 @@ def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePa
         isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms
     ):
         grid = local_grid(joint, situation.region.grid_m, situation.region.weight)
-    threshold = problem.stations[0].threshold_dbm
-    bounded = problem.constraints.p_min > 0.0
-    z = bound_quantile(problem.constraints.p_min) if bounded else 0.0
+    rows = rows if rows is not None else rule_rows(situation, path_m)
+    z = rows.quantile
+    bounded = has_step_rows(problem)
 
     def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
         power = None if predict_stages is None else predict_stages(places_m)
-        margins = None
+        margins, total = None, None
         if bounded and power is not None:
-            margins = margins_of(*power, threshold, z)
+            margins = margins_of(*power, rows.threshold_dbm, z)
+        if rows.weight is not None and power is not None:
+            total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
         parts = [
             _weighted(term.weight, _derivatives(term, situation, places_m, power, joint, grid))
             for term in problem.terms
         ]
-        return Evaluation(_sum(parts, len(places_m), structure), margins)
+        return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 
     return evaluate
+
+
+def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
+    """The weighted sum of the stages' probabilities."""
+    return PathValue(
+        float(weight @ chance.value),
+        weight[:, None] * chance.gradient,
+        weight[:, None] * chance.hessian,
+    )
 
 
 Part = Derivatives | PathDerivatives

@@ -21,6 +21,7 @@ from planopt.objectives.path_loss_learning import path_loss_gain
 from planopt.objectives.until_connected import charged_distance_m
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.expression_inputs import known_inputs
+from planopt.planning.worth.rule_worth import slack_cost
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import (
     CasadiTerm,
@@ -42,8 +43,8 @@ class PathWorth:
     situation: Situation
 
     def __call__(self, path_m: NDArray[np.float64]) -> float:
-        """Weighted sum of the terms for a path (N, 2)."""
-        return float(sum(self.by_term(path_m)))
+        """Weighted sum of the terms for a path (N, 2), less the price of its slack."""
+        return float(sum(self.by_term(path_m))) - slack_cost(self.situation, path_m)
 
     def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
         """What each term of the objective contributes, its weight included."""

@@ -16,6 +16,7 @@ from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.objectives.until_connected import Search
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.worth.target_model import target_model
 from planopt.problems.objective import (
@@ -53,6 +54,8 @@ class Situation:
         ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
     moving
         What moves during the steps.
+    history
+        What has happened on the run before: rules over the whole run count it.
     """
 
     problem: Problem
@@ -63,6 +66,7 @@ class Situation:
     steering_m: NDArray[np.float64] | None = None
     information: NDArray[np.float64] | None = None
     moving: MovingDiscs = NOTHING_MOVES
+    history: History = BEGINNING
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )

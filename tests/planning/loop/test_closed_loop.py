@@ -179,10 +179,11 @@ def test_standing_before_a_gap_is_a_stall():
 def test_circling_is_a_stall(monkeypatch):
     """To and fro over known ground without end is one too."""
     import planopt.planning.loop.closed_loop as closed_loop
+    from planopt.planning.history import BEGINNING
 
     class Pacing(closed_loop.ReachPlanner):
-        def plan(self, belief, position_m, warm=None, driven=0):
-            plan = super().plan(belief, position_m, None, driven)
+        def plan(self, belief, position_m, warm=None, history=BEGINNING):
+            plan = super().plan(belief, position_m, None, history)
             there = np.array([5.0, 15.0]) if position_m[0] > 5.5 else np.array([6.0, 15.0])
             return replace(plan, positions_m=np.vstack([position_m, there, there]))
 

@@ -111,6 +111,70 @@ def task(weights, structure, bounded, lines, **changes):
     return PathTask(**{**settings, **changes})
 
 
+def total(positions):
+    """A sum over stages that falls to the right, each at a rate of its own."""
+    rate = 0.1 * np.arange(1, N + 1)
+    each = np.exp(-rate * positions[:, 0])
+    gradient, hessian = np.zeros((N, 2)), np.zeros((N, 3))
+    gradient[:, 0] = -rate * each
+    hessian[:, 0] = rate**2 * each
+    return PathValue(float(each.sum()), gradient, hessian)
+
+
+def summed_task(weights, bound, structure="stagewise", **changes):
+    """A task whose sum must reach a bound; a dB is worth a half."""
+
+    def at(positions):
+        found = evaluate(weights, structure, False)(positions)
+        return replace(found, total=total(positions))
+
+    settings = {"total_bound": bound, "total_per_db": 0.5, "slack_limit_db": np.zeros(1)}
+    return task(weights, structure, False, no_lines(), evaluate=at, **{**settings, **changes})
+
+
+@pytest.mark.parametrize("structure", ["stagewise", "full"])
+@pytest.mark.parametrize("bound", [1.0, 2.9, 3.5])
+def test_bounded_sum_is_that_of_scipy(structure, bound):
+    """Loose, tight and tighter bounds of one row over all stages."""
+    weights = np.array([1.0, 0.5, 2.0, 1.0])
+    nlp = build_path_nlp(N, 1, structure, False, summed=True)
+    found = polish_path(nlp, summed_task(weights, bound, structure))
+    start = np.array([0.0, 0.6])
+    limits = [
+        {
+            "type": "ineq",
+            "fun": lambda x: (
+                1.0 - (np.diff(np.vstack([start, x.reshape(N, 2)]), axis=0) ** 2).sum(1)
+            ),
+        },
+        {"type": "ineq", "fun": lambda x: total(x.reshape(N, 2)).value - bound},
+    ]
+    best = minimize(
+        lambda x: -bell(x.reshape(N, 2), weights)[0].sum(),
+        summed_task(weights, bound).path_m.ravel(),
+        constraints=limits,
+        method="SLSQP",
+        options={"ftol": 1e-12, "maxiter": 300},
+    )
+    assert found.termination is Termination.CONVERGED
+    assert bell(found.path_m, weights)[0].sum() == pytest.approx(-best.fun, rel=1e-4)
+    assert total(found.path_m).value >= bound - 1e-4
+    assert found.kkt_residual < 1e-3
+    assert found.multipliers["connectivity"].shape == (1,)
+
+
+def test_slack_of_a_sum_is_bounded_and_priced():
+    """As much as is allowed where it is cheap, none where it is dear."""
+    weights = np.array([1.0, 0.5, 2.0, 1.0])
+    nlp = build_path_nlp(N, 1, "stagewise", False, summed=True)
+    for price, slack_db in ((1e-3, 0.4), (1e3, 0.0)):
+        soft = {"slack_limit_db": np.array([0.4]), "slack_weight": price}
+        found = polish_path(nlp, summed_task(weights, 3.5, **soft))
+        assert found.slack_db == pytest.approx([slack_db], abs=1e-3)
+        assert total(found.path_m).value == pytest.approx(3.5 - 0.5 * slack_db, abs=1e-3)
+        assert found.kkt_residual < 1e-2
+
+
 def by_scipy(weights, structure, bounded, floor):
     """The same programme by SLSQP."""
     start = np.array([0.0, 0.6])

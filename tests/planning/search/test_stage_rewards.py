@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
+from planopt.planning.search.guide import Guide
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.stage_rewards import StageRewards
 from planopt.planning.worth.path_worth import PathWorth
@@ -19,7 +20,13 @@ def rewards_of(problem, reach_m=6.0):
     _, ground = judge_of(situation, belief)
     field = NodeField(ground.road_map.lattice)
     field.refresh(situation, reach_m)
-    return StageRewards(situation, field), field, situation
+    count = problem.planner.horizon
+    guide = Guide(
+        problem.constraints.p_min,
+        np.full(count, problem.constraints.p_min > 0.0),
+        np.zeros(count),
+    )
+    return StageRewards(situation, field, guide), field, situation
 
 
 def nodes_near(field, count=5):

@@ -1,0 +1,74 @@
+"""What has happened on a run before a plan: rules over the whole run count it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True)
+class History:
+    """One robot's run so far; a step counts as connected when the place it ends at is, in truth.
+
+    Attributes
+    ----------
+    steps, connected_steps
+        Steps driven, and those of them connected.
+    outage_steps, outage_m
+        Steps, and metres, driven since the last one connected, or since the start.
+    delivered_mbit
+        Data delivered before the deadline, where data are asked for.
+    """
+
+    steps: int = 0
+    connected_steps: int = 0
+    outage_steps: int = 0
+    outage_m: float = 0.0
+    delivered_mbit: float = 0.0
+
+
+BEGINNING = History()
+"""Of a plan from the start of a run."""
+
+
+def history_of(
+    problem: Problem, track_m: NDArray[np.float64], connected: NDArray[np.bool_]
+) -> History:
+    """The run along a track.
+
+    Parameters
+    ----------
+    problem
+        What is run.
+    track_m
+        ``(n + 1, 2)`` where the robot was, the start first.
+    connected
+        ``(n,)`` whether it was connected after each step.
+    """
+    count = len(connected)
+    ends = np.flatnonzero(connected)
+    since = int(ends[-1]) + 1 if len(ends) else 0
+    legs = np.linalg.norm(np.diff(track_m, axis=0), axis=1)
+    return History(
+        steps=count,
+        connected_steps=len(ends),
+        outage_steps=count - since,
+        outage_m=float(legs[since:].sum()),
+        delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
+    )
+
+
+def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:
+    """What each of `count` steps after step `first` delivers by the deadline if connected; (n,).
+
+    Zero where no data are asked for.
+    """
+    rule, step_s = problem.constraints.rule, problem.planner.step_s
+    if rule.deadline_s is None or rule.rate_mbit_s is None:
+        return np.zeros(count)
+    ends_s = np.minimum(step_s * np.arange(first, first + count + 1), rule.deadline_s)
+    return rule.rate_mbit_s * np.diff(ends_s)

@@ -1,0 +1,1 @@
+"""The rules of connectivity, one judged in each file."""

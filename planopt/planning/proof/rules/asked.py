@@ -1,0 +1,47 @@
+"""What a rule of connectivity asks of one plan, given what has happened before it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.history import History, data_of_steps_mbit
+from planopt.problems.problem import Problem
+
+
+def asked_steps(problem: Problem, history: History, count: int) -> NDArray[np.bool_]:
+    """Whether p_min is asked of each of a plan's `count` steps by itself; ``(count,)``.
+
+    For ``stated_times`` at the steps that end at a stated time. Rules over several steps ask it of
+    none.
+    """
+    rule = problem.constraints.rule
+    if rule.connectivity == "stated_times":
+        stated = np.rint(np.array(rule.connected_times_s) / problem.planner.step_s)
+        return np.isin(history.steps + 1 + np.arange(count), stated)
+    return np.full(count, rule.connectivity == "each_step")
+
+
+def data_asked_mbit(
+    problem: Problem, history: History, count: int
+) -> tuple[NDArray[np.float64], float]:
+    """What each of a plan's steps delivers if connected ``(count,)``, and what must be, in all.
+
+    What is missing is spread evenly over the time until the deadline: a plan that ends before it
+    must deliver its share, one that reaches it everything.
+    """
+    rule = problem.constraints.rule
+    each = data_of_steps_mbit(problem, history.steps, count)
+    if rule.data_mbit is None or rule.deadline_s is None or rule.rate_mbit_s is None:
+        raise AssertionError("no data are asked for")
+    left_s = rule.deadline_s - history.steps * problem.planner.step_s
+    missing = max(rule.data_mbit - history.delivered_mbit, 0.0)
+    if left_s <= 0.0 or missing == 0.0:
+        return each, 0.0
+    share = float(each.sum()) / (rule.rate_mbit_s * left_s)
+    return each, missing * share
+
+
+def connected_steps_asked(problem: Problem, history: History, count: int) -> float:
+    """How many of a plan's steps must be connected, for the average over the run and the plan."""
+    return problem.constraints.p_min * (history.steps + count) - history.connected_steps

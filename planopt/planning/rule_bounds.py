@@ -1,0 +1,182 @@
+"""The rule of connectivity in a polish: what the local model must reach, and when it lied.
+
+The margins and sums asked of the local model are corrected by how much it is off at the start, and
+again from a returned path that misses the bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.prediction import Prediction
+from planopt.planning.candidate import Candidate
+from planopt.planning.plan import Verdict
+from planopt.planning.programme.path_polish import PathTask
+from planopt.planning.programme.polished import Polished
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.local_worth import local_worth
+from planopt.planning.worth.risk_allocation import USED_SHARE, Allocation, next_allocation
+from planopt.planning.worth.rule_rows import RuleRows, step_risk
+from planopt.planning.worth.situation import Situation
+
+LOCAL_PAD_DB = 0.04
+"""Margin asked of the local model, corrected at the start, beyond the bound: it is off by less at
+nine of ten returned points (48 neighbours, 1,000 measurements, xi 4, beta 20 m)."""
+
+GIVEN_UP_DB = 1e-3
+"""A larger slack says that the solver found no better place; a smaller one is its tolerance."""
+
+MISSING_DB_COST = 100.0
+"""What a missing dB counts in the solver, where the bound cannot be kept."""
+
+USED_UP_SHARE = 0.97
+"""A risk that is used to this share is not shared out again."""
+
+
+def with_bounds(task: PathTask, situation: Situation, rows: RuleRows) -> PathTask:
+    """Ask for the bounds where the start keeps them, and for the least missing dB elsewhere.
+
+    A start that keeps a bound with less than is wanted stays feasible. Bounded slack is open to all
+    steps, at its price.
+    """
+    if rows.weight is not None:
+        return _with_total(task, situation, rows)
+    if not situation.problem.constraints.asks_connection:
+        return task
+    wanted, local, exact = _wanted(task, situation, rows)
+    kept = exact >= -MARGIN_TOLERANCE_DB
+    bound = np.where(kept, np.minimum(wanted, local), wanted)
+    limit, weight = _slack(situation, task.scale, np.where(np.isfinite(exact), -exact, 0.0))
+    if not situation.problem.constraints.rule.by_step:
+        weight = weight if np.isinf(limit).any() else weight / max(int(rows.asked.sum()), 1)
+    return replace(
+        task,
+        bound_db=np.where(rows.asked, bound, -np.inf),
+        slack_limit_db=np.where(rows.asked, limit, 0.0),
+        slack_weight=weight,
+    )
+
+
+def lacks(situation: Situation, rows: RuleRows, point: Polished) -> bool:
+    """Whether a returned path misses a bound where the solver thought that it keeps it."""
+    if not len(point.slack_db) or not np.isfinite(point.path_m).all():
+        return False
+    power = situation.power(point.path_m)
+    if rows.weight is not None:
+        missing = _slack_of_sum(rows, power) > MARGIN_TOLERANCE_DB
+        return bool(point.slack_db[0] <= GIVEN_UP_DB and missing)
+    margins = rows.margins_db(power)
+    return bool((margins[point.slack_db <= GIVEN_UP_DB] < -MARGIN_TOLERANCE_DB).any())
+
+
+def recentred(task: PathTask, situation: Situation, rows: RuleRows, point: Polished) -> PathTask:
+    """The task from a returned path on: its neighbours, and the error measured there."""
+    task = moved(task, situation, rows, point.path_m)
+    if rows.weight is not None:
+        return replace(task, total_bound=_wanted_total(task, situation, rows)[0])
+    wanted = _wanted(task, situation, rows)[0]
+    return replace(task, bound_db=np.where(rows.asked, wanted, -np.inf))
+
+
+def moved(
+    task: PathTask, situation: Situation, rows: RuleRows, path_m: NDArray[np.float64]
+) -> PathTask:
+    """The task from another path (N, 2) on, with the channel near it."""
+    return replace(task, path_m=path_m, evaluate=local_worth(situation, path_m, rows))
+
+
+def rows_again(
+    situation: Situation, rows: RuleRows, candidate: Candidate, tried: list[Allocation]
+) -> RuleRows | None:
+    """The risk of all steps together, shared out by what a candidate used; None if it is used up.
+
+    Parameters
+    ----------
+    situation, rows
+        What was asked.
+    candidate
+        What came out, judged.
+    tried
+        Earlier allocations; this one is put to them.
+    """
+    certificate = candidate.certificate
+    if certificate is None or certificate.rule is None or not np.isfinite(candidate.path_m).all():
+        return None
+    asked, found = 1.0 - certificate.rule.asked, 1.0 - certificate.rule.achieved
+    risk, used = 1.0 - rows.level, step_risk(situation, candidate.path_m)
+    held = (used >= USED_SHARE * risk).any()
+    if candidate.verdict is Verdict.VERIFIED and (found >= USED_UP_SHARE * asked or not held):
+        return None
+    tried.append(Allocation(risk, found))
+    risk = next_allocation(tried, used, asked)
+    return replace(rows, level=1.0 - risk)
+
+
+def _with_total(task: PathTask, situation: Situation, rows: RuleRows) -> PathTask:
+    power = situation.power(task.path_m)
+    task = replace(task, total_per_db=_per_db(rows, power))
+    wanted, local = _wanted_total(task, situation, rows)
+    short_db = (rows.total - rows.sum_of(power)) / task.total_per_db
+    limit, weight = _slack(situation, task.scale, np.array([short_db]))
+    return replace(
+        task,
+        total_bound=wanted if short_db > 0.0 else min(wanted, local),
+        slack_limit_db=limit,
+        slack_weight=weight,
+    )
+
+
+def _slack(
+    situation: Situation, scale: float, missing_db: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """How much slack each row has, and what a dB of it counts in the solver.
+
+    Where a start misses more than is allowed, as much as it takes; then slack is dear.
+    """
+    rule = situation.problem.constraints.rule
+    allowed = rule.slack_max_db or 0.0
+    limit = np.where(missing_db <= allowed + MARGIN_TOLERANCE_DB, allowed, np.inf)
+    if np.isinf(limit).any() or allowed == 0.0:
+        return limit, MISSING_DB_COST
+    return limit, scale * rule.slack_price
+
+
+def _wanted(
+    task: PathTask, situation: Situation, rows: RuleRows
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """What the local margins must reach for the bound, and local and exact ones at the start.
+
+    Where the local model is too optimistic by e at the start, it is asked for e more, and for
+    less where it is not optimistic enough.
+    """
+    margins = task.evaluate(task.path_m).margins
+    if margins is None:
+        raise AssertionError("a bounded problem has margins")
+    exact = rows.margins_db(situation.power(task.path_m))
+    return LOCAL_PAD_DB + margins.value - exact, margins.value, exact
+
+
+def _wanted_total(task: PathTask, situation: Situation, rows: RuleRows) -> tuple[float, float]:
+    """What the local sum must reach for the bound, and what it is at the start."""
+    total = task.evaluate(task.path_m).total
+    if total is None:
+        raise AssertionError("a bounded sum is there")
+    off = total.value - rows.sum_of(situation.power(task.path_m))
+    return rows.total + off + LOCAL_PAD_DB * task.total_per_db, total.value
+
+
+def _per_db(rows: RuleRows, power: Prediction) -> float:
+    """What lowering the threshold by a dB adds to the sum, at first order; not zero."""
+    if rows.weight is None:
+        raise AssertionError("no sum is bounded")
+    score = (power.mean_db - rows.threshold_dbm) / power.deviation_db
+    density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db)
+    return max(float(rows.weight @ density), 1e-3 * float(rows.weight.max(initial=0.0)), 1e-9)
+
+
+def _slack_of_sum(rows: RuleRows, power: Prediction) -> float:
+    """By how many dB the sum misses its bound, at first order."""
+    return (rows.total - rows.sum_of(power)) / _per_db(rows, power)

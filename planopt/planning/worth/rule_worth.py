@@ -1,0 +1,70 @@
+"""What a path's connectivity costs: by how much it misses the rule, and the price of its slack."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import bound_margin_db
+from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.rules.tolerance import is_missed
+from planopt.planning.proof.rules.whole_plan import whole_plan_result
+from planopt.planning.rule_result import RuleResult
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.situation import Situation
+
+SHARE_IN_DB = 100.0
+"""What all of what a rule over a whole plan asks counts in dB, where it is missed."""
+
+
+def slack_cost(at: Situation, path_m: NDArray[np.float64]) -> float:
+    """What the slack of a path (N, 2) costs, in the objective's unit."""
+    rule = at.problem.constraints.rule
+    if rule.slack_price == 0.0:
+        return 0.0
+    if rule.by_step:
+        return rule.slack_price * float(_missed_db(at, path_m).sum())
+    result = _result(at, path_m)
+    beyond = result.slack_db == 0.0 and is_missed(result)
+    return rule.slack_price * ((rule.slack_max_db or 0.0) if beyond else result.slack_db)
+
+
+def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
+    """By how much a path (N, 2) misses the rule beyond its slack; 0 where it does not.
+
+    In dB, of all steps together; of a rule over a whole plan as a share of what is asked times
+    `SHARE_IN_DB`.
+    """
+    constraints = at.problem.constraints
+    if not constraints.asks_connection:
+        return 0.0
+    if constraints.rule.by_step:
+        missed = _missed_db(at, path_m) - (constraints.rule.slack_max_db or 0.0)
+        return float(missed[missed > MARGIN_TOLERANCE_DB].sum())
+    result = _result(at, path_m)
+    if result.slack_db > 0.0 or not is_missed(result):
+        return 0.0
+    return SHARE_IN_DB * result.missing / max(result.asked, 1.0)
+
+
+def _missed_db(at: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By how much each step that is asked for misses the bound; (N,)."""
+    power, problem = at.power(path_m), at.problem
+    margins = bound_margin_db(
+        power.mean_db,
+        power.deviation_db,
+        problem.stations[0].threshold_dbm,
+        problem.constraints.p_min,
+    )
+    missed = margins < -MARGIN_TOLERANCE_DB
+    return np.where(missed & asked_steps(problem, at.history, len(path_m)), -margins, 0.0)
+
+
+def _result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
+    return whole_plan_result(
+        at.problem,
+        at.history,
+        at.posterior,
+        np.vstack([at.position_m, path_m]),
+        at.power(path_m),
+    )

@@ -1,0 +1,149 @@
+"""The table ``[constraints]`` of a problem file."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from planopt.problems.connectivity_rule import ConnectivityForm, ConnectivityRule
+from planopt.problems.constraints import Constraints
+from planopt.problems.tables import Table
+
+Positive = Annotated[float, Field(gt=0, le=1e9)]
+
+RULE_KEYS: dict[str, tuple[str, ...]] = {
+    "each_step": (),
+    "stated_times": ("connected_times_s",),
+    "average": (),
+    "joint": (),
+    "outage": ("outage_max_m", "outage_max_s"),
+    "data": ("data_mbit", "deadline_s", "rate_mbit_s"),
+}
+"""Keys that belong to one form of connectivity alone."""
+
+
+class ConstraintsTable(Table):
+    """``[constraints]``: what every plan must keep."""
+
+    p_min: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="Least probability of connection at every step where that is possible, or of "
+        "what connectivity says; 0 asks for none. The task reach needs it above 0.",
+    )
+    clearance_m: float = Field(
+        default=1.0,
+        ge=0,
+        le=1e4,
+        description="Least distance in metres of the swept path from every obstacle, moving ones "
+        "included.",
+    )
+    goal_radius_m: float = Field(
+        default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
+    )
+    separation_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e4,
+        description="Least distance in metres of any two robots at equal times, all the way; 0 "
+        "asks for none.",
+    )
+    connectivity: ConnectivityForm = Field(
+        default="each_step",
+        description="What p_min is asked of: each_step, stated_times, average, joint (all steps of "
+        "a plan), outage (steps below it in a row); or data, which has no p_min.",
+    )
+    connected_times_s: list[Positive] = Field(
+        default=[],
+        max_length=100_000,
+        description="For stated_times: seconds from the start of the run, multiples of "
+        "planner.step_s.",
+    )
+    outage_max_m: float | None = Field(
+        default=None,
+        ge=0,
+        le=1e9,
+        description="For outage: longest way in metres driven in steps below p_min in a row.",
+    )
+    outage_max_s: float | None = Field(
+        default=None,
+        ge=0,
+        le=1e9,
+        description="For outage: longest time in seconds of steps below p_min in a row.",
+    )
+    data_mbit: Positive | None = Field(
+        default=None, description="For data: what must be delivered, in Mbit, in expectation."
+    )
+    deadline_s: Positive | None = Field(
+        default=None, description="For data: until when, in seconds from the start of the run."
+    )
+    rate_mbit_s: Positive | None = Field(
+        default=None, description="For data: rate of the link while connected, in Mbit/s."
+    )
+    slack_max_db: float | None = Field(
+        default=None,
+        ge=0,
+        le=500,
+        description="What is asked of the connection may be missed by so many dB; 0 makes it hard. "
+        "Left out, each_step and stated_times may be missed where nothing within reach keeps them.",
+    )
+    slack_price: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e9,
+        description="What a dB of slack costs, in the objective's unit; needs slack_max_db.",
+    )
+
+    @model_validator(mode="after")
+    def _keys_of_the_form(self) -> ConstraintsTable:
+        fault = self._fault()
+        if fault is not None:
+            raise PydanticCustomError("one_of", "{words}", {"words": fault})
+        return self
+
+    def _fault(self) -> str | None:
+        """What does not fit the form of connectivity."""
+        form, given = self.connectivity, self.model_fields_set
+        for other, keys in RULE_KEYS.items():
+            for key in keys:
+                if other != form and key in given:
+                    return f'has {key}, which goes only with connectivity = "{other}"'
+        if form == "data" and self.p_min > 0.0:
+            return 'has p_min, which connectivity = "data" does not: data count in expectation'
+        if form not in ("each_step", "data") and self.p_min == 0.0:
+            return f'needs p_min above 0 for connectivity = "{form}"'
+        if form == "outage" and (self.outage_max_m is None) == (self.outage_max_s is None):
+            return 'needs one of outage_max_m and outage_max_s for connectivity = "outage"'
+        if form in ("stated_times", "data"):
+            for key in RULE_KEYS[form]:
+                if not getattr(self, key):
+                    return f'needs {key} for connectivity = "{form}"'
+        if self.slack_max_db is not None and self.p_min == 0.0 and form != "data":
+            return "has slack_max_db, but nothing is asked of the connection: p_min is 0"
+        if self.slack_price > 0.0 and not self.slack_max_db:
+            return "has slack_price, which needs slack_max_db above 0"
+        return None
+
+    @property
+    def constraints(self) -> Constraints:
+        """The plain constraints."""
+        return Constraints(
+            self.p_min,
+            self.clearance_m,
+            self.goal_radius_m,
+            self.separation_m,
+            ConnectivityRule(
+                self.connectivity,
+                tuple(self.connected_times_s),
+                self.outage_max_m,
+                self.outage_max_s,
+                self.data_mbit,
+                self.deadline_s,
+                self.rate_mbit_s,
+                self.slack_max_db,
+                self.slack_price,
+            ),
+        )

@@ -1,0 +1,230 @@
+"""The verifier under each rule: closed forms, sampled channels, and what has happened before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rules_scene import hand_made
+from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_everywhere
+from scipy.special import ndtr
+
+from planopt.channel.connection.joint_connectivity import joint_connectivity
+from planopt.channel.joint import sample_power
+from planopt.planning.history import History, data_of_steps_mbit, history_of
+from planopt.planning.plan import Verdict
+from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.rules.joint import joint_result, path_prediction
+from planopt.planning.proof.rules.outage import longest_run
+from planopt.planning.proof.verify import judge
+from planopt.world.clearance import index_obstacles
+
+ALONG = np.array([[16.0, 15.0], [18.0, 15.0], [20.0, 15.0], [22.0, 15.0], [24.0, 15.0]])
+GAP = bad_band(19.0, 23.0, open_above_m=20.0)
+"""Steps 2 and 3 of `ALONG` are in it; it ends above the path."""
+
+
+def faint(positions_m: np.ndarray) -> np.ndarray:
+    """A little above the threshold everywhere, less so to the right."""
+    return THRESHOLD_DBM + 1.0 - 0.02 * positions_m[:, 0]
+
+
+def judged(problem, power_at, path_m=ALONG, **history):
+    """The judgement of a path, and the channel."""
+    posterior = belief_of(problem, power_at).posterior
+    index = index_obstacles(problem.workspace)
+    past = History(**history)
+    return judge(problem, index, posterior, path_m[0], path_m, None, past), posterior
+
+
+def chances(posterior, path_m=ALONG):
+    """P(connected) after each step, by the normal distribution."""
+    power = posterior.predict(path_m[1:])
+    return ndtr((power.mean_db - THRESHOLD_DBM) / power.deviation_db)
+
+
+def test_stated_times_ask_of_their_steps_alone():
+    """A gap is no matter but at a stated time; then the reason names the step."""
+    kept, _ = judged(hand_made("stated_times", connected_times_s=(1.0, 4.0)), GAP)
+    assert kept.verdict is Verdict.VERIFIED
+    assert kept.certificate.relaxed_steps == ()
+    assert (kept.certificate.rule.achieved, kept.certificate.rule.asked) == (2.0, 2.0)
+    missed, _ = judged(hand_made("stated_times", connected_times_s=(1.0, 3.0)), GAP)
+    assert missed.verdict is Verdict.VIOLATED
+    assert missed.certificate.relaxed_steps == (3,)
+    assert "step 3" in missed.certificate.reasons[0]
+
+
+def test_stated_times_are_of_the_run():
+    """Six steps on, the time after eight is that of step 2."""
+    problem = hand_made("stated_times", connected_times_s=(8.0, 8.0, 99.0))
+    assert asked_steps(problem, History(steps=6), 4).tolist() == [False, True, False, False]
+    assert asked_steps(problem, History(steps=8), 4).sum() == 0
+    assert judged(problem, GAP, steps=6)[0].verdict is Verdict.VIOLATED
+    assert judged(problem, GAP, steps=4)[0].verdict is Verdict.VERIFIED
+
+
+def test_average_counts_the_run_so_far():
+    """(connected steps + sum of chances) / all steps, against p_min."""
+    problem = hand_made("average", p_min=0.7)
+    judgement, posterior = judged(problem, faint, steps=6, connected_steps=5)
+    mean = (5.0 + chances(posterior).sum()) / 10.0
+    assert judgement.certificate.rule.achieved == pytest.approx(mean, abs=1e-12)
+    for p_min, verdict in ((mean - 1e-4, Verdict.VERIFIED), (mean + 1e-4, Verdict.VIOLATED)):
+        asked = hand_made("average", p_min=p_min)
+        again, _ = judged(asked, faint, steps=6, connected_steps=5)
+        assert again.verdict is verdict
+    assert "on average" in again.certificate.reasons[0]
+
+
+def test_joint_is_the_share_of_sampled_channels_that_connect_throughout():
+    """A lower bound of it, near: powers along the path drawn together."""
+    judgement, posterior = judged(hand_made("joint", p_min=0.5), faint)
+    drawn = sample_power(posterior, ALONG[1:], 40_000, np.random.default_rng(7))
+    share = float((drawn >= THRESHOLD_DBM).all(axis=1).mean())
+    error = 3.0 * np.sqrt(share * (1.0 - share) / len(drawn))
+    result = judgement.certificate.rule
+    assert share - error - 3e-3 < result.achieved < share + error
+    assert result.achieved < chances(posterior).min()
+    for p_min, verdict in ((share - 0.02, Verdict.VERIFIED), (share + 0.02, Verdict.VIOLATED)):
+        assert judged(hand_made("joint", p_min=p_min), faint)[0].verdict is verdict
+
+
+def test_joint_counts_less_its_error():
+    """The integral's error is taken off, so that the bound is one."""
+    problem = hand_made("joint", p_min=0.5)
+    prediction = path_prediction(belief_of(problem, faint).posterior, ALONG[1:])
+    found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(0), 1e-3)
+    result = joint_result(problem, prediction)
+    assert found.exact.error > 0.0
+    assert result.achieved == found.exact.value - found.exact.error
+    assert "integral" in result.method
+
+
+def test_outage_in_metres_and_seconds():
+    """Two steps of two metres and a second are missed in a row; exactly so much is allowed."""
+    for key, unit, length in (("outage_max_m", "m", 4.0), ("outage_max_s", "s", 2.0)):
+        kept, _ = judged(hand_made("outage", **{key: length}), GAP)
+        assert kept.verdict is Verdict.VERIFIED
+        assert (kept.certificate.rule.achieved, kept.certificate.rule.unit) == (length, unit)
+        missed, _ = judged(hand_made("outage", **{key: length - 0.01}), GAP)
+        assert missed.verdict is Verdict.VIOLATED
+        assert key in missed.certificate.reasons[0]
+
+
+def test_an_outage_that_has_begun_counts_if_it_goes_on():
+    """Three metres before the plan: they count where its first step is missed, else not."""
+    problem = hand_made("outage", outage_max_m=4.0)
+    assert judged(problem, GAP, outage_m=3.0, outage_steps=2)[0].verdict is Verdict.VERIFIED
+    inside = ALONG + np.array([2.0, 0.0])
+    going_on, _ = judged(problem, GAP, inside, outage_m=3.0, outage_steps=2)
+    assert going_on.certificate.rule.achieved == pytest.approx(7.0)
+    assert going_on.verdict is Verdict.VIOLATED
+
+
+def test_longest_run_against_every_stretch():
+    """The largest sum over all stretches of missed steps, tried one by one."""
+    generator = np.random.default_rng(5)
+    for _ in range(50):
+        sizes, missed = generator.random(8), generator.random(8) < 0.6
+        before = generator.random()
+        best = 0.0
+        for first in range(8):
+            for last in range(first, 8):
+                if missed[first : last + 1].all():
+                    head = before if first == 0 else 0.0
+                    best = max(best, head + sizes[first : last + 1].sum())
+        assert longest_run(sizes, missed, before) == pytest.approx(best)
+
+
+def test_data_must_keep_pace_with_the_deadline():
+    """Expected data of four of twenty seconds against a fifth of what is asked."""
+    rule = {"data_mbit": 30.0, "deadline_s": 20.0, "rate_mbit_s": 2.0}
+    judgement, posterior = judged(hand_made("data", p_min=0.0, **rule), faint)
+    result = judgement.certificate.rule
+    assert result.achieved == pytest.approx(2.0 * chances(posterior).sum())
+    assert result.asked == pytest.approx(6.0)
+    assert judgement.verdict is Verdict.VIOLATED
+    assert "data_mbit" in judgement.certificate.reasons[0]
+    # Two seconds before the deadline only two steps count, and all that is missing is asked.
+    late = {"steps": 18, "delivered_mbit": 29.0}
+    ending, _ = judged(hand_made("data", p_min=0.0, **rule), faint, **late)
+    assert ending.certificate.rule.asked == pytest.approx(1.0)
+    assert ending.certificate.rule.achieved == pytest.approx(2.0 * chances(posterior)[:2].sum())
+    after, _ = judged(hand_made("data", p_min=0.0, **rule), bad_everywhere, steps=20)
+    assert (after.verdict, after.certificate.rule.asked) == (Verdict.VERIFIED, 0.0)
+
+
+def test_data_of_a_step_ends_at_the_deadline():
+    """A deadline in the middle of a step cuts it."""
+    problem = hand_made("data", data_mbit=1.0, deadline_s=2.5, rate_mbit_s=4.0)
+    assert data_of_steps_mbit(problem, 0, 4).tolist() == [4.0, 4.0, 2.0, 0.0]
+    assert data_of_steps_mbit(problem, 2, 2).tolist() == [2.0, 0.0]
+
+
+def test_history_of_a_track():
+    """Counted by hand."""
+    problem = hand_made("data", data_mbit=1.0, deadline_s=3.5, rate_mbit_s=2.0)
+    track = np.array([[0, 0], [1, 0], [1, 2], [4, 2], [4, 2.5]], dtype=float)
+    past = history_of(problem, track, np.array([True, True, False, False]))
+    assert past == History(4, 2, 2, 3.5, 4.0)
+    assert history_of(problem, track[:1], np.zeros(0, dtype=bool)) == History()
+    never = history_of(problem, track, np.zeros(4, dtype=bool))
+    assert (never.outage_steps, never.outage_m) == (4, 6.5)
+
+
+@pytest.mark.parametrize("form", ["average", "joint", "data", "outage"])
+def test_slack_is_the_least_lowering_of_the_threshold(form):
+    """The rule holds at a threshold lower by the slack that is reported, and not at one higher."""
+    rule = {
+        "average": {"p_min": 0.95},
+        "joint": {"p_min": 0.9},
+        "data": {"p_min": 0.0, "data_mbit": 3.8, "deadline_s": 4.0, "rate_mbit_s": 1.0},
+        "outage": {"p_min": 0.95, "outage_max_s": 0.0},
+    }[form]
+    hard = hand_made(form, **rule)
+    assert judged(hard, faint)[0].verdict is Verdict.VIOLATED
+    slack_db = judged(hand_made(form, slack_max_db=20.0, **rule), faint)[
+        0
+    ].certificate.rule.slack_db
+    assert 0.0 < slack_db < 20.0
+
+    def verdict_at(lower_db):
+        station = replace(hard.stations[0], threshold_dbm=THRESHOLD_DBM - lower_db)
+        return judged(replace(hard, stations=(station,)), faint)[0].verdict
+
+    assert verdict_at(slack_db + 1e-3) is Verdict.VERIFIED
+    assert verdict_at(slack_db - 1e-3) is Verdict.VIOLATED
+    for limit, verdict in ((0.9, Verdict.VIOLATED), (1.1, Verdict.VERIFIED)):
+        bounded = hand_made(form, slack_max_db=limit * slack_db, **rule)
+        assert judged(bounded, faint)[0].verdict is verdict
+
+
+def test_slack_of_single_steps_is_bounded_and_replaces_the_excuse():
+    """Hard: also where nothing within reach keeps the bound. Soft: within the slack, reported."""
+    hopeless, _ = judged(hand_made("each_step", slack_max_db=0.0), bad_everywhere)
+    assert hopeless.verdict is Verdict.VIOLATED
+    assert "misses constraints.p_min" in hopeless.certificate.reasons[0]
+    soft, posterior = judged(hand_made("each_step", slack_max_db=30.0), GAP)
+    power = posterior.predict(ALONG[1:])
+    margins = power.mean_db - 1.2815515655446004 * power.deviation_db - THRESHOLD_DBM
+    assert soft.verdict is Verdict.VERIFIED
+    assert soft.certificate.relaxed_steps == (2, 3)
+    assert soft.certificate.relaxation_db == pytest.approx((-margins[1], -margins[2]))
+    assert soft.certificate.rule.slack_db == pytest.approx(-margins.min())
+    tight, _ = judged(hand_made("each_step", slack_max_db=-margins.min() - 0.01), GAP)
+    assert tight.verdict is Verdict.VIOLATED
+
+
+def test_whole_rules_are_kept_where_power_is_good():
+    """Nothing is missed, nothing is slack."""
+    for form, rule in (
+        ("average", {}),
+        ("joint", {}),
+        ("outage", {"outage_max_m": 0.0}),
+        ("data", {"p_min": 0.0, "data_mbit": 4.0, "deadline_s": 5.0, "rate_mbit_s": 1.0}),
+    ):
+        judgement, _ = judged(hand_made(form, slack_max_db=3.0, **rule), good_everywhere)
+        assert judgement.verdict is Verdict.VERIFIED
+        assert judgement.certificate.rule.slack_db == 0.0

@@ -1,0 +1,120 @@
+"""Every small falsification of the rules' source is found out by the tests beside this file.
+
+A mutant replaces the functions of its module wherever the verifier uses them; then at least one of
+the tests of `test_rules.py` must fail.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import test_rules
+
+HISTORY = "planopt.planning.history"
+ROOM = "planopt.planning.proof.rules"
+ASKED, EXPECTED, OUTAGE = f"{ROOM}.asked", f"{ROOM}.expected", f"{ROOM}.outage"
+JOINT, WHOLE, TOLERANCE = f"{ROOM}.joint", f"{ROOM}.whole_plan", f"{ROOM}.tolerance"
+STEPS, RESULT = f"{ROOM}.single_steps", "planopt.planning.rule_result"
+USERS = (
+    HISTORY,
+    ASKED,
+    EXPECTED,
+    OUTAGE,
+    JOINT,
+    WHOLE,
+    TOLERANCE,
+    STEPS,
+    "planopt.planning.proof.verify",
+)
+
+# Module, what stands there once, what the mutant has instead.
+MUTANTS = (
+    (HISTORY, "count - since,", "since,"),
+    (HISTORY, "legs[since:]", "legs[:since]"),
+    (HISTORY, "@ connected)", "@ ~connected)"),
+    (HISTORY, "(first, first + count + 1)", "(0, count + 1)"),
+    (HISTORY, "np.minimum(step_s", "np.maximum(step_s"),
+    (ASKED, "history.steps + 1 + np", "1 + np"),
+    (ASKED, "history.steps + 1 + np", "history.steps + np"),
+    (ASKED, "rule.data_mbit - history.delivered_mbit", "rule.data_mbit"),
+    (ASKED, "missing * share", "missing"),
+    (ASKED, "if left_s <= 0.0 or", "if left_s > 0.0 or"),
+    (ASKED, "rule.deadline_s - history.steps * problem.planner.step_s", "rule.deadline_s"),
+    (EXPECTED, "history.connected_steps + float", "float"),
+    (EXPECTED, "history.steps + len", "len"),
+    (EXPECTED, "probability.sum()", "probability.max()"),
+    (EXPECTED, "each @ probability", "each.sum()"),
+    (OUTAGE, "current + size if out", "size if out"),
+    (OUTAGE, "if out else 0.0", "if not out else 0.0"),
+    (OUTAGE, "= 0.0, before", "= 0.0, 0.0"),
+    (OUTAGE, "max(longest, current)", "current"),
+    (OUTAGE, "missed, history.outage_m)", "missed, 0.0)"),
+    (JOINT, "threshold_dbm - slack_db", "threshold_dbm + slack_db"),
+    (JOINT, "exact.value - found.exact.error", "exact.value + found.exact.error"),
+    (JOINT, "max(proven, key", "min(proven, key"),
+    (WHOLE, "threshold - slack_db)", "threshold)"),
+    (WHOLE, "margin_db + slack_db", "margin_db"),
+    (WHOLE, "slack_db=high)", "slack_db=0.5 * high)"),
+    (WHOLE, "or result.slack_db > 0.0", "or result.slack_db >= 0.0"),
+    (WHOLE, "if limit == 0.0 or", "if limit >= 0.0 or"),
+    (WHOLE, "positions_m[1:])", "positions_m[:-1])"),
+    (TOLERANCE, "result.missing > RULE", "result.missing < RULE"),
+    (TOLERANCE, "margin_db < -MARGIN", "margin_db > MARGIN"),
+    (STEPS, "missing > limit + MARGIN_TOLERANCE_DB", "missing > 1e3 + limit"),
+    (STEPS, "missing > limit + MARGIN_TOLERANCE_DB", "missing < limit"),
+    (STEPS, "(margins < -MARGIN_TOLERANCE_DB) & asked", "margins < -MARGIN_TOLERANCE_DB"),
+    (STEPS, "if constraints.rule.slack_max_db is not None:", "if False:"),
+    (STEPS, "max(relaxation_db, default=0.0)", "min(relaxation_db, default=0.0)"),
+)
+
+
+def facts() -> Iterator[Callable[[], object]]:
+    """The tests of `test_rules.py`, each ready to be called."""
+    for name, test in vars(test_rules).items():
+        if name == "test_slack_is_the_least_lowering_of_the_threshold":
+            for form in ("average", "joint", "data", "outage"):
+                yield lambda test=test, form=form: test(form)
+        elif name.startswith("test_"):
+            yield test
+
+
+def source_of(module: str) -> str:
+    """Its text."""
+    spec = find_spec(module)
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin).read_text()
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: f"{mutant[0][17:]}: {mutant[2]}")
+def test_mutant_is_found_out(mutant, monkeypatch):
+    """Some test fails with it."""
+    module, original, instead = mutant
+    source = source_of(module)
+    assert source.count(original) == 1, "the mutant does not fit the source any more"
+    changed = ModuleType("mutant_of_a_rule")
+    # Data classes look their module up.
+    monkeypatch.setitem(sys.modules, changed.__name__, changed)
+    exec(compile(source.replace(original, instead), "<mutant>", "exec"), changed.__dict__)
+    for user in (*(import_module(name) for name in USERS), test_rules):
+        for name, value in list(vars(user).items()):
+            if callable(value) and getattr(value, "__module__", None) == module:
+                # Classes stay: they are compared with each other.
+                if not isinstance(value, type):
+                    monkeypatch.setattr(user, name, getattr(changed, name))
+
+    def holds(fact: Callable[[], object]) -> bool:
+        try:
+            with np.errstate(all="ignore"):
+                fact()
+        except Exception:
+            return False
+        return True
+
+    assert not all(holds(fact) for fact in facts())

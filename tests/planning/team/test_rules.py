@@ -1,0 +1,173 @@
+"""Planning, driving and checking under each rule of connectivity."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rules_scene import RULES, ruled_problem
+from scipy.stats import binomtest
+from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+from planopt.channel.joint import sample_power
+from planopt.planning.check.check import check
+from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.plan import Termination, Verdict
+from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.team.team_solve import solve_team
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.problems.connectivity_rule import ConnectivityRule
+
+SEED = 3
+
+
+def free_plan():
+    """The plan without a rule."""
+    return solve_team(terms_problem(TRACKING), seed=SEED).plans[0]
+
+
+@pytest.mark.parametrize("form", RULES)
+def test_plan_keeps_a_rule_that_binds(form):
+    """Verified, at a worth below that of the free plan, which breaks the rule; and polished."""
+    plan = solve_team(ruled_problem(form), seed=SEED).plans[0]
+    assert plan.verdict is Verdict.VERIFIED
+    result = plan.certificate.rule
+    assert result.missing <= 1e-7
+    free = free_plan()
+    assert plan.objective < free.objective
+    problem = ruled_problem(form)
+    situation, belief = situation_of(problem, SEED)
+    broken = judge_of(situation, belief)[0]
+    judged = broken.judged(broken.candidate(free.positions_m[1:], plan.rung, plan.termination))
+    assert judged.verdict is Verdict.VIOLATED
+    # The bound is used, not only kept: little of what is asked is left over.
+    if form not in ("stated_times", "outage"):
+        assert -result.missing < 0.02 * result.asked
+    assert plan.termination is Termination.CONVERGED
+    assert plan.objective >= plan.lattice_objective
+
+
+@pytest.mark.parametrize("form", RULES)
+def test_no_driven_way_of_many_is_worth_more(form):
+    """Random ways that keep the rule are worth no more than the plan."""
+    problem = ruled_problem(form)
+    situation, belief = situation_of(problem, SEED)
+    judge, ground = judge_of(situation, belief)
+    plan = HorizonPlanner(problem, ground).plan(situation, judge)
+    generator = np.random.default_rng(0)
+    best = -np.inf
+    for _ in range(300):
+        heading = generator.uniform(0, 2 * np.pi) + np.cumsum(generator.normal(0, 0.4, 5))
+        steps = generator.uniform(0, 2, (5, 1)) * np.stack([np.cos(heading), np.sin(heading)], 1)
+        path = situation.position_m + np.cumsum(steps, axis=0)
+        worth = judge.objective(path)
+        if worth > best:
+            found = judge.judged(judge.candidate(path, plan.rung, plan.termination))
+            best = worth if found.verdict is Verdict.VERIFIED else best
+    assert plan.objective >= best
+
+
+@pytest.mark.parametrize("form", ["average", "joint", "data"])
+def test_priced_slack_is_used_up_to_its_bound(form):
+    """Cheap slack is worth its price: the objective has it subtracted, the bound holds."""
+    hard = solve_team(ruled_problem(form), seed=SEED).plans[0]
+    soft = solve_team(ruled_problem(form, slack_max_db=1.0, slack_price=0.01), seed=SEED).plans[0]
+    dear = solve_team(ruled_problem(form, slack_max_db=1.0, slack_price=1e3), seed=SEED).plans[0]
+    assert soft.verdict is dear.verdict is Verdict.VERIFIED
+    assert 0.0 < soft.certificate.rule.slack_db <= 1.0
+    assert soft.objective > hard.objective
+    assert "slack" in soft.message
+    assert dear.certificate.rule.slack_db < 1e-3
+
+
+def test_slack_of_single_steps_has_its_price():
+    """The objective is that of the terms less price times all missing dB."""
+    asked = {"p_min": 0.97, "slack_max_db": 2.0, "slack_price": 0.5}
+    problem = ruled_problem("stated_times", **asked)
+    situation, belief = situation_of(problem, SEED)
+    judge, ground = judge_of(situation, belief)
+    plan = HorizonPlanner(problem, ground).plan(situation, judge)
+    missing = sum(plan.certificate.relaxation_db)
+    assert plan.verdict is Verdict.VERIFIED
+    assert 0.0 < missing
+    assert max(plan.certificate.relaxation_db) <= 2.0 + 1e-6
+    terms = sum(PathWorth(situation).by_term(plan.positions_m[1:]))
+    assert plan.objective == pytest.approx(terms - 0.5 * missing, abs=1e-6)
+
+
+def test_rule_that_nothing_keeps_is_said():
+    """No verified plan; the reason has the rule's words and its key."""
+    plan = solve_team(ruled_problem("joint", p_min=0.999999), seed=SEED).plans[0]
+    assert plan.verdict is Verdict.VIOLATED
+    assert "all steps of the plan" in plan.message
+    assert "constraints.p_min" in plan.message
+
+
+def test_rules_for_terms_that_couple_places():
+    """Learning under the joint rule and under that of data."""
+    for form in ("joint", "data"):
+        problem = ruled_problem(form)
+        learning = replace(terms_problem(LEARNING, horizon=4), constraints=problem.constraints)
+        plan = solve_team(learning, seed=SEED).plans[0]
+        assert plan.verdict is Verdict.VERIFIED
+        assert plan.certificate.rule.connectivity == form
+
+
+@pytest.mark.parametrize("form", RULES)
+def test_check_agrees_from_disk_and_finds_edits(form, tmp_path: Path):
+    """Plans and runs of each rule, judged again; another achieved value is rejected."""
+    problem = ruled_problem(form)
+    problem = replace(problem, planner=replace(problem.planner, horizon=3, max_steps=4))
+    save_team_run(simulate_team(problem, seed=SEED), tmp_path)
+    assert check(tmp_path).reasons == ()
+    metric = {
+        "stated_times": "stated_times_connected",
+        "average": "least_connected_share",
+        "outage": "longest_outage_s",
+        "data": "data_mbit",
+    }.get(form)
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text())
+    if metric is not None:
+        data["metrics"][metric] += 0.5
+        file.write_text(json.dumps(data))
+        assert any(metric in reason for reason in check(tmp_path).reasons)
+    folder = tmp_path / "plan"
+    folder.mkdir()
+    save_team_solution(solve_team(problem, seed=SEED), folder)
+    assert check(folder).reasons == ()
+    data = json.loads((folder / "plan.json").read_text())
+    data["robots"][0]["certificate"]["rule"]["achieved"] -= 0.01
+    (folder / "plan.json").write_text(json.dumps(data))
+    assert any("rule.achieved" in reason for reason in check(folder).reasons)
+
+
+def test_run_minds_what_has_happened():
+    """A run that has delivered everything early plans freely; the history is the truth's."""
+    rule = ConnectivityRule("data", data_mbit=1.0, deadline_s=8.0, rate_mbit_s=1.0)
+    problem = ruled_problem("data")
+    problem = replace(problem, constraints=replace(problem.constraints, rule=rule))
+    run = simulate_team(problem, seed=SEED)
+    first = int(np.argmax(run.runs[0].log.connected[1:])) + 1
+    asked = [plan.certificate.rule.asked for plan in run.plans[0]]
+    assert all(value > 0.0 for value in asked[:first])
+    assert all(value == 0.0 for value in asked[first:])
+    assert run.metrics["data_mbit"] == run.runs[0].log.connected[1:].sum()
+
+
+def test_planned_probability_is_kept_by_sampled_channels():
+    """Where our plan's bound is active, 90 % of the channels given the measurements connect."""
+    problem = terms_problem(TRACKING, p_min=0.9)
+    solution = solve_team(problem, seed=SEED)
+    plan = solution.plans[0]
+    drawn = sample_power(
+        solution.belief.posterior, plan.positions_m[1:], 20_000, np.random.default_rng(11)
+    )
+    connected = (drawn >= problem.stations[0].threshold_dbm).sum(axis=0)
+    worst = int(np.argmin(connected))
+    assert plan.connectivity[1 + worst] < 0.902
+    assert binomtest(int(connected[worst]), 20_000).proportion_ci(0.99).high >= 0.9

@@ -1,0 +1,109 @@
+"""The way to a goal under each rule of connectivity: who crosses a gap, who waits, who is slack."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import bad_band, belief_of, small_problem
+
+from planopt import load
+from planopt.planning.check.check import check
+from planopt.planning.files.saved import save_simulation
+from planopt.planning.history import History
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.plan import Verdict
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.problems.connectivity_rule import ConnectivityRule
+
+GAP = bad_band(17.0, 23.0)
+"""Across the whole workspace, three steps wide."""
+START = (11.0, 15.0)
+
+
+def ruled(p_min, rule, **settings):
+    """The hand-made problem before the gap under a rule."""
+    problem = small_problem(start_m=START, horizon=10, **settings)
+    return replace(problem, constraints=replace(problem.constraints, p_min=p_min, rule=rule))
+
+
+def planned(problem, **history):
+    """The plan from the start."""
+    planner = ReachPlanner(problem, build_scene(problem))
+    return planner.plan(belief_of(problem, GAP), np.array(START), None, History(**history))
+
+
+@pytest.mark.parametrize(
+    ("p_min", "rule", "crosses"),
+    [
+        (0.9, ConnectivityRule(slack_max_db=0.0), False),
+        (0.95, ConnectivityRule("stated_times", (2.0, 5.0, 9.0)), True),
+        (0.8, ConnectivityRule("average"), True),
+        (0.99, ConnectivityRule("average"), False),
+        (0.8, ConnectivityRule("joint"), False),
+        (0.9, ConnectivityRule("outage", outage_max_m=8.0), True),
+        (0.9, ConnectivityRule("outage", outage_max_s=1.0), False),
+        (0.0, ConnectivityRule("data", data_mbit=30.0, deadline_s=50.0, rate_mbit_s=1.0), True),
+        (0.0, ConnectivityRule("data", data_mbit=49.0, deadline_s=50.0, rate_mbit_s=1.0), False),
+    ],
+)
+@pytest.mark.parametrize("planner", ["auto", "lattice"])
+def test_gap_is_crossed_where_the_rule_allows(p_min, rule, crosses, planner):
+    """All plans are verified; those whose rule lets them are on the other side."""
+    plan = planned(ruled(p_min, rule, planner=planner))
+    assert plan.verdict is Verdict.VERIFIED
+    assert (plan.positions_m[-1, 0] > 23.0) == crosses
+    assert plan.certificate.rule.connectivity == rule.connectivity
+
+
+def test_polish_is_no_worse_than_the_lattice():
+    """And better on average and outages, which leave it room."""
+    for p_min, rule in (
+        (0.8, ConnectivityRule("average")),
+        (0.9, ConnectivityRule("outage", outage_max_m=8.0)),
+    ):
+        plan = planned(ruled(p_min, rule))
+        assert plan.objective < plan.lattice_objective
+
+
+def test_history_decides_what_is_left():
+    """Early outages forbid the gap, an early credit allows it."""
+    problem = ruled(0.9, ConnectivityRule("average"))
+    good = planned(problem, steps=40, connected_steps=40)
+    poor = planned(problem, steps=40, connected_steps=36)
+    assert good.verdict is poor.verdict is Verdict.VERIFIED
+    assert good.positions_m[-1, 0] > 23.0 > poor.positions_m[-1, 0]
+
+
+def test_slack_lets_the_robot_farther():
+    """Within the slack that is allowed, which the certificate reports."""
+    hard = planned(ruled(0.9, ConnectivityRule(slack_max_db=0.0)))
+    soft = planned(ruled(0.9, ConnectivityRule(slack_max_db=5.0)))
+    assert soft.positions_m[-1, 0] > hard.positions_m[-1, 0] + 0.5
+    assert soft.verdict is Verdict.VERIFIED
+    assert 0.0 < soft.certificate.rule.slack_db <= 5.0
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        ConnectivityRule("outage", outage_max_m=15.0),
+        ConnectivityRule("data", data_mbit=20.0, deadline_s=30.0, rate_mbit_s=1.0),
+    ],
+)
+def test_check_agrees_with_a_run(rule, tmp_path: Path):
+    """From the files alone, with the history counted again."""
+    problem = load("open_field")
+    p_min = 0.0 if rule.connectivity == "data" else 0.9
+    problem = replace(
+        problem,
+        constraints=replace(problem.constraints, p_min=p_min, rule=rule),
+        planner=replace(problem.planner, max_steps=4, horizon=5),
+    )
+    save_simulation(simulate(problem, seed=1), tmp_path)
+    found = check(tmp_path)
+    assert found.reasons == ()
+    assert found.certificate.rule.connectivity == rule.connectivity

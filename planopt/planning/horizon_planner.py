@@ -68,7 +68,11 @@ class HorizonPlanner:
         self._nlp: PathNlp | None = None
         if problem.planner.name == "auto":
             self._nlp = build_path_nlp(
-                problem.planner.horizon, LINES_PER_SEGMENT, is_stagewise(problem), self._bounded
+                problem.planner.horizon,
+                LINES_PER_SEGMENT,
+                is_stagewise(problem),
+                self._bounded,
+                until_settled=not thorough,
             )
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:

@@ -76,7 +76,9 @@ class PathNlp:
     callbacks: tuple[Any, ...]
 
 
-def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> PathNlp:
+def build_path_nlp(
+    horizon: int, lines: int, stagewise: bool, bounded: bool, *, until_settled: bool = False
+) -> PathNlp:
     """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
 
     Parameters
@@ -87,6 +89,8 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         Whether the value is a sum over stages.
     bounded
         Whether connectivity is bounded.
+    until_settled
+        Stop where the value has `SETTLED`, which need not be a point of KKT.
     """
     n = horizon
     source = ValueSource()
@@ -145,7 +149,7 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         [callback(at) for callback in margins] if bounded else [ca.MX(0, 1)] * 3
     )
     f, g = objective(x, p, callbacks[0](at)), rows(x, p, margin)
-    options = OPTIONS | NEAR_START | SETTLED
+    options = OPTIONS | NEAR_START | (SETTLED if until_settled else {})
     # The solver asks these two for derivatives only; values here would be computed for nothing.
     no_f, no_g = ca.MX.nan(1), ca.MX.nan(plain + stages)
     options["grad_f"] = ca.Function(

@@ -15,14 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.factor import FactorBuffer, append_rows
+from planopt.channel.nearest.close_places import Rows, close_together
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
-
-Group = NDArray[np.intp]
-"""Rows of places."""
 
 BUILT_SHARE = 1.3
 """Most measurements of a new group, as a multiple of those each place needs; a factor costs their
@@ -115,7 +113,7 @@ class NearFactors:
 
     def serving(
         self, posterior: ChannelPosterior, places_m: NDArray[np.float64], count: int
-    ) -> list[tuple[NearGroup, Group]]:
+    ) -> list[tuple[NearGroup, Rows]]:
         """Groups and the places they serve; every place has its `count` nearest in its group.
 
         Parameters
@@ -131,7 +129,7 @@ class NearFactors:
         known = [group for group in self._groups if group.belongs_to(posterior)]
         chosen, lacking = _least_lacking(known, near, len(posterior.measurements))
         left = lacking.sum(axis=1) > LACKING_SHARE * count
-        found: list[tuple[NearGroup, Group]] = []
+        found: list[tuple[NearGroup, Rows]] = []
         for number, group in enumerate(known):
             rows = np.flatnonzero((chosen == number) & ~left)
             if not len(rows):
@@ -146,7 +144,7 @@ class NearFactors:
             found.append((group, rows))
         rows = np.flatnonzero(left)
         if len(rows):
-            for part in _close_together(places_m[rows], near[rows], BUILT_SHARE * count):
+            for part in close_together(places_m[rows], near[rows], BUILT_SHARE * count):
                 used = np.unique(near[rows[part]])
                 group = self._new_group(posterior, used, int(GROWN_SHARE * count))
                 found.append((group, rows[part]))
@@ -192,24 +190,6 @@ def _least_lacking(
         lacking[better] = lacks[better]
         fewest = lacking.sum(axis=1)
     return chosen, lacking
-
-
-def _close_together(
-    places_m: NDArray[np.float64], near: NDArray[np.intp], most: float
-) -> list[Group]:
-    """Split places until each part needs at most `most` measurements, or is one place."""
-    done: list[Group] = []
-    parts = [np.arange(len(places_m))]
-    while parts:
-        part = parts.pop()
-        if len(part) == 1 or len(np.unique(near[part])) <= most:
-            done.append(part)
-            continue
-        along = places_m[part, int(np.ptp(places_m[part], axis=0).argmax())]
-        middle = len(part) // 2
-        order = np.argpartition(along, middle)
-        parts += [part[order[:middle]], part[order[middle:]]]
-    return done
 
 
 def _given(posterior: ChannelPosterior, used: NDArray[np.intp]) -> NDArray[np.float64]:

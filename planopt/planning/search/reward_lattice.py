@@ -110,19 +110,47 @@ def search_rewards(
     reward
         What it is worth to be at a node after a step; minus infinity at nodes that are not free.
     """
-    shape = table.lattice.shape
-    low, high = first.min(axis=0), first.max(axis=0)
-    windows = [_window(low, high, k * REACH, shape) for k in range(horizon)]
-    frame = _Frame(table, move_value, windows)
-    window = windows[0]
-    value = np.full(_shape(window), -np.inf)
-    rows, columns = first[:, 0] + REACH - window[0].start, first[:, 1] + REACH - window[1].start
-    value[rows, columns] = first_value + reward(1, _inner(window))[rows, columns]
-    values = [value]
-    for k in range(1, horizon):
-        frame.put(windows[k - 1], values[-1])
-        values.append(frame.arriving(k) + reward(k + 1, _inner(windows[k])))
-    return LatticeValues(table, move_value, tuple(values), tuple(windows))
+    return RewardSearch(table, first, first_value, move_value, horizon)(reward)
+
+
+class RewardSearch:
+    """:func:`search_rewards` from one place, for one reward after the other.
+
+    Parameters
+    ----------
+    table, first, first_value, move_value, horizon
+        As there.
+    """
+
+    def __init__(
+        self,
+        table: MoveTable,
+        first: NDArray[np.intp],
+        first_value: NDArray[np.float64],
+        move_value: NDArray[np.float64],
+        horizon: int,
+    ) -> None:
+        shape = table.lattice.shape
+        low, high = first.min(axis=0), first.max(axis=0)
+        self._table, self._move_value = table, move_value
+        self._first, self._first_value = first, first_value
+        self._windows = [_window(low, high, k * REACH, shape) for k in range(horizon)]
+        self._frame = _Frame(table, move_value, self._windows)
+
+    def __call__(self, reward: StageReward) -> LatticeValues:
+        """The best value of every node that N steps can lead to."""
+        windows, frame = self._windows, self._frame
+        frame.clear()
+        window = windows[0]
+        value = np.full(_shape(window), -np.inf)
+        rows = self._first[:, 0] + REACH - window[0].start
+        columns = self._first[:, 1] + REACH - window[1].start
+        value[rows, columns] = self._first_value + reward(1, _inner(window))[rows, columns]
+        values = [value]
+        for k in range(1, len(windows)):
+            frame.put(windows[k - 1], values[-1])
+            values.append(frame.arriving(k) + reward(k + 1, _inner(windows[k])))
+        return LatticeValues(self._table, self._move_value, tuple(values), tuple(windows))
 
 
 class _Frame:
@@ -152,6 +180,10 @@ class _Frame:
         self._value = np.full((height + 2 * REACH, width + 2 * REACH), -np.inf)
         if self._free_moves:
             self._find_hindered()
+
+    def clear(self) -> None:
+        """Forget all values."""
+        self._value.fill(-np.inf)
 
     def put(self, window: Window, value: NDArray[np.float64]) -> None:
         """These are the last stage's values."""

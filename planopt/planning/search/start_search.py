@@ -11,7 +11,12 @@ from planopt.channel.connectivity import bound_margin_db
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts
 from planopt.planning.search.node_field import NodeField
-from planopt.planning.search.reward_lattice import best_ends, move_table, path_to, search_rewards
+from planopt.planning.search.reward_lattice import (
+    RewardSearch,
+    best_ends,
+    move_table,
+    path_to,
+)
 from planopt.planning.search.stage_rewards import StageRewards, move_values
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import is_stagewise
@@ -128,15 +133,11 @@ class StartSearch:
         first_value = move_values(self._problem, lengths)
         rewards = StageRewards(situation, self._field)
         paths: list[NDArray[np.intp]] = []
+        search = RewardSearch(
+            self._table, first, first_value, self._move_values, self._problem.planner.horizon
+        )
         for _ in range(CORRECTIONS + 1):
-            found = search_rewards(
-                self._table,
-                first,
-                first_value,
-                self._move_values,
-                self._problem.planner.horizon,
-                rewards,
-            )
+            found = search(rewards)
             apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
             paths = [path_to(found, end) for end in best_ends(found, self._ends, apart)]
             if not paths or not self._loses(rewards, paths[0]):

@@ -24,7 +24,12 @@ from planopt.objectives.tracking_derivatives import (
     connectivity_derivatives,
     tracking_reward_derivatives,
 )
-from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue
+from planopt.planning.programme.path_value import (
+    EvaluatePath,
+    Evaluation,
+    PathValue,
+    remembering,
+)
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_prediction import StagePredictor
@@ -92,7 +97,7 @@ def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePa
         ]
         return Evaluation(_sum(parts, len(places_m), stagewise), margins)
 
-    return evaluate
+    return remembering(evaluate)
 
 
 Part = Derivatives | PathDerivatives

@@ -55,8 +55,8 @@ class HorizonPlanner:
     ground
         Its geometry.
     thorough
-        Follow starts of several parts of the reachable places, each polished twice, and take the
-        best, instead of the first that is verified.
+        Follow starts of several parts of the reachable places, polish the best twice, and take it,
+        instead of the first that is verified.
     """
 
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
@@ -72,7 +72,7 @@ class HorizonPlanner:
                 LINES_PER_SEGMENT,
                 is_stagewise(problem),
                 self._bounded,
-                until_settled=not thorough,
+                until_settled=True,
             )
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
@@ -118,6 +118,10 @@ class HorizonPlanner:
                     verified.append(unpolished)
             if verified and not self._thorough:
                 break
+        if verified and self._thorough and self._nlp is not None:
+            found = self._once_more(situation, judge, starts, verified)
+            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
+            tried += found
         if verified:
             return _with_effort(max(verified, key=lambda c: c.objective), tried)
         fallback = self._without_start(judge, warm)
@@ -126,6 +130,15 @@ class HorizonPlanner:
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [candidate for candidate in tried if candidate.sound]
         return _with_effort(sound[0] if sound else fallback, tried)
+
+    def _once_more(
+        self, situation: Situation, judge: Judge, starts: list[Start], verified: list[Candidate]
+    ) -> list[Candidate]:
+        """Polish the best again, from the measurements and sides of obstacles nearest to it."""
+        best = max(verified, key=lambda candidate: candidate.objective)
+        again = Start(best.path_m, starts[0].worth, missing_db=0.0)
+        rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
+        return self.polished(situation, judge, again, rung)
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
@@ -141,23 +154,7 @@ class HorizonPlanner:
     def polished(
         self, situation: Situation, judge: Judge, start: Start, rung: Rung
     ) -> list[Candidate]:
-        """Candidates that a start leads to, judged.
-
-        If thorough, the best of them is polished again, from the measurements and the sides of
-        obstacles that are nearest to it.
-        """
-        found = self._attempts(situation, judge, start, rung)
-        verified = [candidate for candidate in found if candidate.verdict is Verdict.VERIFIED]
-        if not (self._thorough and verified):
-            return found
-        best = max(verified, key=lambda candidate: candidate.objective)
-        again = replace(start, path_m=best.path_m)
-        return found + self._attempts(situation, judge, again, rung)
-
-    def _attempts(
-        self, situation: Situation, judge: Judge, start: Start, rung: Rung
-    ) -> list[Candidate]:
-        """Polish a start, repeating with what the proof objects to built in."""
+        """Candidates that a start leads to, judged: what the proof objects to is built in."""
         problem, nlp = self.problem, self._nlp
         if nlp is None:
             raise AssertionError("this planner does not polish")

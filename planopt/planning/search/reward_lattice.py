@@ -26,6 +26,10 @@ REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
 """Nodes that a move leads along either axis at most."""
 
 
+MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
+"""(dx, dy) of each move."""
+
+
 @dataclass(frozen=True)
 class MoveTable:
     """The moves of a lattice, ready for searching.
@@ -302,26 +306,27 @@ def best_ends(found: LatticeValues, count: int, apart: int) -> list[tuple[int, i
 
 def path_to(found: LatticeValues, end: tuple[int, int]) -> NDArray[np.intp]:
     """Nodes (N, 2) as (iy, ix) of the best path that ends at `end`."""
-    nodes = np.empty((len(found.values), 2), dtype=np.intp)
-    nodes[-1] = end
-    moves = np.asarray(MOVES)
-    for k in range(len(found.values) - 1, 0, -1):
-        sources = nodes[k] - moves[:, [1, 0]]
-        nodes[k - 1] = sources[_best_source(found, k - 1, sources)]
-    return nodes
+    nodes = [end]
+    for stage in range(len(found.values) - 2, -1, -1):
+        nodes.append(_best_source(found, stage, nodes[-1]))
+    return np.array(nodes[::-1], dtype=np.intp)
 
 
-def _best_source(found: LatticeValues, stage: int, sources: NDArray[np.intp]) -> int:
-    """Which of the 21 `sources` (iy, ix) the best value came from."""
-    window, value = found.windows[stage], found.values[stage]
-    rows = sources[:, 0] + REACH - window[0].start
-    columns = sources[:, 1] + REACH - window[1].start
-    there = (rows >= 0) & (rows < value.shape[0]) & (columns >= 0) & (columns < value.shape[1])
-    arriving = np.full(len(sources), -np.inf)
-    which = np.flatnonzero(there)
-    closed = found.table.closed[which, sources[which, 0] + REACH, sources[which, 1] + REACH]
-    arriving[which] = value[rows[which], columns[which]] + closed + found.move_value[which]
-    return int(np.argmax(arriving))
+def _best_source(found: LatticeValues, stage: int, node: tuple[int, int]) -> tuple[int, int]:
+    """Which of the 21 nodes (iy, ix) that lead to `node` its best value came from."""
+    # One by one: for so few, arrays cost several times as much.
+    (rows, columns), value, closed = found.windows[stage], found.values[stage], found.table.closed
+    height, width = value.shape
+    best, source = -np.inf, node
+    for move, (dx, dy) in enumerate(MOVES_BY_NUMBER):
+        row, column = node[0] - dy + REACH, node[1] - dx + REACH
+        inside_row, inside_column = row - rows.start, column - columns.start
+        if 0 <= inside_row < height and 0 <= inside_column < width:
+            arriving = value.item(inside_row, inside_column) + closed.item(move, row, column)
+            arriving += found.move_value.item(move)
+            if arriving > best:
+                best, source = arriving, (row - REACH, column - REACH)
+    return source
 
 
 def _window(

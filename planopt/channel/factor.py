@@ -10,7 +10,7 @@ from planopt.channel.measurement_covariance import Origins, covariance_db2, own_
 from planopt.channel.parameters import ChannelParameters
 
 SOLVE_BLOCK = 128
-FACTOR_BLOCK = 512
+FACTOR_BLOCK = 256
 
 
 class FactorBuffer:

@@ -26,6 +26,10 @@ from planopt.channel.position_error import path_loss_variance_db2, position_blur
 RECEIVER_OFFSET_STD_DB = 20.0
 """s: prior deviation of a receiver's offset, wide enough to say nothing against measurements."""
 
+ROWS_AT_ONCE = 64
+"""Rows of a large symmetric matrix computed together, up to their diagonal: half of it is never
+computed, and temporary arrays stay in a processor's cache."""
+
 
 @dataclass(frozen=True, eq=False)
 class Origins:
@@ -126,7 +130,18 @@ def offset_covariance_db2(first: NDArray[np.intp], second: NDArray[np.intp]) -> 
 
 def own_covariance_db2(origins: Origins, parameters: ChannelParameters) -> NDArray[np.float64]:
     """Covariance of the powers of `origins` (..., n) among themselves; (..., n, n) in dB^2."""
-    covariance = covariance_db2(origins, origins, parameters)
+    count = origins.positions_m.shape[-2]
+    each_has_time = origins.time_s is None or origins.time_s.shape[-1] == count
+    if origins.positions_m.ndim == 2 and count > 2 * ROWS_AT_ONCE and each_has_time:
+        covariance = np.empty((count, count))
+        for start in range(0, count, ROWS_AT_ONCE):
+            stop = min(start + ROWS_AT_ONCE, count)
+            rows = slice(start, stop)
+            part = covariance_db2(origins.at(rows), origins.at(slice(stop)), parameters)
+            covariance[rows, :stop] = part
+            covariance[:start, rows] = part[:, :start].T
+    else:
+        covariance = covariance_db2(origins, origins, parameters)
     if origins.blur_m2 is not None:
         # The error of one's own position is the same on both sides.
         np.einsum("...ii->...i", covariance)[...] = own_variance_db2(origins, parameters)

@@ -54,8 +54,8 @@ class HorizonPlanner:
     ground
         Its geometry.
     thorough
-        Follow starts of several parts of the reachable places, each polished twice, and take the
-        best, instead of the first that is verified.
+        Follow starts of several parts of the reachable places, polish the best twice, and take it,
+        instead of the first that is verified.
     """
 
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
@@ -98,6 +98,7 @@ class HorizonPlanner:
                 has_sum_row(self.problem),
                 METHODS[settings.name],
                 settings.budget_s,
+                until_settled=True,
             )
 
     def _climb(
@@ -135,6 +136,10 @@ class HorizonPlanner:
                     verified.append(unpolished)
             if verified and not self._thorough:
                 break
+        if verified and self._thorough and self._nlp is not None:
+            found = self._once_more(situation, judge, starts, verified, budget)
+            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
+            tried += found
         if verified:
             return _with_effort(max(verified, key=lambda c: c.objective), tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
@@ -144,6 +149,20 @@ class HorizonPlanner:
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
         return _with_effort(chosen, tried)
+
+    def _once_more(
+        self,
+        situation: Situation,
+        judge: Judge,
+        starts: list[Start],
+        verified: list[Candidate],
+        budget: Budget,
+    ) -> list[Candidate]:
+        """Polish the best again, from the measurements and sides of obstacles nearest to it."""
+        best = max(verified, key=lambda candidate: candidate.objective)
+        again = Start(best.path_m, starts[0].worth, missing_db=0.0)
+        rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
+        return self.polished(situation, judge, again, rung, budget)
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
@@ -163,24 +182,11 @@ class HorizonPlanner:
         rung: Rung,
         budget: Budget | None = None,
     ) -> list[Candidate]:
-        """Candidates that a start leads to, judged; none once the budget is spent.
+        """Candidates that a start leads to, judged: what the proof objects to is built in.
 
-        If thorough, the best of them is polished again, from the measurements and the sides of
-        obstacles that are nearest to it.
+        None once the budget is spent.
         """
         budget = Budget() if budget is None else budget
-        found = self._attempts(situation, judge, start, rung, budget)
-        verified = [candidate for candidate in found if candidate.verdict is Verdict.VERIFIED]
-        if not (self._thorough and verified):
-            return found
-        best = max(verified, key=lambda candidate: candidate.objective)
-        again = replace(start, path_m=best.path_m)
-        return found + self._attempts(situation, judge, again, rung, budget)
-
-    def _attempts(
-        self, situation: Situation, judge: Judge, start: Start, rung: Rung, budget: Budget
-    ) -> list[Candidate]:
-        """Polish a start, repeating with what the proof objects to built in."""
         problem, nlp = self.problem, self._nlp
         if nlp is None:
             raise AssertionError("this planner does not polish")

@@ -62,9 +62,18 @@ def sensing_information(
     target_m
         ``(..., 2)`` p, for all positions or each of them.
     """
-    offset = positions_m - target_m
-    from_sweet_spot = np.hypot(offset[..., 0], offset[..., 1]) - sensor.sweet_spot_m
-    return 1.0 / (sensor.growth * from_sweet_spot**2 + sensor.least_noise_m2)
+    # In place: searches ask for all nodes within reach, step after step.
+    found = np.asarray(positions_m[..., 0] - target_m[..., 0])
+    found *= found
+    across = np.asarray(positions_m[..., 1] - target_m[..., 1])
+    across *= across
+    found += across
+    found = np.sqrt(found)
+    found -= sensor.sweet_spot_m
+    found *= found
+    found *= sensor.growth
+    found += sensor.least_noise_m2
+    return 1.0 / found
 
 
 def noise_covariance_m2(

@@ -15,27 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.factor import FactorBuffer, append_rows
+from planopt.channel.nearest.close_places import Rows, close_together
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
 
-Group = NDArray[np.intp]
-"""Rows of places."""
-
-BUILT_SHARE = 1.5
+BUILT_SHARE = 1.3
 """Most measurements of a new group, as a multiple of those each place needs; a factor costs their
 cube."""
 
-GROWN_SHARE = 2.0
+GROWN_SHARE = 1.5
 """The same of a group that has taken more in; beyond, it is forgotten."""
 
 LACKING_SHARE = 0.125
 """A group that lacks no more than this share of what a place needs takes it in."""
 
-MOST_GROUPS = 24
-"""Groups kept; the one longest unused goes first. Each takes 8 MB at 512 measurements a place."""
+MOST_UNUSED = 8
+"""Groups kept beside those used last; the one longest unused goes first. Each takes 5 MB at 512
+measurements a place."""
 
 
 @dataclass(eq=False)
@@ -103,16 +102,18 @@ class NearFactors:
     def __init__(self) -> None:
         # The one used last stands last.
         self._groups: list[NearGroup] = []
+        # Of groups that went: memory that was never written to costs as much as a factor.
+        self._spare: list[FactorBuffer] = []
 
     def __len__(self) -> int:
         return len(self._groups)
 
-    def __getstate__(self) -> dict[str, list[NearGroup]]:
-        return {"_groups": []}
+    def __getstate__(self) -> dict[str, list[NearGroup] | list[FactorBuffer]]:
+        return {"_groups": [], "_spare": []}
 
     def serving(
         self, posterior: ChannelPosterior, places_m: NDArray[np.float64], count: int
-    ) -> list[tuple[NearGroup, Group]]:
+    ) -> list[tuple[NearGroup, Rows]]:
         """Groups and the places they serve; every place has its `count` nearest in its group.
 
         Parameters
@@ -128,7 +129,7 @@ class NearFactors:
         known = [group for group in self._groups if group.belongs_to(posterior)]
         chosen, lacking = _least_lacking(known, near, len(posterior.measurements))
         left = lacking.sum(axis=1) > LACKING_SHARE * count
-        found: list[tuple[NearGroup, Group]] = []
+        found: list[tuple[NearGroup, Rows]] = []
         for number, group in enumerate(known):
             rows = np.flatnonzero((chosen == number) & ~left)
             if not len(rows):
@@ -136,30 +137,41 @@ class NearFactors:
             more = np.unique(near[rows][lacking[rows]])
             if len(group.used) + len(more) > GROWN_SHARE * count:
                 left[rows] = True
-                self._groups.remove(group)
+                self._forget([group])
                 continue
             if len(more):
                 group.take_in(posterior, more)
             found.append((group, rows))
-        for rows in _close_together(places_m, np.flatnonzero(left), near, BUILT_SHARE * count):
-            group = _new_group(posterior, np.unique(near[rows]), int(GROWN_SHARE * count))
-            found.append((group, rows))
+        rows = np.flatnonzero(left)
+        if len(rows):
+            for part in close_together(places_m[rows], near[rows], BUILT_SHARE * count):
+                used = np.unique(near[rows[part]])
+                group = self._new_group(posterior, used, int(GROWN_SHARE * count))
+                found.append((group, rows[part]))
         served = [group for group, _ in found]
         self._groups = [group for group in self._groups if group not in served] + served
-        del self._groups[:-MOST_GROUPS]
+        self._forget(self._groups[: -len(served) - MOST_UNUSED])
         return found
 
+    def _forget(self, groups: list[NearGroup]) -> None:
+        self._groups = [group for group in self._groups if group not in groups]
+        self._spare = [*self._spare, *(group.buffer for group in groups)][-MOST_UNUSED:]
 
-def _new_group(posterior: ChannelPosterior, used: NDArray[np.intp], capacity: int) -> NearGroup:
-    group = NearGroup(
-        posterior.parameters,
-        used[:0],
-        np.zeros((0, 6)),
-        np.zeros((0, 3)),
-        FactorBuffer(max(capacity, len(used))),
-    )
-    group.take_in(posterior, used)
-    return group
+    def _new_group(
+        self, posterior: ChannelPosterior, used: NDArray[np.intp], capacity: int
+    ) -> NearGroup:
+        roomy = [spare for spare in self._spare if len(spare.lower) >= max(capacity, len(used))]
+        if roomy:
+            buffer = roomy[0]
+            self._spare.remove(buffer)
+            buffer.used = 0
+        else:
+            buffer = FactorBuffer(max(capacity, len(used)))
+        group = NearGroup(
+            posterior.parameters, used[:0], np.zeros((0, 6)), np.zeros((0, 3)), buffer
+        )
+        group.take_in(posterior, used)
+        return group
 
 
 def _least_lacking(
@@ -178,24 +190,6 @@ def _least_lacking(
         lacking[better] = lacks[better]
         fewest = lacking.sum(axis=1)
     return chosen, lacking
-
-
-def _close_together(
-    places_m: NDArray[np.float64], rows: Group, near: NDArray[np.intp], most: float
-) -> list[Group]:
-    """Split `rows` of places until each part needs at most `most` measurements, or is one place."""
-    done: list[Group] = []
-    parts = [rows] if len(rows) else []
-    while parts:
-        part = parts.pop()
-        if len(part) == 1 or len(np.unique(near[part])) <= most:
-            done.append(part)
-            continue
-        along = places_m[part, int(np.ptp(places_m[part], axis=0).argmax())]
-        middle = len(part) // 2
-        order = np.argpartition(along, middle)
-        parts += [part[order[:middle]], part[order[middle:]]]
-    return done
 
 
 def _given(posterior: ChannelPosterior, used: NDArray[np.intp]) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from planopt.channel.measurement_covariance import (
     own_covariance_db2,
     place_origins,
 )
+from planopt.channel.nearest.close_places import close_together, halves
 from planopt.channel.nearest.near_factors import NearGroup
 from planopt.channel.path_loss import regressors
 from planopt.channel.position_error import path_loss_variance_db2
@@ -76,38 +77,20 @@ def nearby_terms(
             std_m = None if position_std_m is None else position_std_m[rows]
             _put(terms, rows, _of_kept(posterior, offsets, positions_m[rows], std_m, group))
     while groups:
-        group = groups.pop()
-        used = None if len(group) > GROUP else _nearest_to_any(posterior, positions_m[group], count)
-        if used is None or (len(used) > GROUP_SHARE * count and len(group) > 1):
-            groups.extend(_halves(positions_m, group))
+        block = groups.pop()
+        if len(block) > GROUP:
+            groups.extend(halves(positions_m, block))
             continue
-        std_m = None if position_std_m is None else position_std_m[group]
-        _put(terms, group, _of_group(posterior, offsets, positions_m[group], std_m, used))
+        near, _ = posterior.index.nearest(positions_m[block], count)
+        for part in close_together(positions_m[block], near, GROUP_SHARE * count):
+            group, used = block[part], np.unique(near[part])
+            std_m = None if position_std_m is None else position_std_m[group]
+            _put(terms, group, _of_group(posterior, offsets, positions_m[group], std_m, used))
     if position_std_m is not None:
         terms.variance_db2[...] += path_loss_variance_db2(
             positions_m, position_std_m, parameters.station, float(posterior.theta[1])
         )
     return terms
-
-
-def _nearest_to_any(
-    posterior: ChannelPosterior, places_m: NDArray[np.float64], count: int
-) -> NDArray[np.intp]:
-    """Numbers of the measurements that are among the `count` nearest of some place."""
-    chosen = np.zeros(len(posterior.measurements), dtype=bool)
-    chosen[posterior.index.nearest(places_m, count)[0]] = True
-    return np.flatnonzero(chosen)
-
-
-def _halves(
-    positions_m: NDArray[np.float64], group: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Split `group` in two of the same size, across its longer side."""
-    places = positions_m[group]
-    along = places[:, int(np.ptp(places, axis=0).argmax())]
-    middle = len(group) // 2
-    order = np.argpartition(along, middle)
-    return group[order[:middle]], group[order[middle:]]
 
 
 def _of_group(

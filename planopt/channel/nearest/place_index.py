@@ -71,17 +71,24 @@ class PlaceIndex:
             return everyone, np.full(len(centres_m), np.inf)
         if self.tree is None:
             return _fewest(None, _squared_distances_m2(centres_m, self.positions_m), count)
-        indices = self.tree.nearest(centres_m, min(count, len(self.tree)))
-        offset = self.positions_m[indices] - centres_m[:, None]
-        squared = np.einsum("kmi,kmi->km", offset, offset)
-        if len(self.tree) < total:
+        indices, distance_m = self.tree.nearest(centres_m, min(count, len(self.tree)))
+        squared = distance_m * distance_m
+        if len(self.tree) == total:
+            return indices, squared[:, -1]
+        late_squared = _squared_distances_m2(centres_m, self.positions_m[len(self.tree) :])
+        nearer = (late_squared < squared[:, -1:]).any(axis=0)
+        if count <= len(self.tree):
+            if not nearer.any():
+                return indices, squared[:, -1]
+            # A place that is nowhere nearer than the farthest so far is no one's neighbour.
+            late = len(self.tree) + np.flatnonzero(nearer)
+            late_squared = late_squared[:, nearer]
+        else:
             late = np.arange(len(self.tree), total)
-            late_squared = _squared_distances_m2(centres_m, self.positions_m[late])
-            indices = np.concatenate(
-                [indices, np.broadcast_to(late, (len(centres_m), len(late)))], axis=1
-            )
-            squared = np.concatenate([squared, late_squared], axis=1)
-        return _fewest(indices, squared, count)
+        indices = np.concatenate(
+            [indices, np.broadcast_to(late, (len(centres_m), len(late)))], axis=1
+        )
+        return _fewest(indices, np.concatenate([squared, late_squared], axis=1), count)
 
 
 def _squared_distances_m2(

@@ -23,11 +23,14 @@ class PlaceTree:
     def __len__(self) -> int:
         return self._tree.n
 
-    def nearest(self, centres_m: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-        """Indices of the `count` places nearest to each of `centres_m` (k, 2); ``(k, count)``.
+    def nearest(
+        self, centres_m: NDArray[np.float64], count: int
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Indices of the `count` places nearest to each of `centres_m` (k, 2), and distances.
 
-        From the nearest to the farthest; `count` is at most n.
+        Both ``(k, count)``, from the nearest to the farthest; `count` is at most n.
         """
-        found = np.asarray(self._tree.query(centres_m, count)[1], dtype=np.intp)
+        distances, indices = self._tree.query(centres_m, count)
         # One neighbour each comes without an axis of its own.
-        return found.reshape(len(centres_m), count)
+        shape = len(centres_m), count
+        return np.asarray(indices, dtype=np.intp).reshape(shape), distances.reshape(shape)

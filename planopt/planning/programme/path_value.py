@@ -52,22 +52,33 @@ EvaluatePath = Callable[[NDArray[np.float64]], Evaluation]
 """From positions (N, 2) to what they are worth."""
 
 
-class ValueSource:
-    """What the callbacks of a built solver evaluate: exchanged for each solve.
+def remembering(evaluate: EvaluatePath) -> EvaluatePath:
+    """`evaluate`, asked once for a path that comes several times in a row.
 
-    IPOPT asks for value, rows and their derivatives at one point in separate calls; the point is
-    evaluated once.
+    A start is asked for by its bound, by the programme and by the solver, which asks for value,
+    rows and their derivatives in separate calls; its last point is asked for once more.
     """
+    key, last = b"", None
+
+    def remembered(places_m: NDArray[np.float64]) -> Evaluation:
+        nonlocal key, last
+        asked = places_m.tobytes()
+        if last is None or asked != key:
+            key, last = asked, evaluate(places_m)
+        return last
+
+    return remembered
+
+
+class ValueSource:
+    """What the callbacks of a built solver evaluate: exchanged for each solve."""
 
     def __init__(self) -> None:
         self._evaluate: EvaluatePath | None = None
-        self._key = b""
-        self._last: Evaluation | None = None
 
     def use(self, evaluate: EvaluatePath) -> None:
-        """Evaluate this from now on, and forget what the last one gave."""
-        self._evaluate = evaluate
-        self._last = None
+        """Evaluate this from now on, each point once."""
+        self._evaluate = remembering(evaluate)
 
     def at(self, flat: NDArray[np.float64]) -> PathValue:
         """Value at positions flattened to (2 N,)."""
@@ -88,10 +99,6 @@ class ValueSource:
         return total
 
     def _at(self, flat: NDArray[np.float64]) -> Evaluation:
-        key = flat.tobytes()
-        if self._last is None or key != self._key:
-            if self._evaluate is None:
-                raise AssertionError("a solver was called before its value was set")
-            self._last = self._evaluate(flat.reshape(-1, 2))
-            self._key = key
-        return self._last
+        if self._evaluate is None:
+            raise AssertionError("a solver was called before its value was set")
+        return self._evaluate(flat.reshape(-1, 2))

@@ -115,8 +115,10 @@ class Frontier:
         # A way that costs as much as a metre below the bound may well be one.
         within = from_here.cost_m < OUT_OF_BOUND_FACTOR
         candidates = np.nonzero(near & ~outside & within)[0]
-        if candidates.size and len(measured_m):
-            spacing = pairwise_distance_m(nodes_m[candidates], measured_m).min(axis=1)
+        away = np.abs(measured_m - self._gap_m).max(axis=1, initial=0.0)
+        beside = measured_m[away <= self._radius_m + self._spacing_m]
+        if candidates.size and len(beside):
+            spacing = pairwise_distance_m(nodes_m[candidates], beside).min(axis=1)
             candidates = candidates[spacing >= self._spacing_m]
         if candidates.size == 0:
             return None

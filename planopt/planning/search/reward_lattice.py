@@ -27,6 +27,10 @@ REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
 """Nodes that a move leads along either axis at most."""
 
 
+MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
+"""(dx, dy) of each move."""
+
+
 @dataclass(frozen=True)
 class MoveTable:
     """The moves of a lattice, ready for searching.
@@ -117,22 +121,53 @@ def search_rewards(
     moving
         What moves and closes moves for a step; the first steps are the caller's.
     """
-    shape = table.lattice.shape
-    low, high = first.min(axis=0), first.max(axis=0)
-    windows = [_window(low, high, k * REACH, shape) for k in range(horizon)]
-    frame = _Frame(table, move_value, windows)
-    window = windows[0]
-    value = np.full(_shape(window), -np.inf)
-    rows, columns = first[:, 0] + REACH - window[0].start, first[:, 1] + REACH - window[1].start
-    value[rows, columns] = first_value + reward(1, _inner(window))[rows, columns]
-    values = [value]
-    for k in range(1, horizon):
-        frame.put(windows[k - 1], values[-1])
-        arriving = frame.arriving(k)
-        if moving is not None:
-            frame.pass_by(moving, k, arriving)
-        values.append(arriving + reward(k + 1, _inner(windows[k])))
-    return LatticeValues(table, move_value, tuple(values), tuple(windows), moving)
+    return RewardSearch(table, first, first_value, move_value, horizon, moving)(reward)
+
+
+class RewardSearch:
+    """:func:`search_rewards` from one place, for one reward after the other.
+
+    Parameters
+    ----------
+    table, first, first_value, move_value, horizon, moving
+        As there.
+    """
+
+    def __init__(
+        self,
+        table: MoveTable,
+        first: NDArray[np.intp],
+        first_value: NDArray[np.float64],
+        move_value: NDArray[np.float64],
+        horizon: int,
+        moving: MovingMoves | None = None,
+    ) -> None:
+        shape = table.lattice.shape
+        low, high = first.min(axis=0), first.max(axis=0)
+        self._table, self._move_value, self._moving = table, move_value, moving
+        self._first, self._first_value = first, first_value
+        self._windows = [_window(low, high, k * REACH, shape) for k in range(horizon)]
+        self._frame = _Frame(table, move_value, self._windows)
+
+    def __call__(self, reward: StageReward) -> LatticeValues:
+        """The best value of every node that N steps can lead to."""
+        windows, frame = self._windows, self._frame
+        frame.clear()
+        window = windows[0]
+        value = np.full(_shape(window), -np.inf)
+        rows = self._first[:, 0] + REACH - window[0].start
+        columns = self._first[:, 1] + REACH - window[1].start
+        value[rows, columns] = self._first_value + reward(1, _inner(window))[rows, columns]
+        values = [value]
+        for k in range(1, len(windows)):
+            frame.put(windows[k - 1], values[-1])
+            arriving = frame.arriving(k)
+            if self._moving is not None:
+                frame.pass_by(self._moving, k, arriving)
+            values.append(arriving + reward(k + 1, _inner(windows[k])))
+        return LatticeValues(
+            self._table, self._move_value, tuple(values), tuple(windows), self._moving
+        )
 
 
 class _Frame:
@@ -162,6 +197,10 @@ class _Frame:
         self._value = np.full((height + 2 * REACH, width + 2 * REACH), -np.inf)
         if self._free_moves:
             self._find_hindered()
+
+    def clear(self) -> None:
+        """Forget all values."""
+        self._value.fill(-np.inf)
 
     def put(self, window: Window, value: NDArray[np.float64]) -> None:
         """These are the last stage's values."""
@@ -293,36 +332,35 @@ def best_ends(found: LatticeValues, count: int, apart: int) -> list[tuple[int, i
 
 def path_to(found: LatticeValues, end: tuple[int, int]) -> NDArray[np.intp]:
     """Nodes (N, 2) as (iy, ix) of the best path that ends at `end`."""
-    nodes = np.empty((len(found.values), 2), dtype=np.intp)
-    nodes[-1] = end
-    moves = np.asarray(MOVES)
-    for k in range(len(found.values) - 1, 0, -1):
-        sources = nodes[k] - moves[:, [1, 0]]
+    nodes = [end]
+    for stage in range(len(found.values) - 2, -1, -1):
         blocked = None
         if found.moving is not None:
-            blocked = found.moving.blocked(k, nodes[k, :1], nodes[k, 1:])[:, 0]
-        nodes[k - 1] = sources[_best_source(found, k - 1, sources, blocked)]
-    return nodes
+            row, column = np.array(nodes[-1]).reshape(2, 1)
+            blocked = found.moving.blocked(stage + 1, row, column)[:, 0]
+        nodes.append(_best_source(found, stage, nodes[-1], blocked))
+    return np.array(nodes[::-1], dtype=np.intp)
 
 
 def _best_source(
-    found: LatticeValues,
-    stage: int,
-    sources: NDArray[np.intp],
-    blocked: NDArray[np.bool_] | None,
-) -> int:
-    """Which of the 21 `sources` (iy, ix) the best value came from, by a move not `blocked`."""
-    window, value = found.windows[stage], found.values[stage]
-    rows = sources[:, 0] + REACH - window[0].start
-    columns = sources[:, 1] + REACH - window[1].start
-    there = (rows >= 0) & (rows < value.shape[0]) & (columns >= 0) & (columns < value.shape[1])
-    arriving = np.full(len(sources), -np.inf)
-    which = np.flatnonzero(there)
-    closed = found.table.closed[which, sources[which, 0] + REACH, sources[which, 1] + REACH]
-    arriving[which] = value[rows[which], columns[which]] + closed + found.move_value[which]
-    if blocked is not None:
-        arriving[blocked] = -np.inf
-    return int(np.argmax(arriving))
+    found: LatticeValues, stage: int, node: tuple[int, int], blocked: NDArray[np.bool_] | None
+) -> tuple[int, int]:
+    """Which of the 21 nodes (iy, ix) its best value came from, by a move not `blocked`."""
+    # One by one: for so few, arrays cost several times as much.
+    (rows, columns), value, closed = found.windows[stage], found.values[stage], found.table.closed
+    height, width = value.shape
+    best, source = -np.inf, node
+    for move, (dx, dy) in enumerate(MOVES_BY_NUMBER):
+        if blocked is not None and blocked[move]:
+            continue
+        row, column = node[0] - dy + REACH, node[1] - dx + REACH
+        inside_row, inside_column = row - rows.start, column - columns.start
+        if 0 <= inside_row < height and 0 <= inside_column < width:
+            arriving = value.item(inside_row, inside_column) + closed.item(move, row, column)
+            arriving += found.move_value.item(move)
+            if arriving > best:
+                best, source = arriving, (row - REACH, column - REACH)
+    return source
 
 
 def _window(

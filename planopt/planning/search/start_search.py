@@ -12,7 +12,12 @@ from planopt.planning.search.coupled_starts import CoupledStarts
 from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
-from planopt.planning.search.reward_lattice import best_ends, move_table, path_to, search_rewards
+from planopt.planning.search.reward_lattice import (
+    RewardSearch,
+    best_ends,
+    move_table,
+    path_to,
+)
 from planopt.planning.search.stage_rewards import StageRewards, move_values
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.worth.path_worth import PathWorth
@@ -159,16 +164,16 @@ class StartSearch:
         first_value = move_values(self._problem, lengths)
         rewards = StageRewards(situation, self._field, guide)
         paths: list[NDArray[np.intp]] = []
+        search = RewardSearch(
+            self._table,
+            first,
+            first_value,
+            self._move_values,
+            self._problem.planner.horizon,
+            MovingMoves(road_map.lattice, moving) if len(moving) else None,
+        )
         for _ in range(CORRECTIONS + 1):
-            found = search_rewards(
-                self._table,
-                first,
-                first_value,
-                self._move_values,
-                self._problem.planner.horizon,
-                rewards,
-                MovingMoves(road_map.lattice, moving) if len(moving) else None,
-            )
+            found = search(rewards)
             apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
             paths = [path_to(found, end) for end in best_ends(found, self._ends, apart)]
             if not paths or not self._loses(rewards, paths[0], guide):

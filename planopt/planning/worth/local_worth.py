@@ -21,7 +21,13 @@ from planopt.objectives.motion_derivatives import path_length_derivatives
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
 from planopt.objectives.tracking_derivatives import connectivity_derivatives
 from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
-from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue, Structure
+from planopt.planning.programme.path_value import (
+    EvaluatePath,
+    Evaluation,
+    PathValue,
+    Structure,
+    remembering,
+)
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.situation import Situation
@@ -92,7 +98,7 @@ def local_worth(
         ]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 
-    return evaluate
+    return remembering(evaluate)
 
 
 def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:

@@ -59,7 +59,7 @@ class Steering:
         self._at = row, column
         self._map = TileMap(x, y, needed, TILE, NEIGHBOURS)
         nodes = ground.road_map.nodes_m
-        self._nearest = PlaceTree(nodes).nearest(places, 1)[:, 0]
+        self._nearest = PlaceTree(nodes).nearest(places, 1)[0][:, 0]
         self._beside_m = np.linalg.norm(nodes[self._nearest] - places, axis=1)
 
     def find_place(

@@ -10,7 +10,7 @@ import pytest
 
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.near_factors import MOST_GROUPS, NearFactors
+from planopt.channel.nearest.near_factors import MOST_UNUSED, NearFactors
 from planopt.channel.nearest.nearby import predict_nearby
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition, extend
@@ -97,6 +97,6 @@ def test_few_are_kept_and_none_is_pickled(posterior):
     for x in np.linspace(0.0, 200.0, 30):
         for y in (0.0, 100.0, 200.0):
             predict_nearby(posterior, np.array([[x, y]]), COUNT, keep=True)
-    assert 0 < len(near) <= MOST_GROUPS
+    assert 0 < len(near) <= MOST_UNUSED + 1
     copy = pickle.loads(pickle.dumps(near))
     assert isinstance(copy, NearFactors) and len(copy) == 0

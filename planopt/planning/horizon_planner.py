@@ -68,6 +68,7 @@ class HorizonPlanner:
         self._search = StartSearch(problem, ground, thorough)
         self._bounded = problem.constraints.p_min > 0.0
         self._nlp: PathNlp | None = None
+        self._built: dict[int, PathNlp] = {}
         self._fit_lines(min(len(problem.workspace.moving), MOVING_LINES))
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
@@ -89,13 +90,17 @@ class HorizonPlanner:
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _fit_lines(self, moving: int) -> None:
-        """Build the programme with so many lines for what moves, unless it is there already."""
-        lines = LINES_PER_SEGMENT + moving
-        polishes = self.problem.planner.name == "auto"
-        if polishes and (self._nlp is None or self._nlp.lines != lines):
-            self._nlp = build_path_nlp(
-                self.problem.planner.horizon, lines, is_stagewise(self.problem), self._bounded
+        """Use the programme with so many lines for what moves, built when first asked for."""
+        if self.problem.planner.name != "auto":
+            return
+        if moving not in self._built:
+            self._built[moving] = build_path_nlp(
+                self.problem.planner.horizon,
+                LINES_PER_SEGMENT + moving,
+                is_stagewise(self.problem),
+                self._bounded,
             )
+        self._nlp = self._built[moving]
 
     def _climb(
         self, situation: Situation, judge: Judge, starts: list[Start], warm: Plan | None

@@ -64,6 +64,7 @@ class HorizonPlanner:
         self.ground = ground
         self._search = StartSearch(problem, ground, thorough)
         self._nlp: PathNlp | None = None
+        self._built: dict[int, PathNlp] = {}
         self._fit_lines(min(len(problem.workspace.moving), MOVING_LINES))
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
@@ -86,13 +87,14 @@ class HorizonPlanner:
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _fit_lines(self, moving: int) -> None:
-        """Build the programme with so many lines for what moves, unless it is there already."""
-        lines = LINES_PER_SEGMENT + moving
+        """Use the programme with so many lines for what moves, built when first asked for."""
         settings = self.problem.planner
-        if settings.name in METHODS and (self._nlp is None or self._nlp.lines != lines):
-            self._nlp = build_path_nlp(
+        if settings.name not in METHODS:
+            return
+        if moving not in self._built:
+            self._built[moving] = build_path_nlp(
                 settings.horizon,
-                lines,
+                LINES_PER_SEGMENT + moving,
                 structure_of(self.problem),
                 has_step_rows(self.problem),
                 has_sum_row(self.problem),
@@ -100,6 +102,7 @@ class HorizonPlanner:
                 settings.budget_s,
                 until_settled=True,
             )
+        self._nlp = self._built[moving]
 
     def _climb(
         self,

@@ -23,7 +23,7 @@ DARKEST, PALEST = 0.9, 0.3
 
 
 def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) -> list[Artist]:
-    """Draw where every moving obstacle is over the first `steps` steps; artists for a legend.
+    """Draw where every moving obstacle is when, over the first `steps` steps; for a legend.
 
     Parameters
     ----------
@@ -71,14 +71,15 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
         way = centres_at(obstacle, np.array(sorted({0.0, *known, end_s})))
         panel.plot(*way.T, color=WHITE, linewidth=2.6, zorder=MARGIN_Z)
         panel.plot(*way.T, color=FRAME, linewidth=1.1, linestyle="dashdot", zorder=MARGIN_Z + 0.1)
-        panel.text(
-            float(centres[0][0]),
-            float(centres[0][1]),
-            obstacle.name,
-            fontsize=NOTE_PT,
-            ha="center",
-            va="center",
-            zorder=MARGIN_Z + 0.2,
-            clip_on=True,
-        )
+        for (x, y), time in zip(centres, times.tolist(), strict=True):
+            panel.text(
+                x,
+                y,
+                obstacle.name if time == 0.0 else f"{time:g} s",
+                fontsize=NOTE_PT,
+                ha="center",
+                va="center",
+                zorder=MARGIN_Z + 0.2,
+                clip_on=True,
+            )
     return artists

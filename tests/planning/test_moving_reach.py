@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,13 @@ import pytest
 import shapely
 from scenes import prepared_of, small_problem
 
+from planopt import load
+from planopt.planning.check.check import check
+from planopt.planning.files.saved import save_simulation, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.run import Outcome
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.world.moving_obstacle import MovingObstacle, centres_at
 
 SHARES = np.linspace(0.0, 1.0, 201)
@@ -90,6 +95,36 @@ def test_what_is_not_known_of_its_way_keeps_it_farther_away():
     run, (gap,) = driven(unsure)
     assert run.run.outcome is Outcome.REACHED
     assert gap >= 0.5 + 0.3 * np.sqrt(-2.0 * np.log(0.005)) - 1e-6
+
+
+def test_saved_runs_and_plans_are_judged_beside_what_moves(tmp_path):
+    """As they are, and again with a cart in the way that was not there."""
+    problem = load("open_field")
+    cart = MovingObstacle("cart", 2.0, (0.0,), ((32.0, 50.0),), (-0.4, -1.4), 0.2)
+    problem = replace(
+        problem,
+        workspace=replace(problem.workspace, moving=(cart,)),
+        planner=replace(problem.planner, horizon=4, max_steps=8),
+    )
+    for name, save, made in (
+        ("plan", save_solution, solve(problem)),
+        ("run", save_simulation, simulate(problem)),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        save(made, folder)
+        result = check(folder)
+        assert result.verdict is Verdict.VERIFIED, result.reasons
+        assert result.certificate.min_moving_clearance_m >= 1.5
+        file = folder / f"{name}.json"
+        data = json.loads(file.read_text())
+        x, y = data["robots"][0]["x_m"], data["robots"][0]["y_m"]
+        end_s = data["robots"][0]["t_s"][-1]
+        there = {"times_s": [0.0, end_s], "positions_m": [[x[-1], y[-1] - 12.0], [x[-1], y[-1]]]}
+        data["problem_file"]["world"]["moving"][0] |= {**there, "velocity_m_s": [0.0, 0.0]}
+        file.write_text(json.dumps(data))
+        reasons = check(folder).reasons
+        assert any("of the moving obstacle cart" in reason for reason in reasons)
 
 
 def test_one_that_drives_over_a_robot_in_a_dead_end_is_owned_up_to():

@@ -15,6 +15,7 @@ from planopt.planning.baselines.baseline import free_ends, held, released
 from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan
+from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
@@ -69,6 +70,8 @@ class RandomPlanner:
             offsets = np.column_stack([np.cos(drawn), np.sin(drawn)])
             ends = here + (self._problem.step_length_m - STEP_PAD_M) * offsets
             free = free_ends(self._problem, self._ground, here, ends)
+            begins = np.broadcast_to(here, ends.shape)
+            free &= steps_apart(situation.moving, len(path), begins, ends)
             if not free.any():
                 break
             first = int(free.argmax())

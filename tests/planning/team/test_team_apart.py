@@ -138,3 +138,13 @@ def test_the_last_resort_is_what_the_others_keep_clear_of():
                 before = run.plans[number][step - 1].positions_m
                 np.testing.assert_array_equal(plan.positions_m[:-1], before[1:])
     assert least_apart_m([one.log.positions_m for one in run.runs]) >= 3.0 - 1e-6
+
+
+@pytest.mark.parametrize("horizon", [1, 2])
+def test_short_horizons_keep_apart_too(horizon):
+    """One step ahead there is nothing to reserve but standing still."""
+    problem = apart_problem([(10, 15), (13.5, 15), (10, 19)], max_steps=6, horizon=horizon)
+    run = simulate_team(problem, seed=1)
+    assert run.metrics["min_separation_m"] >= 3.0 - CLEARANCE_TOLERANCE_M
+    tracks = [one.log.positions_m for one in run.runs]
+    assert run.metrics["min_separation_m"] == pytest.approx(least_apart_m(tracks), abs=0.05)

@@ -71,7 +71,7 @@ def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePa
     if joint is not None and any(
         isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms
     ):
-        grid = local_grid(joint, situation.region.grid_m, situation.region.weight)
+        grid = local_grid(joint, situation.near_region.grid_m, situation.near_region.weight)
     threshold = problem.stations[0].threshold_dbm
     bounded = problem.constraints.p_min > 0.0
     z = bound_quantile(problem.constraints.p_min) if bounded else 0.0

@@ -17,7 +17,7 @@ from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, line
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.polished import Polished
-from planopt.planning.search.start_search import Start, StartSearch
+from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import local_worth
@@ -63,10 +63,14 @@ class HorizonPlanner:
         self.ground = ground
         self._search = StartSearch(problem, ground, thorough)
         self._bounded = problem.constraints.p_min > 0.0
+        structure = structure_of(problem)
+        self._followed = (
+            COUPLED_STARTS if structure == "full" and problem.planner.horizon > 1 else 1
+        )
         self._nlp: PathNlp | None = None
         if problem.planner.name == "auto":
             self._nlp = build_path_nlp(
-                problem.planner.horizon, LINES_PER_SEGMENT, structure_of(problem), self._bounded
+                problem.planner.horizon, LINES_PER_SEGMENT, structure, self._bounded
             )
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
@@ -100,7 +104,7 @@ class HorizonPlanner:
             if self._nlp is None:
                 unpolished = replace(unpolished, rung=Rung.PLAN)
             else:
-                rung = Rung.PLAN if number == 0 else Rung.COLD_RETRY
+                rung = Rung.PLAN if number < self._followed else Rung.COLD_RETRY
                 for candidate in self.polished(situation, judge, start, rung):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
@@ -110,7 +114,7 @@ class HorizonPlanner:
                 tried.append(unpolished)
                 if unpolished.verdict is Verdict.VERIFIED:
                     verified.append(unpolished)
-            if verified and not self._thorough:
+            if verified and number + 1 >= self._followed and not self._thorough:
                 break
         if verified:
             return _with_effort(max(verified, key=lambda c: c.objective), tried)

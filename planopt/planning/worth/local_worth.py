@@ -23,6 +23,7 @@ from planopt.objectives.path_form_derivatives import path_uncertainty_derivative
 from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
 from planopt.planning.programme.path_value import EvaluatePath, Evaluation, PathValue, Structure
 from planopt.planning.programme.stage_kernel import margins_of
+from planopt.planning.worth.region import region_along
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_prediction import StagePredictor
 from planopt.planning.worth.stage_terms import stage_term_derivatives
@@ -71,7 +72,8 @@ def local_worth(situation: Situation, path_m: NDArray[np.float64]) -> EvaluatePa
     if joint is not None and any(
         isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms
     ):
-        grid = local_grid(joint, situation.near_region.grid_m, situation.near_region.weight)
+        region = region_along(problem, situation.near_region, path_m)
+        grid = local_grid(joint, region.grid_m, region.weight)
     threshold = problem.stations[0].threshold_dbm
     bounded = problem.constraints.p_min > 0.0
     z = bound_quantile(problem.constraints.p_min) if bounded else 0.0

@@ -63,6 +63,13 @@ def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]
     return Region(np.concatenate([near, far]), weight / weight.sum())
 
 
+def region_along(problem: Problem, region: Region, path_m: NDArray[np.float64]) -> Region:
+    """The part of `region` that paths near `path_m` (N, 2) can change; weights as they are."""
+    away = np.linalg.norm(region.grid_m[:, None] - path_m, axis=2).min(axis=1)
+    near = away <= ROOM_STEPS * problem.step_length_m
+    return Region(region.grid_m[near], region.weight[near]) if near.any() else region
+
+
 def _coarse_m(problem: Problem) -> float:
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     return math.sqrt((x_max - x_min) * (y_max - y_min) / PLACES)

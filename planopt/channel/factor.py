@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import solve_lower
+from planopt.channel.cholesky import solve_lower, solve_upper
 from planopt.channel.measurement_covariance import Origins, covariance_db2, own_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 
@@ -75,6 +75,16 @@ def append_rows(
         lower[rows, rows] = np.linalg.cholesky(within - across.T @ across)
         columns[rows] = whiten(lower[rows, rows], columns[rows] - across.T @ columns[:start])
     buffer.used = count
+
+
+def unwhiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L'^-1 `columns` (n, m), by blocks as :func:`whiten`; after it, U^-1 of what was whitened."""
+    solved = np.array(columns, dtype=np.float64)
+    for start in range((len(lower) - 1) // SOLVE_BLOCK * SOLVE_BLOCK, -1, -SOLVE_BLOCK):
+        rows, below = slice(start, start + SOLVE_BLOCK), slice(start + SOLVE_BLOCK, None)
+        solved[rows] -= lower[below, rows].T @ solved[below]
+        solved[rows] = solve_upper(lower[rows, rows], solved[rows])
+    return solved
 
 
 def whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:

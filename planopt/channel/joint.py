@@ -87,21 +87,48 @@ def joint_prediction(
     InputError
         `positions_m` is no path.
     """
-    places = require_places(positions_m)
+    terms = joint_terms(posterior, require_places(positions_m))
+    covariance = terms.latent_db2
+    if not latent:
+        covariance[np.diag_indices_from(covariance)] += posterior.parameters.multipath_std_db**2
+    covariance += terms.trend @ posterior.theta_covariance @ terms.trend.T
+    return JointPrediction(
+        terms.data_db + terms.trend @ posterior.theta, 0.5 * (covariance + covariance.T)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class JointTerms:
+    """The parts of a joint prediction that do not depend on theta.
+
+    Attributes
+    ----------
+    data_db
+        ``(h,)`` Phi' U^-1 Y.
+    trend
+        ``(h, 2)`` B.
+    latent_db2
+        ``(h, h)`` S without multipath.
+    """
+
+    data_db: NDArray[np.float64]
+    trend: NDArray[np.float64]
+    latent_db2: NDArray[np.float64]
+
+
+def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> JointTerms:
+    """The terms at `places_m` (h, 2); whitening their covariances is all that takes time."""
     parameters = posterior.parameters
-    origins = place_origins(places, posterior.now_s, parameters)
+    origins = place_origins(places_m, posterior.now_s, parameters)
     across = whiten(posterior.factor, covariance_db2(posterior.origins, origins, parameters))
-    trend = regressors(places, parameters.station) - across.T @ posterior.whitened_regressors
     covariance = own_covariance_db2(origins, parameters) - across.T @ across
     own = np.diag_indices_from(covariance)
     # Rounding alone can make the latent variance negative, at a place that is known exactly.
     covariance[own] = np.maximum(covariance[own], 0.0)
-    if not latent:
-        covariance[own] += parameters.multipath_std_db**2
-    covariance += trend @ posterior.theta_covariance @ trend.T
-    return JointPrediction(
-        across.T @ posterior.whitened_values + trend @ posterior.theta,
-        0.5 * (covariance + covariance.T),
+    return JointTerms(
+        across.T @ posterior.whitened_values,
+        regressors(places_m, parameters.station) - across.T @ posterior.whitened_regressors,
+        covariance,
     )
 
 

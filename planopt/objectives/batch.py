@@ -6,15 +6,15 @@ q_1 .. q_h. That does not depend on the values it will measure, only on these te
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.factor import whiten
-from planopt.channel.joint import joint_prediction
-from planopt.channel.kriging import kriging_terms
+from planopt.channel.factor import unwhiten, whiten
+from planopt.channel.joint import joint_terms
 from planopt.channel.measurement_covariance import covariance_db2, place_origins
+from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -62,19 +62,49 @@ def batch_of(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> Batch:
     """
     places = require_places(path_m)
     near = factored_near(posterior, places)
-    prediction = joint_prediction(replace(near, theta_covariance=np.zeros((2, 2))), places)
+    terms = joint_terms(near, places)
+    covariance = 0.5 * (terms.latent_db2 + terms.latent_db2.T)
+    covariance[np.diag_indices_from(covariance)] += near.parameters.multipath_std_db**2
     return Batch(
-        prediction.mean_db,
-        prediction.covariance_db2,
-        kriging_terms(near, places).trend,
+        terms.data_db + terms.trend @ near.theta,
+        covariance,
+        terms.trend,
         posterior.theta_covariance,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPlaces:
+    """Places of a map, prepared once for the covariances of many paths with them.
+
+    Attributes
+    ----------
+    grid_m
+        ``(g, 2)``.
+    phi_db2
+        ``(kappa, g)`` covariances with the measurements.
+    trend
+        ``(g, 2)`` varphi(g)'.
+    """
+
+    grid_m: NDArray[np.float64]
+    phi_db2: NDArray[np.float64]
+    trend: NDArray[np.float64]
+
+
+def known_places(posterior: ChannelPosterior, grid_m: NDArray[np.float64]) -> KnownPlaces:
+    """Prepare `grid_m` (g, 2) for a posterior that has a factor; O(kappa g)."""
+    parameters = posterior.parameters
+    grid = place_origins(grid_m, posterior.now_s, parameters)
+    phi = covariance_db2(posterior.origins, grid, parameters)
+    solved = unwhiten(posterior.factor, posterior.whitened_regressors)
+    return KnownPlaces(grid_m, phi, regressors(grid_m, parameters.station) - phi.T @ solved)
 
 
 def cross_covariance_db2(
     posterior: ChannelPosterior,
     path_m: NDArray[np.float64],
-    grid_m: NDArray[np.float64],
+    known: KnownPlaces,
     universal: bool,
 ) -> NDArray[np.float64]:
     """Covariance of what is measured on a path with the power at other places; ``(h, g)``.
@@ -84,23 +114,25 @@ def cross_covariance_db2(
     Parameters
     ----------
     posterior
-        The channel given measurements.
-    path_m, grid_m
-        ``(h, 2)`` and ``(g, 2)``.
+        The channel given measurements; it has a factor.
+    path_m
+        ``(h, 2)``.
+    known
+        The other places, prepared for this posterior.
     universal
         Count what is not known of theta.
     """
-    posterior = factored_near(posterior, path_m)
     parameters = posterior.parameters
-    path, grid = (place_origins(places, posterior.now_s, parameters) for places in (path_m, grid_m))
-    from_path, from_grid = (
-        whiten(posterior.factor, covariance_db2(posterior.origins, places, parameters))
-        for places in (path, grid)
+    path, grid = (
+        place_origins(places, posterior.now_s, parameters) for places in (path_m, known.grid_m)
     )
-    covariance = covariance_db2(path, grid, parameters) - from_path.T @ from_grid
+    phi = covariance_db2(posterior.origins, path, parameters)
+    solved = unwhiten(posterior.factor, whiten(posterior.factor, phi))
+    covariance = covariance_db2(path, grid, parameters) - solved.T @ known.phi_db2
     if universal:
-        trend, other = (kriging_terms(posterior, places).trend for places in (path_m, grid_m))
-        covariance += trend @ posterior.theta_covariance @ other.T
+        rows = unwhiten(posterior.factor, posterior.whitened_regressors)
+        trend = regressors(path_m, parameters.station) - phi.T @ rows
+        covariance += trend @ posterior.theta_covariance @ known.trend.T
     return covariance
 
 

@@ -18,7 +18,14 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import combine
 from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
-from planopt.objectives.batch import batch_factor, batch_of, cross_covariance_db2
+from planopt.objectives.batch import (
+    KnownPlaces,
+    batch_factor,
+    batch_of,
+    cross_covariance_db2,
+    known_places,
+)
+from planopt.objectives.near_posterior import factored_near
 from planopt.objectives.weights import require_weights
 
 
@@ -153,17 +160,34 @@ def path_information(
 
 
 def average_reduction(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Region
+    posterior: ChannelPosterior,
+    path_m: NDArray[np.float64],
+    settings: Region,
+    known: KnownPlaces | None = None,
 ) -> float:
     """sum_g w_g (sigma_t^2(g) - sigma_{t+h}^2(g)) = sum_g w_g c(g)' S^-1 c(g), dB^2 (theory 4.5).
+
+    Parameters
+    ----------
+    posterior
+        The channel given measurements.
+    path_m
+        ``(h, 2)``.
+    settings
+        Where the map is wanted.
+    known
+        The same places prepared for `posterior`, for many paths. Not read where it has no factor.
 
     Raises
     ------
     InputError
         `path_m` is no path, or see :func:`planopt.objectives.batch.batch_factor`.
     """
+    near = factored_near(posterior, path_m)
+    if known is None or near is not posterior:
+        known = known_places(near, settings.grid_m)
     factor = batch_factor(batch_of(posterior, path_m).covariance(settings.universal))
-    across = cross_covariance_db2(posterior, path_m, settings.grid_m, settings.universal)
+    across = cross_covariance_db2(near, path_m, known, settings.universal)
     return float((solve_lower(factor, across) ** 2).sum(axis=0) @ settings.weight)
 
 

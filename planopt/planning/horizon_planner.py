@@ -22,7 +22,7 @@ from planopt.planning.programme.offenders import (
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
-from planopt.planning.search.start_search import Start, StartSearch
+from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.risk_allocation import Allocation
@@ -63,6 +63,8 @@ class HorizonPlanner:
         self.problem = problem
         self.ground = ground
         self._search = StartSearch(problem, ground, thorough)
+        coupled = structure_of(problem) == "full" and problem.planner.horizon > 1
+        self._followed = COUPLED_STARTS if coupled else 1
         self._nlp: PathNlp | None = None
         self._built: dict[int, PathNlp] = {}
         self._fit_lines(min(len(problem.workspace.moving), MOVING_LINES))
@@ -123,7 +125,7 @@ class HorizonPlanner:
             if self._nlp is None:
                 unpolished = replace(unpolished, rung=Rung.PLAN)
             else:
-                rung = Rung.PLAN if number == 0 else Rung.COLD_RETRY
+                rung = Rung.PLAN if number < self._followed else Rung.COLD_RETRY
                 for candidate in self.polished(situation, judge, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
@@ -137,7 +139,7 @@ class HorizonPlanner:
                 tried.append(unpolished)
                 if unpolished.verdict is Verdict.VERIFIED:
                     verified.append(unpolished)
-            if verified and not self._thorough:
+            if verified and number + 1 >= self._followed and not self._thorough:
                 break
         if verified and self._thorough and self._nlp is not None:
             found = self._once_more(situation, judge, starts, verified, budget)

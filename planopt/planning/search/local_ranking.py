@@ -50,9 +50,13 @@ from planopt.problems.objective import (
 ANCHORS = 64
 """Places among those of all ways that measurements are chosen near to."""
 
-NEIGHBOURS = 384
-"""Measurements shared by all ways. They cover all that can be reached, so that they are more than a
-polish needs about one way: with 128 of 400, the ways chosen lost a tenth of the best worth."""
+LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 384
+"""Measurements shared by all ways: so many, so many more for each step, and never more. They cover
+all that can be reached, so that they are more than a polish needs about one way: with 128 of 400,
+the ways of 20 steps that were chosen lost a tenth of the best worth."""
+
+RANKED_PLACES = 300
+"""Of the places where a map is wanted, about so many are looked at, evenly among them."""
 
 NUGGET_SHARE = 1e-4
 """Least variance of multipath as a share of the shadowing's: without any, a place that is measured
@@ -76,13 +80,16 @@ class LocalRanking:
 
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
-        self._channel = local_channel(situation.posterior, _anchors(about_m), NEIGHBOURS)
+        count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), MOST_NEIGHBOURS)
+        self._channel = local_channel(situation.posterior, _anchors(about_m), count)
         self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
         self._grid: LocalGrid | None = None
         if any(isinstance(t, MappingTerm) and t.form == "average" for t in situation.problem.terms):
-            region = situation.region
-            self._grid = local_grid(self._channel, region.grid_m, region.weight)
+            region = situation.near_region
+            every = max(1, round(len(region.weight) / RANKED_PLACES))
+            grid, weight = region.grid_m[::every], region.weight[::every]
+            self._grid = local_grid(self._channel, grid, every * weight)
 
     def __call__(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weighted sum of the terms of each way ``(c, N, 2)``, near its exact worth; ``(c,)``.

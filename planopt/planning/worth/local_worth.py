@@ -29,6 +29,7 @@ from planopt.planning.programme.path_value import (
     remembering,
 )
 from planopt.planning.programme.stage_kernel import margins_of
+from planopt.planning.worth.region import region_along
 from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_prediction import StagePredictor
@@ -80,7 +81,8 @@ def local_worth(
     if joint is not None and any(
         isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms
     ):
-        grid = local_grid(joint, situation.region.grid_m, situation.region.weight)
+        region = region_along(problem, situation.near_region, path_m)
+        grid = local_grid(joint, region.grid_m, region.weight)
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)

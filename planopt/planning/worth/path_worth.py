@@ -119,7 +119,7 @@ def _mapping(term: MappingTerm, at: Situation, path_m: NDArray[np.float64]) -> f
         case "information":
             return path_information(at.posterior, path_m)
         case "average":
-            return average_reduction(at.posterior, path_m, at.region)
+            return average_reduction(at.posterior, path_m, at.near_region, at.near_places)
 
 
 def steering_value(at: Situation, path_m: NDArray[np.float64]) -> float:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.energy import Radio
 from planopt.objectives.mapping import Region, Uncertainty
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
@@ -18,6 +20,7 @@ from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.objectives.until_connected import Search
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.worth.region import region_near
 from planopt.planning.worth.target_model import target_model
 from planopt.problems.objective import (
     LearningTerm,
@@ -84,6 +87,18 @@ class Situation:
             self._power.update(zip([keys[row] for row in new], values, strict=True))
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)
         return Prediction(both[:, 0], both[:, 1])
+
+    @cached_property
+    def near_region(self) -> Region:
+        """Where the map is wanted, fine where a plan can change anything."""
+        return region_near(self.problem, self.region, self.position_m)
+
+    @cached_property
+    def near_places(self) -> KnownPlaces | None:
+        """The places of `near_region` prepared for the posterior; None where it has no factor."""
+        if not self.posterior.has_factor:
+            return None
+        return known_places(self.posterior, self.near_region.grid_m)
 
     def tracking(self, term: TrackingTerm) -> Tracking:
         """The settings of a tracking term."""

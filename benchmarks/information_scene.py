@@ -1,0 +1,49 @@
+"""Scenes of learning and mapping: those of tracking, without a target and without a bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from tracking_scene import FIELD_C, Scene, scene, situation_in
+
+from planopt.channel.posterior import condition
+from planopt.planning.candidate import Judge
+from planopt.planning.ground import build_ground
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.situation import Situation
+from planopt.problems.objective import LearningTerm, MappingTerm, Term, TermsObjective
+
+Worth = Literal["information", "average", "path", "D", "A"]
+
+WORTHS: tuple[Worth, ...] = ("information", "average", "path", "D", "A")
+
+
+def term_of(worth: Worth) -> Term:
+    """The one term of a problem."""
+    if worth in ("D", "A"):
+        return LearningTerm(1.0, worth)
+    return MappingTerm(1.0, worth, 2.0, 0.02)
+
+
+def information_step(
+    worth: Worth, horizon: int, count: int, seed: int, decorrelation_m: float
+) -> tuple[Scene, Situation, Judge]:
+    """A cold step of a seeded scene whose robot knows `count` measurements."""
+    place = scene(horizon, count, seed)
+    problem = replace(
+        place.problem,
+        objective=TermsObjective((term_of(worth),)),
+        targets=(),
+        constraints=replace(place.problem.constraints, p_min=0.0),
+    )
+    at = np.asarray(problem.robots[0].start_m)
+    known = place.belief.posterior
+    # What is measured there plays no part in what is worth measuring.
+    law = replace(known.parameters, **{**FIELD_C, "decorrelation_m": decorrelation_m})
+    belief = replace(place.belief, posterior=condition(law, known.measurements))
+    place = replace(place, problem=problem, ground=build_ground(problem, at), belief=belief)
+    situation, _ = situation_in(place, belief, at, None)
+    situation = replace(situation, target_m=None)
+    return place, situation, Judge(problem, place.ground.index, belief, at, PathWorth(situation))

@@ -14,9 +14,9 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.verify import judge
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
+from planopt.planning.soundness import is_sound
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear
+from planopt.world.clearance import ObstacleIndex
 
 
 @dataclass(frozen=True)
@@ -120,18 +120,11 @@ class Judge:
             path,
             candidate.kkt_residual,
         )
-        certificate = judgement.certificate
-        clearance = np.array([certificate.min_clearance_m])
-        sound = bool(
-            is_clear(clearance, self.problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M).all()
-            and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
-            and inside_bounds(self.problem.workspace, path).all()
-        )
         return replace(
             candidate,
-            certificate=certificate,
+            certificate=judgement.certificate,
             verdict=judgement.verdict,
-            sound=sound,
+            sound=is_sound(self.problem, self.index, self.position_m, candidate.path_m),
             power=judgement.power,
         )
 

@@ -86,7 +86,8 @@ class HorizonPlanner:
             The plan that led here, one step old; only used if it was verified.
         """
         begun = perf_counter()
-        starts = self._search.find_starts(situation, shifted_path(warm))
+        shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
+        starts = self._search.find_starts(situation, shifted)
         budget = budget_from(self.problem, begun)
         chosen = self._climb(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
@@ -138,13 +139,12 @@ class HorizonPlanner:
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
-        horizon = self.problem.planner.horizon
-        path = shifted_path(warm)
-        if path is not None and len(path) == horizon:
+        path = shifted_path(self.problem, judge.index, judge.position_m, warm)
+        if path is not None:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        standing = np.tile(judge.position_m, (horizon, 1))
+        standing = np.tile(judge.position_m, (self.problem.planner.horizon, 1))
         return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
 
     def polished(

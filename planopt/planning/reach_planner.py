@@ -100,7 +100,8 @@ class ReachPlanner:
         tried: list[Candidate] = []
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
             refiner = Refiner(self._nlp, self.scene, judge, cost, start, lattice.objective, budget)
-            for attempt in refiner.attempts(shifted_path(warm)):
+            shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
+            for attempt in refiner.attempts(shifted):
                 tried.append(attempt)
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
                     return _with_effort(attempt, tried)
@@ -129,13 +130,12 @@ class ReachPlanner:
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
-        horizon = self.problem.planner.horizon
-        path = shifted_path(warm)
-        if path is not None and len(path) == horizon:
+        path = shifted_path(self.problem, judge.index, judge.position_m, warm)
+        if path is not None:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        standing = np.tile(judge.position_m, (horizon, 1))
+        standing = np.tile(judge.position_m, (self.problem.planner.horizon, 1))
         return judge.judged(judge.candidate(standing, Rung.STOP, Termination.NO_PATH))
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -31,6 +31,11 @@ def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
     """A number for people; a dash where there is none."""
     return "-" if value is None else f"{value:.{digits}g}{unit}"
+
+
+def explained(relaxations: Iterable[object]) -> list[str]:
+    """Lines that say what would give a verified plan; none where nothing is known to."""
+    return [f"  {relaxation}" for relaxation in relaxations]
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
-from planopt.errors import NoPlanError
+from planopt.errors import InputError, NoPlanError
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.no_connection import explain_no_connection
 from planopt.planning.explain.no_way import explain_no_way
@@ -50,7 +50,11 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     seed
         As it was planned with.
     """
-    belief = prepare(problem, seed).belief
+    try:
+        belief = prepare(problem, seed).belief
+    except InputError:
+        # Without measurements nothing can be solved again; what opens a way can still be said.
+        return explain_no_way(problem, lambda _: Verdict.NONE)
     return explain_no_way(problem, lambda changed: _reached(changed, belief))
 
 

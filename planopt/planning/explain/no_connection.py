@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,11 +16,14 @@ from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Problem
 from planopt.problems.settings import MAX_HORIZON
 
-PADS_DB = (0.03, 0.1, 0.3, 1.0, 3.0)
-"""What a planner may need beyond the limit, tried in turn; the first that helps is proposed."""
+PADS_DB = (0.005, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""What a planner may need beyond the limit, tried in turn."""
 
-PADS_QUANTILE = (0.003, 0.01, 0.03, 0.1, 0.3)
+PADS_QUANTILE = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 """The same in standard deviations."""
+
+SETTLED_SHARE = 0.02
+"""The least value that helps is looked for to this share of the relaxation."""
 
 LONGER = (0, 1, 2, 4, 8, 16)
 """Steps beyond the fewest that come to a place by air, which may not do round obstacles."""
@@ -67,31 +70,44 @@ def explain_no_connection(
 def _probability(
     problem: Problem, plan: Plan, limit: float, short_db: float, solve_again: SolveAgain
 ) -> Relaxation | None:
-    z = bound_quantile(limit)
+    z, asked = bound_quantile(limit), problem.constraints.p_min
     if not np.isfinite(z):
         return None
     pads = z - np.array(PADS_QUANTILE)
     tried = connection_probability(pads, np.ones(len(pads)), 0.0)
-    values = [towards(float(p), DIGITS, down=True) for p in tried]
-    values = [p for p in values if 0.0 < p < problem.constraints.p_min]
-    changed = (
-        (p, replace(problem, constraints=replace(problem.constraints, p_min=p))) for p in values
+    values = [p for p in tried.tolist() if 0.0 < towards(p, DIGITS, down=True) < asked]
+
+    def changed(p_min: float) -> Problem:
+        return replace(problem, constraints=replace(problem.constraints, p_min=p_min))
+
+    about = Relaxation(
+        "constraints.p_min", "", asked, _stages(plan), short_db, "dB", asked, False, plan.robot
     )
-    return _first(
-        "constraints.p_min", "", problem.constraints.p_min, plan, short_db, changed, solve_again
-    )
+    return _nearest(about, values, changed, solve_again)
 
 
 def _threshold(
     problem: Problem, plan: Plan, short_db: float, solve_again: SolveAgain
 ) -> Relaxation | None:
     radio = problem.stations[0]
-    values = [
-        towards(radio.threshold_dbm - short_db - pad, DIGITS + 1, down=True) for pad in PADS_DB
-    ]
-    changed = ((t, replace(problem, stations=(replace(radio, threshold_dbm=t),))) for t in values)
-    key = "stations[0].threshold_dbm"
-    return _first(key, "dBm", radio.threshold_dbm, plan, short_db, changed, solve_again)
+    asked = radio.threshold_dbm
+    values = [asked - short_db - pad for pad in PADS_DB]
+
+    def changed(threshold_dbm: float) -> Problem:
+        return replace(problem, stations=(replace(radio, threshold_dbm=threshold_dbm),))
+
+    about = Relaxation(
+        "stations[0].threshold_dbm",
+        "dBm",
+        asked,
+        _stages(plan),
+        short_db,
+        "dB",
+        asked,
+        False,
+        plan.robot,
+    )
+    return _nearest(about, values, changed, solve_again)
 
 
 def _horizon(
@@ -101,40 +117,49 @@ def _horizon(
     short_db: float,
     solve_again: SolveAgain,
 ) -> Relaxation | None:
-    fewest = least_horizon(problem, posterior, plan.positions_m[0])
+    fewest, asked = least_horizon(problem, posterior, plan.positions_m[0]), problem.planner.horizon
     if fewest is None:
         return None
-    values = [min(fewest + more, MAX_HORIZON) for more in LONGER]
-    changed = ((n, replace(problem, planner=replace(problem.planner, horizon=n))) for n in values)
-    asked = problem.planner.horizon
-    return _first("planner.horizon", "", asked, plan, short_db, changed, solve_again)
+    about = Relaxation(
+        "planner.horizon", "", asked, _stages(plan), short_db, "dB", fewest, False, plan.robot
+    )
+    for more in LONGER:
+        steps = min(fewest + more, MAX_HORIZON)
+        changed = replace(problem, planner=replace(problem.planner, horizon=steps))
+        if solve_again(changed) is Verdict.VERIFIED:
+            return replace(about, relaxed_value=steps, verified=True)
+    return about
 
 
-def _first(
-    key: str,
-    unit: str,
-    asked: float,
-    plan: Plan,
-    short_db: float,
-    changed: Iterable[tuple[float, Problem]],
+def _stages(plan: Plan) -> tuple[int, ...]:
+    return plan.certificate.relaxed_steps
+
+
+def _nearest(
+    about: Relaxation,
+    values: Sequence[float],
+    changed: Callable[[float], Problem],
     solve_again: SolveAgain,
 ) -> Relaxation | None:
-    """The first value that helps; the first of all, unverified, where none does."""
-    first: Relaxation | None = None
-    for value, problem in changed:
-        verified = solve_again(problem) is Verdict.VERIFIED
-        relaxation = Relaxation(
-            key,
-            unit,
-            asked,
-            plan.certificate.relaxed_steps,
-            short_db,
-            "dB",
-            value,
-            verified,
-            plan.robot,
-        )
-        if verified:
-            return relaxation
-        first = first or relaxation
-    return first
+    """The value nearest to what is asked that helps; unverified the first, where none does.
+
+    Values decrease; between the last that does not help and the first that does is halved.
+    """
+    if not values or about.value is None:
+        return None
+
+    def helps(value: float) -> bool:
+        return solve_again(changed(value)) is Verdict.VERIFIED
+
+    typed = [towards(value, DIGITS, down=True) for value in values]
+    first = next((number for number, value in enumerate(typed) if helps(value)), None)
+    if first is None:
+        return replace(about, relaxed_value=typed[0])
+    low = typed[first]
+    high = typed[first - 1] if first else low
+    while high - low > SETTLED_SHARE * (about.value - low):
+        middle = towards(0.5 * (low + high), DIGITS, down=True)
+        if not low < middle < high:
+            break
+        low, high = (middle, high) if helps(middle) else (low, middle)
+    return replace(about, relaxed_value=low, verified=True)

@@ -16,7 +16,7 @@ from planopt.problems.problem import Problem
 SolveAgain = Callable[[Problem], Verdict]
 """Solves a changed problem and says what its plan is worth."""
 
-DIGITS = 4
+DIGITS = 5
 """Significant digits of a value that is proposed."""
 
 BISECTIONS = 12

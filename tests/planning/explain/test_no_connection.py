@@ -37,11 +37,13 @@ def changed(problem: Problem, key: str, value: float) -> Problem:
 
 
 def slope(places_m: np.ndarray) -> np.ndarray:
-    """Better and better to the right, from 8 dB below the threshold."""
-    return THRESHOLD_DBM - 8.0 + 0.25 * places_m[:, 0]
+    """Better and better to the right, just above the threshold where four steps come to."""
+    return THRESHOLD_DBM - 5.5 + 0.25 * places_m[:, 0]
 
 
-PROBLEM = small_problem(start_m=(5.0, 15.0), horizon=4)
+# Nodes of the lattice 1 m apart, so that the readings, where power is known best, are nodes.
+STEP_M = 5.0**0.5
+PROBLEM = small_problem(start_m=(15.0, 15.0), horizon=4, speed_max_m_s=STEP_M)
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +56,8 @@ def said():
 
 def within_reach() -> np.ndarray:
     """Mean and deviation on a dense grid of the disc of four steps, by kriging written out."""
-    angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 181), np.linspace(0.0, 8.0, 65))
-    places = (5.0 + radius * np.cos(angle)).ravel(), (15.0 + radius * np.sin(angle)).ravel()
+    angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 181), np.arange(0.0, 4.0 * STEP_M, 0.125))
+    places = (15.0 + radius * np.cos(angle)).ravel(), (15.0 + radius * np.sin(angle)).ravel()
     return kriged(belief_of(PROBLEM, slope), np.stack(places, axis=1))
 
 
@@ -65,8 +67,7 @@ def test_largest_probability_within_reach(said):
     best = scipy.stats.norm.sf(THRESHOLD_DBM, mean, deviation).max()
     entry = said["constraints.p_min"]
     assert entry.value == 0.9 and entry.stages == (1, 2, 3, 4)
-    assert entry.relaxed_value <= best + 1e-3
-    assert entry.relaxed_value == pytest.approx(best, rel=0.05)
+    assert best - 0.01 <= entry.relaxed_value <= best + 1e-3
 
 
 def test_missing_decibels_within_reach(said):
@@ -76,7 +77,7 @@ def test_missing_decibels_within_reach(said):
     entry = said["stations[0].threshold_dbm"]
     assert entry.shortfall == pytest.approx(-margin.max(), abs=0.05)
     assert entry.shortfall_unit == "dB" and entry.unit == "dBm"
-    assert entry.relaxed_value == pytest.approx(THRESHOLD_DBM + margin.max(), abs=0.15)
+    assert margin.max() - 0.05 <= entry.relaxed_value - THRESHOLD_DBM <= margin.max() + 1e-3
 
 
 @pytest.mark.parametrize("key", ["constraints.p_min", "stations[0].threshold_dbm"])
@@ -94,12 +95,13 @@ def test_relaxed_value_is_the_least(key, said):
 def test_longer_horizon():
     """Connected beyond x = 20 only: so many steps come there, and one fewer does not."""
     power = bad_where(lambda x, _: x < 20.0)
-    solution = solved(PROBLEM, power)
+    problem = replace(PROBLEM, robots=(replace(PROBLEM.robots[0], start_m=(5.0, 15.0)),))
+    solution = solved(problem, power)
     entry = {r.constraint: r for r in explain(solution)}["planner.horizon"]
     assert entry.verified and entry.value == 4
-    assert 15.0 <= 2.0 * entry.relaxed_value <= 22.0
-    longer = changed(PROBLEM, "planner.horizon", entry.relaxed_value)
-    fewer = changed(PROBLEM, "planner.horizon", entry.relaxed_value - 1)
+    assert 15.0 <= STEP_M * entry.relaxed_value <= 22.0
+    longer = changed(problem, "planner.horizon", entry.relaxed_value)
+    fewer = changed(problem, "planner.horizon", entry.relaxed_value - 1)
     assert solved(longer, power).plan.verdict is Verdict.VERIFIED
     assert solved(fewer, power).plan.verdict is Verdict.VIOLATED
 

@@ -2,7 +2,8 @@
 
 ``python benchmarks/closed_loop_steps.py --steps 10000 --log FILE`` drives the scenes of seeds 0, 1,
 ... until so many plans were released, saves each run, judges it from disk, and prints the table.
-The log has a line for each run; another call goes on after its last one.
+The log has a line for each run; another call goes on after its last one. Several logs of other
+first seeds may be joined into one.
 """
 
 from __future__ import annotations
@@ -60,11 +61,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--first", type=int, default=0, help="first seed of a new log")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this long")
     chosen = parser.parse_args()
     begun = perf_counter()
     tallies = read_log(chosen.log)
-    seed = tallies[-1].seed + 1 if tallies else 0
+    seed = tallies[-1].seed + 1 if tallies else chosen.first
     while (
         sum(tally.steps for tally in tallies) < chosen.steps
         and perf_counter() - begun < chosen.seconds

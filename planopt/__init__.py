@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from planopt.errors import InputError, NoPlanError, OutputError, PlanoptError
     from planopt.planning.any_task import simulate, solve
     from planopt.planning.check.check import check
+    from planopt.planning.explain.explain import explain, explain_no_plan
     from planopt.planning.loop.simulation import Simulation
     from planopt.planning.plan import Termination, Verdict
     from planopt.planning.solution import Solution
@@ -121,6 +122,8 @@ __all__ = [
     "connected_to_any",
     "delivered_data",
     "estimate_theta",
+    "explain",
+    "explain_no_plan",
     "first_passage",
     "fit_channel",
     "fit_channel_and_station",
@@ -200,6 +203,8 @@ _MODULES = {
     "connected_to_any": "planopt.channel.connection.several_stations",
     "delivered_data": "planopt.channel.connection.outage",
     "estimate_theta": "planopt.channel.path_loss_estimate",
+    "explain": "planopt.planning.explain.explain",
+    "explain_no_plan": "planopt.planning.explain.explain",
     "first_passage": "planopt.channel.connection.first_passage",
     "fit_channel": "planopt.channel.estimation.fit",
     "fit_channel_and_station": "planopt.channel.station.station_search",

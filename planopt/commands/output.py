@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -44,6 +44,11 @@ def apart_in_words(separation_m: float | None, moving_clearance_m: float | None)
         if distance is not None
     ]
     return (f"  always at least {', '.join(parts)}",) if parts else ()
+
+
+def explained(relaxations: Iterable[object]) -> list[str]:
+    """Lines that say what would give a verified plan; none where nothing is known to."""
+    return [f"  {relaxation}" for relaxation in relaxations]
 
 
 @contextlib.contextmanager

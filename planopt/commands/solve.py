@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from planopt.commands.output import (
     NO_PLAN,
     apart_in_words,
+    explained,
     progress,
     results_folder,
     show,
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
 @planning_command
 def solve(asked: Asked) -> int:
     """Plan from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
+    from dataclasses import replace
+
     from planopt.errors import NoPlanError
+    from planopt.planning.explain.explain import explain, explain_no_plan
     from planopt.planning.files.saved import PLAN_FILE, save_record, save_solution, withdraw
     from planopt.planning.files.solution_json import no_plan_json, solution_json
     from planopt.planning.solution import exit_code
@@ -36,12 +40,18 @@ def solve(asked: Asked) -> int:
             with progress("planning"):
                 solution = find_plan(problem, seed=seed)
         except NoPlanError as error:
-            data = no_plan_json(problem, seed, str(error))
+            with progress("explaining"):
+                helpful = explain_no_plan(problem, seed)
+            data = no_plan_json(problem, seed, str(error), helpful)
             if folder is not None:
                 withdraw(folder)
                 save_record(data, problem, folder / PLAN_FILE)
-            show(asked.json, data, f"{problem.name}: no plan: {error}")
+            lines = [f"{problem.name}: no plan: {error}", *explained(helpful)]
+            show(asked.json, data, "\n".join(lines))
             return NO_PLAN
+        if exit_code(solution) != 0:
+            with progress("explaining"):
+                solution = replace(solution, explanation=explain(solution))
         if folder is not None:
             withdraw(folder)
             if problem.report.figures:
@@ -66,4 +76,6 @@ def _in_words(solution: Solution) -> str:
         f"connection {shown_number(certificate.min_connectivity)} ({certificate.posterior})",
         *apart_in_words(certificate.min_separation_m, certificate.min_moving_clearance_m),
     ]
-    return "\n".join([*lines, f"  {plan.message}"] if plan.message else lines)
+    if plan.message:
+        lines.append(f"  {plan.message}")
+    return "\n".join([*lines, *explained(solution.explanation)])

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from planopt.commands.output import apart_in_words, progress, results_folder, show, shown_number
+from planopt.commands.output import (
+    apart_in_words,
+    explained,
+    progress,
+    results_folder,
+    show,
+    shown_number,
+)
 from planopt.commands.planning import Asked
 
 if TYPE_CHECKING:
@@ -17,6 +24,9 @@ NOT_VERIFIED = 3
 
 def solve_asked(asked: Asked) -> int:
     """Plan for each robot. Exit code 0 verified, 3 not verified."""
+    from dataclasses import replace
+
+    from planopt.planning.explain.explain import explain
     from planopt.planning.files.saved import withdraw
     from planopt.planning.files.team_saved import save_team_solution
     from planopt.planning.files.team_solution_json import team_solution_json
@@ -26,6 +36,9 @@ def solve_asked(asked: Asked) -> int:
     with results_folder(asked.out) as folder:
         with progress("planning"):
             solution = solve_team(asked.problem, seed=asked.seed)
+        if solution.verdict is not Verdict.VERIFIED:
+            with progress("explaining"):
+                solution = replace(solution, explanation=explain(solution))
         if folder is not None:
             withdraw(folder)
             if solution.problem.report.figures:
@@ -92,7 +105,13 @@ def _plans_in_words(solution: TeamSolution) -> str:
         )
         if plan.message:
             lines.append(f"    {plan.message}")
+        lines += [f"  {line}" for line in explained(_of(plan.robot, solution))]
     return "\n".join(lines)
+
+
+def _of(robot: str, solution: TeamSolution) -> list[object]:
+    """What would help one robot."""
+    return [one for one in solution.explanation if one.robot == robot]
 
 
 def _run_in_words(run: TeamRun) -> str:

@@ -83,7 +83,8 @@ class HorizonPlanner:
         """
         begun = perf_counter()
         self._fit_lines(moving_count(situation.moving))
-        starts = self._search.find_starts(situation, shifted_path(warm))
+        shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
+        starts = self._search.find_starts(situation, shifted)
         budget = budget_from(self.problem, begun)
         chosen = self._climb(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
@@ -171,13 +172,12 @@ class HorizonPlanner:
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
-        horizon = self.problem.planner.horizon
-        path = shifted_path(warm)
-        if path is not None and len(path) == horizon:
+        path = shifted_path(self.problem, judge.index, judge.position_m, warm)
+        if path is not None:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        return judge.standing(horizon)
+        return judge.standing(self.problem.planner.horizon)
 
     def polished(
         self,

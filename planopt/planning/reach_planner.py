@@ -151,7 +151,8 @@ class ReachPlanner:
             refiner = Refiner(
                 self._nlp, self.scene, judge, cost, start, lattice.objective, budget, rows_of
             )
-            for attempt in refiner.attempts(shifted_path(warm)):
+            shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
+            for attempt in refiner.attempts(shifted):
                 tried.append(attempt)
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
                     return _with_effort(attempt, tried)
@@ -180,13 +181,12 @@ class ReachPlanner:
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
-        horizon = self.problem.planner.horizon
-        path = shifted_path(warm)
-        if path is not None and len(path) == horizon:
+        path = shifted_path(self.problem, judge.index, judge.position_m, warm)
+        if path is not None:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
-        return judge.standing(horizon)
+        return judge.standing(self.problem.planner.horizon)
 
 
 def eased(problem: Problem) -> Problem:

@@ -107,7 +107,7 @@ class Refiner:
             if relaxing
             else [(self._retimed(), Rung.PLAN), (self._start.path_m, Rung.COLD_RETRY)]
         )
-        if shifted_m is not None and len(shifted_m) == self._nlp.horizon:
+        if shifted_m is not None:
             cheaper = not relaxing and self._judge.objective(shifted_m) < self._lattice_objective
             if cheaper and bool((self._start_margins(shifted_m) >= 0.0).all()):
                 starts.insert(0, (shifted_m, Rung.PLAN))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
 from planopt.errors import NoPlanError
+from planopt.planning.free_space import is_joined
 from planopt.planning.ground import Ground, build_ground, first_moves
 from planopt.planning.search.road_map import RoadMap, Ways, shortest_ways
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
@@ -88,18 +88,8 @@ def _why_no_way(problem: Problem, spacing_m: float) -> str:
     """Whether obstacles cut the goal off, exactly, or the lattice is too coarse for the way."""
     goal_m, start_m = problem.goal_m, problem.robots[0].start_m
     clearance = problem.constraints.clearance_m
-    free = shapely.box(*problem.workspace.bounds_m)
-    for obstacle in problem.workspace.obstacles:
-        free = free.difference(obstacle.polygon.buffer(clearance))
-    start, goal = shapely.Point(start_m), shapely.Point(goal_m)
-    # Both may lie on the very edge of what the clearance leaves.
-    parts = [free] if isinstance(free, shapely.Polygon) else list(shapely.get_parts(free))
-    joined = any(
-        part.distance(start) <= CLEARANCE_PAD_M and part.distance(goal) <= CLEARANCE_PAD_M
-        for part in parts
-    )
     between = f"robots[0].goal_m {list(goal_m)} from start_m {list(start_m)}"
-    if joined:
+    if is_joined(problem, clearance):
         return (
             f"no way found to {between} on a lattice of {spacing_m:.2f} m, although there is one "
             f"with constraints.clearance_m {clearance:g} m: a smaller planner.step_s or "

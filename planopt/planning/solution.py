@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from planopt.channel.belief import Belief
+from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.plan import Plan
 from planopt.problems.problem import Problem
 
@@ -23,12 +24,15 @@ class Solution:
         What the plan was made from.
     plan
         The plan.
+    explanation
+        What would give a verified plan, where that was asked for and this one is not.
     """
 
     problem: Problem
     seed: int
     belief: Belief
     plan: Plan
+    explanation: tuple[Relaxation, ...] = ()
 
 
 def exit_code(solution: Solution) -> int:

@@ -9,6 +9,7 @@ import pytest
 from scenes import CUP, WALL, bad_disc, belief_of, good_everywhere, search_of, small_problem
 
 import planopt.planning.refine as refine
+from planopt.planning.budget import Budget
 from planopt.planning.candidate import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.pivot import find_pivot
@@ -27,7 +28,7 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
     judge = Judge(problem, scene.index, belief, at, reach_cost)
     nlp = build_reach_nlp(problem.planner.horizon, lines)
     cost = judge.objective(start.path_m)
-    return refine.Refiner(nlp, scene, judge, reach_cost, start, cost), judge, start
+    return refine.Refiner(nlp, scene, judge, reach_cost, start, cost, Budget()), judge, start
 
 
 @pytest.mark.parametrize("polygon", [WALL, CUP])
@@ -74,9 +75,6 @@ def test_shifted_plan_is_tried():
         list(refiner.attempts(dear))
         assert not (polished_from[0] == dear).all()
         assert any((path == dear).all() for path in polished_from)
-        polished_from.clear()
-        next(refiner.attempts(good[:-3]))
-        assert all(len(path) == 10 for path in polished_from)
 
 
 def test_relaxed_start_is_made_as_good_as_can_be():

@@ -17,11 +17,13 @@ from typing import Any
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import given_again
+from planopt.planning.check.check_explanation import no_way_faults
 from planopt.planning.check.check_labels import label_reasons
 from planopt.planning.check.check_plan import check_plan
 from planopt.planning.check.check_run import check_run
 from planopt.planning.check.check_team import check_team, not_judged
 from planopt.planning.check.library_remarks import library_remarks
+from planopt.planning.files.explanation_json import explanation_again
 from planopt.planning.files.read_saved import Saved, read_object, saved_from
 from planopt.planning.files.read_team import SavedTeam, is_team, read_team
 from planopt.planning.files.run_json import no_run_json
@@ -118,13 +120,17 @@ def _no_plan_reasons(saved: Saved) -> list[str]:
     """That there is nothing to judge, and what the file says besides that is not so."""
     message, seed = str(saved.data["message"]), saved.record.seed
     found: dict[str, Any] = {"problem_file": saved.data["problem_file"]}
-    if saved.file.name == PLAN_FILE:
-        found |= no_plan_json(saved.problem, seed, message)
+    faults: list[str] = []
+    if saved.file.name == PLAN_FILE and isinstance(saved.record, NoPlanRecord):
+        explanation = explanation_again(saved.record.explanation)
+        found |= no_plan_json(saved.problem, seed, message, explanation)
+        faults = no_way_faults(saved.problem, explanation)
     else:
         found |= {**no_run_json(saved.problem, seed, message), "plans": []}
     return [
         f"there is no plan to judge: {message}",
         *in_words(saved.file.name, disagreements(saved.data, found)),
+        *(f"{saved.file.name}, key {fault}" for fault in faults),
     ]
 
 

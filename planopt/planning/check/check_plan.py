@@ -9,10 +9,12 @@ import numpy as np
 
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
+from planopt.planning.check.check_explanation import explanation_faults
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import UNSOLVED, provenance_faults
 from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
 from planopt.planning.files.belief_file import SavedBelief, first_posterior, grown_posterior
+from planopt.planning.files.explanation_json import explanation_again
 from planopt.planning.files.saved import PLAN_FILE
 from planopt.planning.files.solution_json import PlanRecord, plan_json
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
@@ -60,8 +62,9 @@ def check_plan(
         record,
         Effort(record.wall_s, record.solve_s, record.iterations),
     )
+    explanation = explanation_again(record.explanation)
     found = {
-        **plan_json(problem, record.seed, plan),
+        **plan_json(problem, record.seed, plan, explanation),
         # What was asked is not judged: library_remarks says what there is to say.
         "problem_file": data["problem_file"],
     }
@@ -72,6 +75,10 @@ def check_plan(
         f"{PLAN_FILE}, key {key}: {fault}" for key, fault in provenance_faults(problem, plan, None)
     ]
     reasons += effort_faults(plan, "")
+    reasons += [
+        f"{PLAN_FILE}, key {fault}"
+        for fault in explanation_faults(problem, posterior, plan, explanation)
+    ]
     reasons += steps_reasons(steps, steps_of_plan(plan))
     reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
     return [judgement.certificate], reasons

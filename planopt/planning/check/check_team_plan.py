@@ -6,6 +6,7 @@ import numpy as np
 
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
+from planopt.planning.check.check_explanation import explanation_faults
 from planopt.planning.check.check_plan import effort_faults
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import provenance_faults
@@ -13,6 +14,7 @@ from planopt.planning.check.rebuilt import Effort, rebuilt_plan
 from planopt.planning.check.worth_again import worth_again
 from planopt.planning.files.aim_json import aim_again
 from planopt.planning.files.belief_file import first_posterior, grown_posterior
+from planopt.planning.files.explanation_json import explanation_again
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.saved import PLAN_FILE
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_plan
@@ -54,7 +56,13 @@ def check_team_plan(
     index, region = index_obstacles(problem.workspace), workspace_region(problem)
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
-    reasons: list[str] = []
+    explanation = explanation_again(record.explanation)
+    names = {robot.name for robot in problem.robots}
+    reasons = [
+        f"{PLAN_FILE}, key explanation: there is no robot {one.robot}"
+        for one in explanation
+        if one.robot not in names
+    ]
     paths = [steps.positions_m for steps in saved.steps]
     plans: list[Plan] = []
     aims: list[Aim] = []
@@ -76,10 +84,15 @@ def check_team_plan(
             for key, fault in provenance_faults(own, plan, None)
         ]
         reasons += effort_faults(plan, where)
+        own_explanation = [one for one in explanation if one.robot == plan.robot]
+        reasons += [
+            f"{PLAN_FILE}, key {fault}"
+            for fault in explanation_faults(own, posterior, plan, own_explanation)
+        ]
         plans.append(plan)
         aims.append(aim)
     found = {
-        **team_plan_json(problem, record.seed, plans, aims),
+        **team_plan_json(problem, record.seed, plans, aims, explanation),
         # What was asked is not judged: library_remarks says what there is to say.
         "problem_file": saved.data["problem_file"],
     }

@@ -14,6 +14,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.files.explanation_json import RelaxationRecord, explanation_json
 from planopt.planning.plan import Certificate, Pivot, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
@@ -71,6 +73,7 @@ class PlanRecord(Record):
     lattice_objective: float
     pivot: PivotRecord | None
     certificate: CertificateRecord
+    explanation: list[RelaxationRecord]
     robots: list[RobotRecord] = Field(min_length=1, max_length=1)
     problem_file: dict[str, Any]
 
@@ -80,6 +83,7 @@ class NoPlanRecord(Record):
 
     seed: int = Field(ge=0)
     message: str
+    explanation: list[RelaxationRecord] = []
     robots: list[RobotRecord] = Field(max_length=0)
     problem_file: dict[str, Any]
 
@@ -110,10 +114,12 @@ def solution_json(solution: Solution) -> dict[str, Any]:
 
     ``bound`` and ``gap`` are null: no lower bound is proven.
     """
-    return plan_json(solution.problem, solution.seed, solution.plan)
+    return plan_json(solution.problem, solution.seed, solution.plan, solution.explanation)
 
 
-def plan_json(problem: Problem, seed: int, plan: Plan) -> dict[str, Any]:
+def plan_json(
+    problem: Problem, seed: int, plan: Plan, explanation: Iterable[Relaxation] = ()
+) -> dict[str, Any]:
     """As :func:`solution_json`, of a plan and what it was asked for."""
     return {
         **_question(problem, seed),
@@ -133,10 +139,13 @@ def plan_json(problem: Problem, seed: int, plan: Plan) -> dict[str, Any]:
         "polish_gain": finite(plan.polish_gain),
         "pivot": pivot_json(plan.pivot),
         "message": plan.message,
+        "explanation": explanation_json(explanation),
     }
 
 
-def no_plan_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
+def no_plan_json(
+    problem: Problem, seed: int, message: str, explanation: Iterable[Relaxation] = ()
+) -> dict[str, Any]:
     """The same keys where there provably is no plan; `message` says why."""
     return {
         **_question(problem, seed),
@@ -148,6 +157,7 @@ def no_plan_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "robots": [],
         **dict.fromkeys(("rung", "lattice_objective", "polish_gain", "pivot")),
         "message": message,
+        "explanation": explanation_json(explanation),
     }
 
 

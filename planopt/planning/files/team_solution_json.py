@@ -12,7 +12,9 @@ from typing import Any, TypeVar
 
 from pydantic import Field
 
+from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.files.aim_json import AimRecord, aim_json
+from planopt.planning.files.explanation_json import RelaxationRecord, explanation_json
 from planopt.planning.files.solution_json import (
     CertificateRecord,
     NotNegative,
@@ -64,17 +66,24 @@ class TeamPlanRecord(Record):
     """What judging ``plan.json`` of a sum of terms starts from."""
 
     seed: int = Field(ge=0)
+    explanation: list[RelaxationRecord]
     robots: list[RobotPlanRecord] = Field(min_length=1)
     problem_file: dict[str, Any]
 
 
 def team_solution_json(solution: TeamSolution) -> dict[str, Any]:
     """The JSON keys of ``solve`` (design, section 3), of all robots."""
-    return team_plan_json(solution.problem, solution.seed, solution.plans, solution.aims)
+    return team_plan_json(
+        solution.problem, solution.seed, solution.plans, solution.aims, solution.explanation
+    )
 
 
 def team_plan_json(
-    problem: Problem, seed: int, plans: Sequence[Plan], aims: Sequence[Aim]
+    problem: Problem,
+    seed: int,
+    plans: Sequence[Plan],
+    aims: Sequence[Aim],
+    explanation: Sequence[Relaxation] = (),
 ) -> dict[str, Any]:
     """As :func:`team_solution_json`, of plans and what they were asked for."""
     each = [plan_json(problem, seed, plan) for plan in plans]
@@ -99,6 +108,7 @@ def team_plan_json(
         "lattice_objective": finite(lattice),
         "polish_gain": finite(gain / abs(lattice) if lattice else 0.0),
         "message": "; ".join(f"{plan.robot}: {plan.message}" for plan in plans if plan.message),
+        "explanation": explanation_json(explanation),
     }
 
 

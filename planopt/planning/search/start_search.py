@@ -112,7 +112,7 @@ class StartSearch:
         reach = problem.step_length_m * problem.planner.horizon
         self._field.refresh(situation, reach)
         paths = self._lattice_paths(situation)
-        if shifted_m is not None and len(shifted_m) == problem.planner.horizon:
+        if shifted_m is not None:
             paths.append(shifted_m)
         if self._coupled is not None:
             paths += self._coupled.find_ways(situation, paths)

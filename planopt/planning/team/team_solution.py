@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from planopt.channel.belief import Belief
+from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
@@ -22,6 +23,8 @@ class TeamSolution:
         What all plans were made from.
     plans, aims
         By robot: its plan, and what it was made for.
+    explanation
+        What would give each robot a verified plan, where that was asked for and it has none.
     """
 
     problem: Problem
@@ -29,6 +32,7 @@ class TeamSolution:
     belief: Belief
     plans: tuple[Plan, ...]
     aims: tuple[Aim, ...]
+    explanation: tuple[Relaxation, ...] = ()
 
     @property
     def verdict(self) -> Verdict:

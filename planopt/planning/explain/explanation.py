@@ -1,0 +1,84 @@
+"""What keeps a problem from having a verified plan, and what would help, as plain data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """One key of the problem file that is at odds with the rest, and what of it would do.
+
+    Any one relaxation of an explanation that is `verified` suffices.
+
+    Attributes
+    ----------
+    constraint
+        The key, such as ``constraints.p_min``.
+    unit
+        Of `value` and `relaxed_value`; empty for a probability or a count.
+    value
+        What is asked; None for an obstacle.
+    stages
+        Steps (1 is the first) at which it cannot be kept; empty where it is no matter of steps.
+    shortfall, shortfall_unit
+        By how much, at the worst of them; None where there is no number for it.
+    relaxed_value
+        The value nearest to `value` that was found to help; None for an obstacle, which must go.
+    verified
+        Whether the problem solved again with it has a verified plan.
+    robot
+        Whose plan it is about.
+    """
+
+    constraint: str
+    unit: str
+    value: float | None
+    stages: tuple[int, ...]
+    shortfall: float | None
+    shortfall_unit: str
+    relaxed_value: float | None
+    verified: bool
+    robot: str
+
+    def __str__(self) -> str:
+        """One sentence for people."""
+        asked = self.constraint
+        if self.value is not None:
+            asked += f" = {_shown(self.value, self.unit)}"
+        where = f" at steps {_ranges(self.stages)}" if self.stages else ""
+        short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
+        by = f", short by {short}" if short else ""
+        change = (
+            "without it there is a plan"
+            if self.relaxed_value is None
+            else f"{_shown(self.relaxed_value, self.unit)} would do"
+        )
+        proof = "verified" if self.verified else "not verified"
+        return f"{asked} cannot be kept{where}{by}; {change} ({proof} by solving again)"
+
+
+def towards(value: float, step_digits: int, down: bool) -> float:
+    """`value` rounded to so many significant digits, down or up: a number that can be typed in."""
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - step_digits)
+    rounded = (math.floor if down else math.ceil)(value / unit) * unit
+    # Decimal digits, not what multiplying by a power of ten leaves.
+    return float(f"{rounded:.{step_digits}g}")
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit}".strip()
+
+
+def _ranges(stages: tuple[int, ...]) -> str:
+    """Steps as ``1-3, 5``."""
+    parts: list[list[int]] = []
+    for stage in stages:
+        if parts and stage == parts[-1][-1] + 1:
+            parts[-1].append(stage)
+        else:
+            parts.append([stage])
+    return ", ".join(f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in parts)

@@ -1,0 +1,128 @@
+"""A bound that cannot be met: by how much, and what would let it be met."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+from scenes import BAD, THRESHOLD_DBM, bad_everywhere, bad_where, belief_of, kriged, small_problem
+
+from planopt.planning.explain.explain import explain
+from planopt.planning.explain.explanation import towards
+from planopt.planning.plan import Verdict
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.planning.solution import Solution
+from planopt.problems.problem import Problem
+
+
+def solved(problem: Problem, power_at) -> Solution:
+    """The plan from the start."""
+    belief = belief_of(problem, power_at)
+    start = np.asarray(problem.robots[0].start_m)
+    plan = ReachPlanner(problem, build_scene(problem)).plan(belief, start)
+    return Solution(problem, 0, belief, plan)
+
+
+def changed(problem: Problem, key: str, value: float) -> Problem:
+    """The problem with another value of a key."""
+    if key == "constraints.p_min":
+        return replace(problem, constraints=replace(problem.constraints, p_min=value))
+    if key == "planner.horizon":
+        return replace(problem, planner=replace(problem.planner, horizon=int(value)))
+    assert key == "stations[0].threshold_dbm"
+    return replace(problem, stations=(replace(problem.stations[0], threshold_dbm=value),))
+
+
+def slope(places_m: np.ndarray) -> np.ndarray:
+    """Better and better to the right, just above the threshold where four steps come to."""
+    return THRESHOLD_DBM - 5.5 + 0.25 * places_m[:, 0]
+
+
+# Nodes of the lattice 1 m apart, so that the readings, where power is known best, are nodes.
+STEP_M = 5.0**0.5
+PROBLEM = small_problem(start_m=(15.0, 15.0), horizon=4, speed_max_m_s=STEP_M)
+
+
+@pytest.fixture(scope="module")
+def said():
+    """What is said of the slope, by key."""
+    solution = solved(PROBLEM, slope)
+    assert solution.plan.verdict is Verdict.VIOLATED
+    return {relaxation.constraint: relaxation for relaxation in explain(solution)}
+
+
+def within_reach() -> np.ndarray:
+    """Mean and deviation on a dense grid of the disc of four steps, by kriging written out."""
+    angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 181), np.arange(0.0, 4.0 * STEP_M, 0.125))
+    places = (15.0 + radius * np.cos(angle)).ravel(), (15.0 + radius * np.sin(angle)).ravel()
+    return kriged(belief_of(PROBLEM, slope), np.stack(places, axis=1))
+
+
+def test_largest_probability_within_reach(said):
+    """The largest p_min that a place within reach keeps, by plain kriging and SciPy."""
+    mean, deviation = within_reach()
+    best = scipy.stats.norm.sf(THRESHOLD_DBM, mean, deviation).max()
+    entry = said["constraints.p_min"]
+    assert entry.value == 0.9 and entry.stages == (1, 2, 3, 4)
+    assert best - 0.01 <= entry.relaxed_value <= best + 1e-3
+
+
+def test_missing_decibels_within_reach(said):
+    """The threshold lowered by what the best place lacks, and by little more."""
+    mean, deviation = within_reach()
+    margin = mean - scipy.stats.norm.ppf(0.9) * deviation - THRESHOLD_DBM
+    entry = said["stations[0].threshold_dbm"]
+    assert entry.shortfall == pytest.approx(-margin.max(), abs=0.05)
+    assert entry.shortfall_unit == "dB" and entry.unit == "dBm"
+    assert margin.max() - 0.05 <= entry.relaxed_value - THRESHOLD_DBM <= margin.max() + 1e-3
+
+
+@pytest.mark.parametrize("key", ["constraints.p_min", "stations[0].threshold_dbm"])
+def test_relaxed_value_is_the_least(key, said):
+    """Solved again with it the plan is verified, with 5 % less relaxation it is not."""
+    entry = said[key]
+    assert entry.verified
+    almost = entry.value - 0.95 * (entry.value - entry.relaxed_value)
+    assert solved(changed(PROBLEM, key, entry.relaxed_value), slope).plan.verdict is (
+        Verdict.VERIFIED
+    )
+    assert solved(changed(PROBLEM, key, almost), slope).plan.verdict is Verdict.VIOLATED
+
+
+def test_longer_horizon():
+    """Connected beyond x = 20 only: so many steps come there, and one fewer does not."""
+    power = bad_where(lambda x, _: x < 20.0)
+    problem = replace(PROBLEM, robots=(replace(PROBLEM.robots[0], start_m=(5.0, 15.0)),))
+    solution = solved(problem, power)
+    entry = {r.constraint: r for r in explain(solution)}["planner.horizon"]
+    assert entry.verified and entry.value == 4
+    assert 15.0 <= STEP_M * entry.relaxed_value <= 22.0
+    longer = changed(problem, "planner.horizon", entry.relaxed_value)
+    fewer = changed(problem, "planner.horizon", entry.relaxed_value - 1)
+    assert solved(longer, power).plan.verdict is Verdict.VERIFIED
+    assert solved(fewer, power).plan.verdict is Verdict.VIOLATED
+
+
+def test_nothing_to_explain():
+    """A verified plan, also one that misses the bound where it must."""
+    assert explain(solved(PROBLEM, lambda places: slope(places) + 30.0)) == ()
+
+
+def test_no_horizon_helps_where_nothing_is_connected():
+    """The other two keys are named all the same."""
+    found = {r.constraint: r for r in explain(solved(PROBLEM, bad_everywhere))}
+    assert "planner.horizon" not in found
+    lowered = found["stations[0].threshold_dbm"]
+    assert lowered.verified and BAD - 5.0 < lowered.relaxed_value < BAD
+
+
+def test_numbers_that_can_be_typed_in():
+    """Rounded to the side that helps."""
+    assert towards(0.123456, 4, down=True) == 0.1234
+    assert towards(0.123456, 4, down=False) == 0.1235
+    assert towards(-83.4567, 4, down=True) == -83.46
+    assert towards(2.0, 4, down=True) == 2.0
+    assert towards(0.0, 4, down=True) == 0.0

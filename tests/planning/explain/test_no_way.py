@@ -1,0 +1,92 @@
+"""A goal that no way leads to: the key that is at odds, and the least change that opens one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from scenes import belief_of, small_problem
+
+from planopt.errors import NoPlanError
+from planopt.planning.explain.no_way import explain_no_way
+from planopt.planning.free_space import is_joined, widest_clearance_m
+from planopt.planning.plan import Verdict
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.problems.problem import Problem
+
+
+def verdict(problem: Problem) -> Verdict:
+    """What planning gives, with connection everywhere."""
+    try:
+        scene = build_scene(problem)
+    except NoPlanError:
+        return Verdict.NONE
+    start = np.asarray(problem.robots[0].start_m)
+    return ReachPlanner(problem, scene).plan(belief_of(problem), start).verdict
+
+
+def corridor(width_m: float, clearance_m: float, **options) -> Problem:
+    """Two blocks with a corridor about y = 15, which the lattice has a row in the middle of."""
+    low, high = 15.0 - 0.5 * width_m, 15.0 + 0.5 * width_m
+    blocks = shapely.box(12, -1, 28, low), shapely.box(12, high, 28, 31)
+    return small_problem(*blocks, clearance_m=clearance_m, **options)
+
+
+def with_clearance(problem: Problem, clearance_m: float) -> Problem:
+    """The problem with another clearance."""
+    return replace(problem, constraints=replace(problem.constraints, clearance_m=clearance_m))
+
+
+@pytest.mark.parametrize(("width_m", "clearance_m"), [(4.0, 2.5), (1.0, 0.8), (6.0, 4.5)])
+def test_corridor_of_known_width(width_m, clearance_m):
+    """Half the width would do: it is verified, and with 5 % less relaxation it is not."""
+    problem = corridor(width_m, clearance_m)
+    assert verdict(problem) is Verdict.NONE
+    found = {r.constraint: r for r in explain_no_way(problem, verdict)}
+    said = found["constraints.clearance_m"]
+    assert said.value == clearance_m and said.unit == said.shortfall_unit == "m"
+    assert said.relaxed_value <= 0.5 * width_m
+    assert said.relaxed_value == pytest.approx(0.5 * width_m, abs=3e-3)
+    assert said.shortfall == pytest.approx(clearance_m - said.relaxed_value)
+    assert said.verified
+    assert verdict(with_clearance(problem, said.relaxed_value)) is Verdict.VERIFIED
+    almost = clearance_m - 0.95 * (clearance_m - said.relaxed_value)
+    assert verdict(with_clearance(problem, almost)) is Verdict.NONE
+    assert "constraints.clearance_m" in str(said) and "would do (verified" in str(said)
+
+
+def test_widest_clearance_by_hand():
+    """Of two gates the wider one counts; none where the goal is walled in."""
+    walls = shapely.box(19, -1, 20, 8), shapely.box(19, 9, 20, 20), shapely.box(19, 23, 20, 31)
+    problem = small_problem(*walls, clearance_m=2.0)
+    assert widest_clearance_m(problem) == pytest.approx(1.5, abs=1e-3)
+    assert is_joined(problem, 1.49) and not is_joined(problem, 1.51)
+    assert widest_clearance_m(with_clearance(problem, 1.0)) == 1.0
+    shut = small_problem(shapely.box(19, -1, 20, 31))
+    assert widest_clearance_m(shut) is None
+
+
+def test_goal_that_is_walled_in():
+    """No clearance helps, only the one obstacle that shuts it in can go."""
+    room = shapely.Polygon(
+        [(30, 10), (39, 10), (39, 20), (30, 20)], [[(31, 11), (38, 11), (38, 19), (31, 19)]]
+    )
+    problem = small_problem(shapely.box(10, 5, 12, 25), room)
+    (said,) = explain_no_way(problem, verdict)
+    assert said.constraint == "world.obstacles (obstacle 1)"
+    assert said.value is None and said.relaxed_value is None and said.verified
+    assert "without it there is a plan" in str(said)
+
+
+def test_steps_too_long_for_the_lattice():
+    """A slot between the nodes: shorter steps find it, and so does a smaller clearance."""
+    walls = shapely.box(19.0, 0.0, 21.0, 14.31), shapely.box(19.0, 15.33, 21.0, 30.0)
+    problem = small_problem(*walls)
+    found = {r.constraint: r for r in explain_no_way(problem, verdict)}
+    assert set(found) == {"constraints.clearance_m", "planner.step_s"}
+    assert all(relaxation.verified for relaxation in found.values())
+    assert found["constraints.clearance_m"].relaxed_value < 0.5
+    assert found["planner.step_s"].relaxed_value < 1.0

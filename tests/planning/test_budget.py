@@ -1,0 +1,109 @@
+"""A plan within a budget: the lattice path where there is no time to polish, and it says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter, sleep
+
+import numpy as np
+import pytest
+from scenes import WALL, belief_of, small_problem
+from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+import planopt.planning.horizon_planner as planner_module
+from planopt.errors import InputError
+from planopt.planning.check.check import check
+from planopt.planning.files.team_saved import save_team_solution
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.planning.team.team_solve import solve_team
+from planopt.problems.problem import Problem
+from planopt.problems.save import problem_from_dict, problem_to_dict
+
+NO_TIME = 1e-9
+
+
+def with_budget(problem: Problem, budget_s: float | None) -> Problem:
+    """The problem with another budget."""
+    return replace(problem, planner=replace(problem.planner, budget_s=budget_s))
+
+
+def reach_plan(problem: Problem):
+    """Plan to a goal from the start."""
+    planner = ReachPlanner(problem, build_scene(problem))
+    return planner.plan(belief_of(problem), np.asarray(problem.robots[0].start_m))
+
+
+def terms_plan(problem: Problem):
+    """Plan a sum of terms from the start."""
+    situation, belief = situation_of(problem)
+    judge, ground = judge_of(situation, belief)
+    return HorizonPlanner(problem, ground).plan(situation, judge)
+
+
+REACH = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
+TERMS = terms_problem(TRACKING, LEARNING, p_min=0.5)
+
+
+@pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, TERMS)])
+def test_no_time_to_polish(plan, problem):
+    """The plan of the lattice planner, on its rung, with the reason."""
+    hurried = plan(with_budget(problem, NO_TIME))
+    lattice = plan(replace(problem, planner=replace(problem.planner, name="lattice")))
+    assert hurried.verdict is Verdict.VERIFIED
+    assert hurried.rung is Rung.LATTICE
+    assert hurried.termination is Termination.TIME_LIMIT
+    assert hurried.iterations == 0 and hurried.solve_s == 0.0
+    np.testing.assert_array_equal(hurried.positions_m, lattice.positions_m)
+    assert hurried.objective == lattice.objective
+
+
+@pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, TERMS)])
+def test_time_enough_changes_nothing(plan, problem):
+    """A generous budget gives the plan of none, to the last digit."""
+    free, timed = plan(problem), plan(with_budget(problem, 1e5))
+    np.testing.assert_array_equal(free.positions_m, timed.positions_m)
+    assert (free.rung, free.termination) == (timed.rung, timed.termination)
+
+
+def test_a_polish_that_takes_too_long_ends(monkeypatch):
+    """IPOPT's own limit: a slow worth does not hold the plan up."""
+    local_worth = planner_module.local_worth
+
+    def slow(*arguments):
+        evaluate = local_worth(*arguments)
+
+        def at(path_m):
+            sleep(0.05)
+            return evaluate(path_m)
+
+        return at
+
+    monkeypatch.setattr(planner_module, "local_worth", slow)
+    begun = perf_counter()
+    problem = with_budget(replace(TERMS, planner=replace(TERMS.planner, horizon=12)), 0.2)
+    plan = terms_plan(problem)
+    assert plan.termination is Termination.TIME_LIMIT
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.iterations < 20
+    assert perf_counter() - begun < 20.0
+
+
+def test_saved_and_checked(tmp_path):
+    """A plan without a polish is judged from disk as it is."""
+    problem = with_budget(TERMS, NO_TIME)
+    save_team_solution(solve_team(problem, seed=1), tmp_path)
+    assert check(tmp_path).reasons == ()
+
+
+def test_key_of_the_problem_file():
+    """Saved where it is given; a budget of nothing is refused by its key."""
+    for budget in (None, 2.5):
+        tables = problem_to_dict(with_budget(TERMS, budget))
+        assert tables["planner"].get("budget_s") == budget
+        assert ("budget_s" in tables["planner"]) == (budget is not None)
+        assert problem_from_dict(tables).planner.budget_s == budget
+    with pytest.raises(InputError, match=r"planner\.budget_s"):
+        problem_from_dict({**tables, "planner": {**tables["planner"], "budget_s": 0.0}})

@@ -1,0 +1,137 @@
+"""What must change nothing: a redundant obstacle, another unit of length; and what must order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import Station
+from planopt.channel.posterior import condition
+from planopt.planning.baselines.one_step import OneStepPlanner
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.plan import Plan, Verdict
+from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.situation import Situation
+from planopt.problems.objective import MotionEnergyTerm, TrackingTerm
+from planopt.problems.problem import Problem
+from planopt.world.workspace import Obstacle, Workspace
+
+TERMS = [(TRACKING,), (LEARNING,), (TRACKING, LEARNING, ENERGY)]
+
+
+def planned(situation: Situation, belief, problem: Problem | None = None) -> Plan:
+    """The plan of a situation, in the problem or in another."""
+    if problem is not None:
+        situation = replace(situation, problem=problem)
+    judge, ground = judge_of(situation, belief)
+    return HorizonPlanner(situation.problem, ground).plan(situation, judge)
+
+
+@pytest.mark.parametrize("terms", TERMS)
+def test_redundant_obstacles_change_nothing(terms):
+    """One inside another, one out of reach, and one beyond the border."""
+    problem = terms_problem(*terms, p_min=0.6)
+    situation, belief = situation_of(problem)
+    more = (
+        Obstacle("inside", shapely.box(19.0, 14.0, 21.0, 20.0)),
+        Obstacle("far", shapely.box(36.0, 34.0, 39.0, 38.0)),
+        Obstacle("beyond", shapely.box(60.0, 60.0, 70.0, 70.0)),
+    )
+    walls = replace(
+        problem,
+        workspace=replace(problem.workspace, obstacles=(*problem.workspace.obstacles, *more)),
+    )
+    plain, walled = planned(situation, belief), planned(situation, belief, walls)
+    assert (plain.verdict, plain.rung) == (walled.verdict, walled.rung)
+    assert walled.objective == pytest.approx(plain.objective, rel=1e-6)
+    # IPOPT ends elsewhere on a plateau when a line stands twice.
+    np.testing.assert_allclose(walled.positions_m, plain.positions_m, atol=1e-2)
+
+
+def scaled_problem(problem: Problem, by: float) -> Problem:
+    """The same scene in a unit of length of which `by` make the old one."""
+
+    def place(at: tuple[float, float]) -> tuple[float, float]:
+        return (by * at[0], by * at[1])
+
+    obstacles = tuple(
+        Obstacle(o.name, affinity.scale(o.polygon, by, by, origin=(0.0, 0.0)))
+        for o in problem.workspace.obstacles
+    )
+    bounds = tuple(by * value for value in problem.workspace.bounds_m)
+    terms = []
+    for term in problem.terms:
+        if isinstance(term, TrackingTerm):
+            term = replace(
+                term,
+                noise_curvature=term.noise_curvature / by**2,
+                sweet_spot_m=by * term.sweet_spot_m,
+            )
+        if isinstance(term, MotionEnergyTerm):
+            term = replace(term, per_metre_j_m=term.per_metre_j_m / by)
+        terms.append(term)
+    robot, station = problem.robots[0], problem.stations[0]
+    site = Station(place(station.site.position_m), by * station.site.height_m)
+    return replace(
+        problem,
+        workspace=Workspace(bounds, obstacles),
+        robots=(
+            replace(robot, start_m=place(robot.start_m), speed_max_m_s=by * robot.speed_max_m_s),
+        ),
+        stations=(replace(station, site=site),),
+        objective=replace(problem.objective, terms=tuple(terms)),
+        constraints=replace(problem.constraints, clearance_m=by * problem.constraints.clearance_m),
+        channel=replace(problem.channel, measure_spacing_m=by * problem.channel.measure_spacing_m),
+    )
+
+
+@pytest.mark.parametrize("by", [0.1, 1000.0])
+@pytest.mark.parametrize("terms", TERMS)
+def test_another_unit_of_length_changes_nothing(terms, by):
+    """Lengths, speeds, decorrelation and what goes by the metre scaled: the same plan, scaled.
+
+    But for the planner's pads, which are lengths: a millimetre of clearance, a micrometre of step.
+    """
+    problem = terms_problem(*terms, p_min=0.6)
+    situation, belief = situation_of(problem)
+    plain = planned(situation, belief)
+    other = scaled_problem(problem, by)
+    known = situation.posterior.measurements
+    parameters = situation.posterior.parameters
+    posterior = condition(
+        replace(
+            parameters,
+            k_pl_db=parameters.k_pl_db + 10.0 * parameters.n_pl * np.log10(by),
+            decorrelation_m=by * parameters.decorrelation_m,
+            station=other.stations[0].site,
+        ),
+        Measurements(by * known.positions_m, known.power_dbm, known.censored),
+    )
+    target = None if situation.target_m is None else by * situation.target_m
+    here = by * situation.position_m
+    stretched = Situation(other, posterior, here, target, workspace_region(other))
+    plan = planned(stretched, replace(belief, posterior=posterior))
+    assert plan.verdict is plain.verdict is Verdict.VERIFIED
+    assert plan.objective == pytest.approx(plain.objective, rel=2e-3)
+    np.testing.assert_allclose(plan.positions_m / by, plain.positions_m, atol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("terms", TERMS)
+def test_never_below_greedy_steps_or_the_lattice(terms, seed):
+    """From the same situation, where no bound stands between them."""
+    problem = terms_problem(*terms, horizon=4)
+    situation, belief = situation_of(problem, seed)
+    judge, ground = judge_of(situation, belief)
+    plan = HorizonPlanner(problem, ground).plan(situation, judge)
+    greedy = OneStepPlanner(problem, ground).plan(situation, judge)
+    lattice = replace(problem, planner=replace(problem.planner, name="lattice"))
+    searched = HorizonPlanner(lattice, ground).plan(situation, judge)
+    assert plan.objective >= searched.objective - 1e-9
+    assert plan.objective >= greedy.objective * (1.0 - 1e-6)

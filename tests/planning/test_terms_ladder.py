@@ -1,0 +1,186 @@
+"""A sum of terms when the solver fails, or the map changes: the next rung, and no trace after."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+
+import planopt.planning.horizon_planner as planner_module
+import planopt.planning.programme.path_polish as polish_module
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.programme.ipopt import OPTIONS, NlpPoint
+from planopt.world.workspace import Obstacle
+
+CALL = polish_module.call_nlp
+PROBLEM = terms_problem(TRACKING, LEARNING, ENERGY, p_min=0.6)
+
+
+def with_status(status, change):
+    """A solver that reports a status and changes the places that it found."""
+
+    def call(*arguments):
+        point = CALL(*arguments)
+        return replace(point, positions_m=change(point.positions_m), status=status)
+
+    return call
+
+
+def no_numbers(_solver, n, start, _parameters, _variable_bounds, row_bounds):
+    """What a solver leaves after an evaluation error."""
+    slacks = np.full(len(start) - 2 * n, np.nan)
+    rows = np.full(len(row_bounds[0]), np.nan)
+    lost = np.full(len(start), np.nan)
+    return NlpPoint(np.full((n, 2), np.nan), slacks, rows, lost, "Invalid_Number_Detected", 3)
+
+
+FAILURES = {
+    "no numbers": (no_numbers, Termination.NUMERICAL_FAILURE),
+    "infeasible": (
+        with_status("Infeasible_Problem_Detected", lambda q: 0.0 * q),
+        Termination.INFEASIBLE,
+    ),
+    "out of time": (
+        with_status("Maximum_WallTime_Exceeded", lambda q: q + 3.0),
+        Termination.TIME_LIMIT,
+    ),
+    "out of iterations": (
+        with_status("Maximum_Iterations_Exceeded", lambda q: q[::-1]),
+        Termination.ITERATION_LIMIT,
+    ),
+    "through the obstacle": (
+        with_status("Solve_Succeeded", lambda q: 0.0 * q + (20.0, 20.0)),
+        Termination.CONVERGED,
+    ),
+}
+
+
+def planned(planner: HorizonPlanner, warm: Plan | None = None, problem=PROBLEM) -> Plan:
+    """A plan from the start of the problem, of a situation that has seen nothing yet."""
+    situation, belief = situation_of(problem)
+    return planner.plan(situation, judge_of(situation, belief)[0], warm)
+
+
+def fresh(problem=PROBLEM) -> HorizonPlanner:
+    """A planner that has not planned."""
+    situation, belief = situation_of(problem)
+    return HorizonPlanner(problem, judge_of(situation, belief)[1])
+
+
+def assert_same(plan: Plan, other: Plan) -> None:
+    """To the last digit."""
+    np.testing.assert_array_equal(plan.positions_m, other.positions_m)
+    assert (plan.objective, plan.rung, plan.termination, plan.verdict) == (
+        other.objective,
+        other.rung,
+        other.termination,
+        other.verdict,
+    )
+
+
+def assert_sound(plan: Plan, problem=PROBLEM) -> None:
+    """Verified, and clear of obstacles by GEOS alone."""
+    assert plan.verdict is Verdict.VERIFIED
+    way = shapely.LineString(plan.positions_m)
+    for obstacle in problem.workspace.obstacles:
+        assert way.distance(obstacle.polygon) >= problem.constraints.clearance_m - 1e-6
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_a_failed_solve_touches_nothing(name, monkeypatch):
+    """A verified plan of a lower rung, its reason in it; the next plan is a fresh planner's."""
+    solver, termination = FAILURES[name]
+    used, expected = fresh(), planned(fresh())
+    assert expected.rung is Rung.PLAN
+    monkeypatch.setattr(polish_module, "call_nlp", solver)
+    plan = planned(used)
+    assert_sound(plan)
+    assert plan.rung is Rung.LATTICE
+    assert plan.termination is termination
+    assert plan.objective < expected.objective
+    monkeypatch.undo()
+    assert_same(planned(used), expected)
+
+
+def test_no_number_from_a_callback(monkeypatch):
+    """A worth of NaN inside IPOPT itself."""
+    local_worth = planner_module.local_worth
+
+    def broken(*arguments):
+        evaluate = local_worth(*arguments)
+
+        def at(path_m):
+            found = evaluate(path_m)
+            return replace(found, value=replace(found.value, value=np.nan))
+
+        return at
+
+    used, expected = fresh(), planned(fresh())
+    monkeypatch.setattr(planner_module, "local_worth", broken)
+    plan = planned(used)
+    assert_sound(plan)
+    # IPOPT gives its start back.
+    np.testing.assert_allclose(plan.objective, plan.lattice_objective, rtol=1e-3)
+    assert plan.termination is Termination.NUMERICAL_FAILURE
+    monkeypatch.undo()
+    assert_same(planned(used), expected)
+
+
+def test_real_iteration_limit(monkeypatch):
+    """One iteration is too few: what is released is verified and no worse than its start."""
+    monkeypatch.setitem(OPTIONS, "ipopt.max_iter", 1)
+    plan = planned(fresh())
+    assert_sound(plan)
+    assert plan.objective >= plan.lattice_objective
+
+
+def test_a_bound_that_nothing_meets_is_said(monkeypatch):
+    """An impossible threshold: violated, with its number; the next plan is a fresh planner's."""
+    station = replace(PROBLEM.stations[0], threshold_dbm=50.0)
+    problem = replace(PROBLEM, stations=(station,))
+    planner = fresh(problem)
+    plan = planned(planner, problem=problem)
+    assert plan.verdict is Verdict.VIOLATED
+    assert f"none of the {problem.planner.horizon} steps" in plan.message
+    assert plan.certificate.min_clearance_m >= problem.constraints.clearance_m - 1e-6
+    assert_same(planned(planner, problem=problem), planned(fresh(problem), problem=problem))
+
+
+def test_an_obstacle_on_the_last_plan():
+    """The map changes between two steps: the last plan is not driven on, nor started from."""
+    last = planned(fresh())
+    middle = 0.5 * (last.positions_m[2] + last.positions_m[3])
+    wall = Obstacle("new", shapely.Point(middle).buffer(0.2))
+    now = replace(
+        PROBLEM,
+        workspace=replace(PROBLEM.workspace, obstacles=(*PROBLEM.workspace.obstacles, wall)),
+        robots=(replace(PROBLEM.robots[0], start_m=tuple(last.positions_m[1].tolist())),),
+    )
+    plan = planned(fresh(now), last, now)
+    assert_sound(plan, now)
+    assert plan.rung is not Rung.SHIFTED
+    assert_same(plan, planned(fresh(now), problem=now))
+
+
+def test_the_last_plan_where_no_start_is_found(monkeypatch):
+    """Shifted and verified again; and standing still once an obstacle lies on it."""
+    planner = fresh()
+    last = planned(planner)
+    at = tuple(last.positions_m[1].tolist())
+    now = replace(PROBLEM, robots=(replace(PROBLEM.robots[0], start_m=at),))
+    planner = fresh(now)
+    monkeypatch.setattr(planner._search, "find_starts", lambda *_: [])
+    shifted = planned(planner, last, now)
+    assert shifted.rung is Rung.SHIFTED
+    assert_sound(shifted)
+    wall = Obstacle("new", shapely.Point(last.positions_m[3]).buffer(0.2))
+    walled = replace(now, workspace=replace(now.workspace, obstacles=(wall,)))
+    planner = fresh(walled)
+    monkeypatch.setattr(planner._search, "find_starts", lambda *_: [])
+    stopped = planned(planner, last, walled)
+    assert stopped.rung is Rung.STOP
+    assert (stopped.positions_m == stopped.positions_m[0]).all()

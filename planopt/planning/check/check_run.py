@@ -28,6 +28,7 @@ from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.metrics import metrics_of
+from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.step_log import step_log
 from planopt.planning.plan import Certificate, Plan
@@ -97,6 +98,7 @@ def check_run(
         reason=reason,
         log=log,
         metrics=metrics_of(log, plans, outcome),
+        rule=rule_metrics(problem, [log]),
     )
     found = {
         **run_json(problem, run),

@@ -14,6 +14,7 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
@@ -79,6 +80,8 @@ class Judge:
         What a path (N, 2) from there is worth.
     history
         What has happened on the run before.
+    broad
+        What the bound rests on where all parameters are to count as uncertain.
     """
 
     problem: Problem
@@ -87,6 +90,7 @@ class Judge:
     position_m: NDArray[np.float64]
     objective: Callable[[NDArray[np.float64]], float]
     history: History = BEGINNING
+    broad: BroadPrediction | None = None
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -117,6 +121,7 @@ class Judge:
             path,
             candidate.kkt_residual,
             self.history,
+            self.broad,
         )
         certificate = judgement.certificate
         sound = (

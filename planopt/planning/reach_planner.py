@@ -16,6 +16,7 @@ from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.pivot import find_pivot
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
@@ -27,7 +28,6 @@ from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.rule_rows import RuleRows, step_rows
 from planopt.planning.worth.situation import Situation
-from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.problems.problem import Problem
 
 LINES_PER_SEGMENT = 4
@@ -53,7 +53,7 @@ class ReachPlanner:
         self._search = GlobalSearch(problem, scene, self._margins)
         self._eased = eased(problem)
         self._rule_search = None
-        if problem.constraints.rule != ConnectivityRule():
+        if not problem.constraints.rule.is_plain:
             self._rule_search = RuleSearch(self._eased, scene)
             self._region = workspace_region(problem)
         self._nlp: ReachNlp | None = None
@@ -82,18 +82,19 @@ class ReachPlanner:
         """
         begun = perf_counter()
         problem, scene = self.problem, self.scene
-        self._margins.refresh(belief.posterior)
+        broad = broad_prediction(problem, belief.posterior)
+        self._margins.refresh(belief.posterior, broad)
         rows_of = None
         if self._rule_search is None:
             start = self._search.find_start(position_m, belief.posterior.measurements.positions_m)
         else:
             situation = Situation(
-                self._eased, belief.posterior, position_m, None, self._region, history=history
+                self._eased, belief.posterior, position_m, None, self._region, None, history, broad
             )
             start = self._rule_search.find_start(situation, self._margins.margin_db)
             rows_of = partial(step_rows, situation)
         cost = ReachCost(problem, position_m)
-        judge = Judge(problem, scene.index, belief, position_m, cost, history)
+        judge = Judge(problem, scene.index, belief, position_m, cost, history, broad)
         if start is None:
             chosen = self._without_start(judge, warm)
         else:

@@ -7,7 +7,11 @@ from typing import Annotated
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.problems.connectivity_rule import ConnectivityForm, ConnectivityRule
+from planopt.problems.connectivity_rule import (
+    ConnectivityForm,
+    ConnectivityRule,
+    ParameterUncertainty,
+)
 from planopt.problems.constraints import Constraints
 from planopt.problems.tables import Table
 
@@ -89,6 +93,12 @@ class ConstraintsTable(Table):
         description="What a dB of slack costs, in the objective's unit; needs slack_max_db.",
     )
 
+    parameter_uncertainty: ParameterUncertainty = Field(
+        default="path_loss",
+        description="What p_min counts as estimated: path_loss, or all, xi, beta and omega "
+        "besides. all goes with each_step and stated_times.",
+    )
+
     @model_validator(mode="after")
     def _keys_of_the_form(self) -> ConstraintsTable:
         fault = self._fault()
@@ -115,6 +125,11 @@ class ConstraintsTable(Table):
                     return f'needs {key} for connectivity = "{form}"'
         if self.slack_max_db is not None and self.p_min == 0.0 and form != "data":
             return "has slack_max_db, but nothing is asked of the connection: p_min is 0"
+        if self.parameter_uncertainty == "all":
+            if form not in ("each_step", "stated_times"):
+                return f'has parameter_uncertainty = "all", not for connectivity = "{form}"'
+            if self.p_min == 0.0:
+                return 'has parameter_uncertainty = "all", but p_min is 0'
         if self.slack_price > 0.0 and not self.slack_max_db:
             return "has slack_price, which needs slack_max_db above 0"
         return None
@@ -136,5 +151,6 @@ class ConstraintsTable(Table):
                 self.rate_mbit_s,
                 self.slack_max_db,
                 self.slack_price,
+                self.parameter_uncertainty,
             ),
         )

@@ -21,6 +21,7 @@ from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Certificate, Plan
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_certificate import worst_of_robots
@@ -52,6 +53,7 @@ def check_team_plan(
             ]
     index, region = index_obstacles(problem.workspace), workspace_region(problem)
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
+    broad = broad_prediction(problem, posterior)
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
     reasons: list[str] = []
     plans: list[Plan] = []
@@ -59,10 +61,18 @@ def check_team_plan(
     for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
         own, path = problem_of_robot(problem, number), steps.positions_m
         start = np.asarray(own.robots[0].start_m)
-        judgement = judge(own, index, posterior, start, path, robot.certificate.kkt_residual)
+        judgement = judge(
+            own,
+            index,
+            posterior,
+            start,
+            path,
+            robot.certificate.kkt_residual,
+            broad=broad,
+        )
         aim = aim_again(robot.aim, None if watch is None else watch.expected_m(number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
-        worth = worth_again(own, posterior, path, aim, region)
+        worth = worth_again(own, posterior, path, aim, region, broad=broad)
         plan = rebuilt_plan(own, path, judgement, robot, effort, worth)
         where = f"robots[{number}]."
         reasons += [f"{plan.robot}: {text}" for text in obstacles_met(own, index, path)]

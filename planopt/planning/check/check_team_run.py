@@ -31,6 +31,7 @@ from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, watch_target
 from planopt.planning.plan import Certificate, Plan
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_certificate import worst_of_robots
@@ -159,14 +160,15 @@ def _driven(
         posteriors[-1] = posterior
         path = np.stack([released.x_m, released.y_m], axis=1)
         history = history_of(own, track[:step], connected[: step - 1])
+        broad = broad_prediction(own, posterior)
         judgement = judge(
-            own, index, posterior, track[step - 1], path, released.kkt_residual, history
+            own, index, posterior, track[step - 1], path, released.kkt_residual, history, broad
         )
         aim = aim_again(
             released.aim,
             None if watch is None else watch.expected_m(number, own.planner.horizon),
         )
-        worth = worth_again(own, posterior, path, aim, region, history)
+        worth = worth_again(own, posterior, path, aim, region, history, broad)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)

@@ -19,6 +19,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import certified_prediction
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
@@ -53,9 +54,10 @@ def verify(
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
     history: History = BEGINNING,
+    broad: BroadPrediction | None = None,
 ) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path: see :func:`judge`."""
-    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual, history)
+    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual, history, broad)
     return judgement.certificate, judgement.verdict
 
 
@@ -67,6 +69,7 @@ def judge(
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
     history: History = BEGINNING,
+    broad: BroadPrediction | None = None,
 ) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
 
@@ -82,6 +85,8 @@ def judge(
         Passed on into the certificate.
     history
         What has happened on the run before: rules over the whole run count it.
+    broad
+        What the bound rests on where all parameters are to count as uncertain.
     """
     constraints = problem.constraints
     radio = problem.stations[0]
@@ -102,7 +107,7 @@ def judge(
     if defect > DYNAMICS_TOLERANCE_M:
         reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
 
-    power, kind = certified_prediction(posterior, positions_m)
+    power, kind = certified_prediction(posterior, positions_m, broad)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None

@@ -14,6 +14,7 @@ from planopt.planning.ground import Ground, build_ground
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Plan
 from planopt.planning.planners import Planner, planner_for
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_seeds import TeamSeeds
 from planopt.planning.worth.aim import Aim
@@ -75,14 +76,27 @@ class Member:
         history
             What has happened on the run before.
         """
+        broad = broad_prediction(self.problem, belief.posterior)
         situation = Situation(
-            self.problem, belief.posterior, position_m, target_m, self.region, history=history
+            self.problem,
+            belief.posterior,
+            position_m,
+            target_m,
+            self.region,
+            history=history,
+            broad=broad,
         )
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
             situation = replace(situation, steering_m=place)
         judge = Judge(
-            self.problem, self.ground.index, belief, position_m, PathWorth(situation), history
+            self.problem,
+            self.ground.index,
+            belief,
+            position_m,
+            PathWorth(situation),
+            history,
+            broad,
         )
         plan = self.planner.plan(situation, judge, warm)
         return plan, Aim(target_m, situation.steering_m)

@@ -13,6 +13,7 @@ from planopt.objectives.mapping import Region, Uncertainty
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
 from planopt.problems.objective import LearningTerm, MappingTerm, TrackingTerm
 from planopt.problems.problem import Problem
@@ -40,6 +41,8 @@ class Situation:
         none above the threshold, or nothing steers.
     history
         What has happened on the run before: rules over the whole run count it.
+    broad
+        What predictions rest on where all parameters are to count as uncertain.
     """
 
     problem: Problem
@@ -49,6 +52,7 @@ class Situation:
     region: Region
     steering_m: NDArray[np.float64] | None = None
     history: History = BEGINNING
+    broad: BroadPrediction | None = None
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -61,7 +65,7 @@ class Situation:
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
         new = [row for row, key in enumerate(keys) if key not in self._power]
         if new:
-            found = search_prediction(self.posterior, places_m[new])
+            found = search_prediction(self.posterior, places_m[new], self.broad)
             values = zip(found.mean_db.tolist(), found.deviation_db.tolist(), strict=True)
             self._power.update(zip([keys[row] for row in new], values, strict=True))
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)

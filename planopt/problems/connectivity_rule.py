@@ -19,7 +19,8 @@ class ConnectivityRule:
         ``each_step``: probability at least p_min at each step. ``stated_times``: only at the times
         stated. ``average``: on average over the run so far and the plan. ``joint``: that all steps
         of the plan are connected. ``outage``: steps below p_min in a row are no longer than
-        stated. ``data``: the expected data delivered keep pace with the deadline.
+        stated. ``data``: the data delivered keep pace with the deadline, with probability p_min or,
+        where that is 0, in expectation.
     connected_times_s
         Of ``stated_times``, from the start of the run.
     outage_max_m, outage_max_s

@@ -50,7 +50,7 @@ class ConstraintsTable(Table):
     connectivity: ConnectivityForm = Field(
         default="each_step",
         description="What p_min is asked of: each_step, stated_times, average, joint (all steps of "
-        "a plan), outage (steps below it in a row); or data, which has no p_min.",
+        "a plan), outage (steps below it in a row), data (delivery; 0: in expectation).",
     )
     connected_times_s: list[Positive] = Field(
         default=[],
@@ -71,7 +71,7 @@ class ConstraintsTable(Table):
         description="For outage: longest time in seconds of steps below p_min in a row.",
     )
     data_mbit: Positive | None = Field(
-        default=None, description="For data: what must be delivered, in Mbit, in expectation."
+        default=None, description="For data: what must be delivered, in Mbit."
     )
     deadline_s: Positive | None = Field(
         default=None, description="For data: until when, in seconds from the start of the run."
@@ -113,8 +113,6 @@ class ConstraintsTable(Table):
             for key in keys:
                 if other != form and key in given:
                     return f'has {key}, which goes only with connectivity = "{other}"'
-        if form == "data" and self.p_min > 0.0:
-            return 'has p_min, which connectivity = "data" does not: data count in expectation'
         if form not in ("each_step", "data") and self.p_min == 0.0:
             return f'needs p_min above 0 for connectivity = "{form}"'
         if form == "outage" and (self.outage_max_m is None) == (self.outage_max_s is None):

@@ -70,7 +70,6 @@ def test_plain_problems_say_nothing_of_rules(learning, built):
             "needs one of outage_max_m and outage_max_s",
         ),
         ("data", {"data_mbit": 3.0, "deadline_s": 3.0}, "needs rate_mbit_s"),
-        ("data", {**GOOD["data"], "p_min": 0.5}, "has p_min"),
         ("each_step", {"slack_max_db": 1.0}, "p_min is 0"),
         ("average", {"p_min": 0.9, "slack_price": 1.0}, "needs slack_max_db"),
         ("joint", {"p_min": 0.9, "parameter_uncertainty": "all"}, "not for connectivity"),

@@ -7,7 +7,7 @@ are held, and the allowed risk is allocated to the steps (theory 4.2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from planopt.planning.proof.rules.asked import (
 from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.worth.risk_allocation import LARGEST_RISK, allocated_again
+from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
@@ -105,7 +106,12 @@ def rule_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
             return RuleRows(threshold, np.full(count, UNASKED), none, np.ones(count), total)
         case "data":
             each, total = data_asked_mbit(problem, history, count)
-            return RuleRows(threshold, np.full(count, UNASKED), none, each, total)
+            rows = RuleRows(threshold, np.full(count, UNASKED), none, each, total)
+            if constraints.p_min > 0.0 and rule_missing(situation, path_m) == 0.0:
+                # What is expected of the start is enough to keep its probability, or nearly so.
+                expected = rows.sum_of(situation.power(path_m))
+                return replace(rows, total=max(total, expected))
+            return rows
 
 
 def _held(threshold_dbm: float, level: float, asked: NDArray[np.bool_]) -> RuleRows:

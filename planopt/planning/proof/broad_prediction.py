@@ -53,16 +53,18 @@ def mixture_quantile_dbm(
 
     Between the least and the greatest of the parts' own; the lower end of the bisection.
     """
-    own = [part.mean_db - bound_quantile(p_min) * part.deviation_db for part in parts]
-    low, high = np.min(own, axis=0), np.max(own, axis=0)
+    own = np.stack([p.mean_db - bound_quantile(p_min) * p.deviation_db for p in parts])
+    low: NDArray[np.float64] = own.min(axis=0)
+    high: NDArray[np.float64] = own.max(axis=0)
     for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
+        middle: NDArray[np.float64] = 0.5 * (low + high)
         chance = np.zeros(len(middle))
         for weight, part in zip(weights.tolist(), parts, strict=True):
             # Of (mean - power) above zero.
             chance += weight * connection_probability(part.mean_db - middle, part.deviation_db, 0.0)
         kept = chance >= p_min
-        low, high = np.where(kept, middle, low), np.where(kept, high, middle)
+        low = np.where(kept, middle, low)
+        high = np.where(kept, high, middle)
     return low
 
 

@@ -171,6 +171,10 @@ def test_data_with_a_probability():
         again, _ = judged(hand_made("data", p_min=p_min, **rule), faint)
         assert again.verdict is verdict
     assert "constraints.p_min" in again.certificate.reasons[0]
+    # Two of three steps are asked for; the path ends with two in the gap.
+    rule["data_mbit"] = 13.2
+    assert judged(hand_made("data", **rule), GAP, ALONG[:4])[0].verdict is Verdict.VIOLATED
+    rule["data_mbit"] = 15.0
     done, _ = judged(hand_made("data", p_min=0.99999, **rule), bad_everywhere, delivered_mbit=15.0)
     assert done.verdict is Verdict.VERIFIED
 

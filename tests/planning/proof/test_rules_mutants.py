@@ -70,7 +70,16 @@ MUTANTS = (
     (WHOLE, "slack_db=high)", "slack_db=0.5 * high)"),
     (WHOLE, "or result.slack_db > 0.0", "or result.slack_db >= 0.0"),
     (WHOLE, "if limit == 0.0 or", "if limit >= 0.0 or"),
-    (WHOLE, "positions_m[1:])", "positions_m[:-1])"),
+    (
+        WHOLE,
+        "prediction = path_prediction(posterior, positions_m[1:])",
+        "prediction = path_prediction(posterior, positions_m[:-1])",
+    ),
+    (
+        WHOLE,
+        "drawn_powers_dbm(path_prediction(posterior, positions_m[1:]))",
+        "drawn_powers_dbm(path_prediction(posterior, positions_m[:-1]))",
+    ),
     (TOLERANCE, "result.missing > RULE", "result.missing < RULE"),
     (TOLERANCE, "margin_db < -MARGIN", "margin_db > MARGIN"),
     (STEPS, "missing > limit + MARGIN_TOLERANCE_DB", "missing > 1e3 + limit"),

@@ -16,7 +16,7 @@ from planopt.channel.joint import sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.rules.asked import asked_steps
-from planopt.planning.proof.rules.joint import joint_result, path_prediction
+from planopt.planning.proof.rules.joint import ACCURACY, SEED, joint_result, path_prediction
 from planopt.planning.proof.rules.outage import longest_run
 from planopt.planning.proof.rules.probable_data import share_at_least
 from planopt.planning.proof.verify import judge
@@ -97,7 +97,7 @@ def test_joint_counts_less_its_error():
     """The integral's error is taken off, so that the bound is one."""
     problem = hand_made("joint", p_min=0.5)
     prediction = path_prediction(belief_of(problem, faint).posterior, ALONG[1:])
-    found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(0), 1e-3)
+    found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(SEED), ACCURACY)
     result = joint_result(problem, prediction)
     assert found.exact.error > 0.0
     assert result.achieved == found.exact.value - found.exact.error

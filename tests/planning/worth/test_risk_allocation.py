@@ -37,6 +37,14 @@ def test_between_an_allocation_that_keeps_the_bound_and_one_that_does_not():
     assert again == pytest.approx([0.149, 0.1])
 
 
+def test_a_secant_that_stays_on_one_side_is_halved():
+    """Twice beyond: half-way to the allocation that kept the bound."""
+    low = Allocation(np.array([0.1]), 0.15)
+    beyond = [Allocation(np.array([0.4]), 0.26), Allocation(np.array([0.3]), 0.25)]
+    again = next_allocation([low, *beyond], np.array([0.3]), asked=0.2)
+    assert again == pytest.approx([0.2])
+
+
 def test_fewest_held_leaves_no_run_too_long():
     """Against all subsets of five steps, where enough steps can be held for nothing."""
     generator = np.random.default_rng(2)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
-from planopt.planning.worth.rule_rows import fewest_held
+from planopt.planning.worth.held_steps import ROUNDING, fewest_held
 from planopt.planning.worth.situation import Situation
 
 HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
@@ -86,7 +86,7 @@ def _by_steps(situation: Situation) -> list[Guide]:
                 sizes = np.full(count, problem.planner.step_s)
                 before = history.outage_steps * problem.planner.step_s
             limit = rule.outage_max_m if rule.outage_max_m is not None else rule.outage_max_s
-            patterns = _patterns(sizes, (limit or 0.0) * (1.0 + 1e-9), before)
+            patterns = _patterns(sizes, (limit or 0.0) * (1.0 + ROUNDING), before)
             return [Guide(p_min, asked, no_credit) for asked in (*patterns, every)]
         case _:
             asked = asked_steps(problem, history, count) & constraints.asks_connection

@@ -58,4 +58,6 @@ def _in_words(solution: Solution) -> str:
         f"  clearance {shown_number(certificate.min_clearance_m, ' m')}, least probability of "
         f"connection {shown_number(certificate.min_connectivity)} ({certificate.posterior})",
     ]
+    if certificate.rule is not None:
+        lines.append(f"  {certificate.rule.words}")
     return "\n".join([*lines, f"  {plan.message}"] if plan.message else lines)

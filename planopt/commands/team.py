@@ -84,6 +84,8 @@ def _plans_in_words(solution: TeamSolution) -> str:
             f"{shown_number(certificate.min_connectivity)} ({certificate.posterior}); "
             f"{shown_number(plan.wall_s, ' s', 2)}"
         )
+        if certificate.rule is not None:
+            lines.append(f"    {certificate.rule.words}")
         if plan.message:
             lines.append(f"    {plan.message}")
     return "\n".join(lines)

@@ -49,12 +49,7 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
         f"{1e3 * plan.wall_s:.0f} ms; rung: {spaced(plan.rung)}",
     ]
     if proof.rule is not None:
-        unit = "" if proof.rule.unit == "probability" else f" {proof.rule.unit}"
-        lines.append(
-            f"connectivity ({spaced(proof.rule.connectivity)}): {proof.rule.achieved:.4g}{unit}, "
-            f"{proof.rule.asked:.4g}{unit} asked ({proof.rule.method}); "
-            f"slack {proof.rule.slack_db:.2f} dB"
-        )
+        lines.append(proof.rule.words)
     if proof.relaxed_steps:
         lines.append(
             f"the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "

@@ -31,6 +31,7 @@ def check(
         if result.certificate is None
         else certificate_json(result.certificate)
     )
+    rule = None if result.certificate is None else result.certificate.rule
     data = {
         "verdict": result.verdict.value,
         "certificate": certificate,
@@ -42,6 +43,7 @@ def check(
         f"  clearance {shown_number(certificate['min_clearance_m'], ' m')}, least probability of "
         f"connection {shown_number(certificate['min_connectivity'])}",
         *apart_in_words(certificate["min_separation_m"], certificate["min_moving_clearance_m"]),
+        *([] if rule is None else [f"  {rule.words}"]),
         *(f"  {reason}" for reason in result.reasons),
         *(f"  remark: {remark}" for remark in result.remarks),
     ]

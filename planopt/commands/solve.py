@@ -76,6 +76,8 @@ def _in_words(solution: Solution) -> str:
         f"connection {shown_number(certificate.min_connectivity)} ({certificate.posterior})",
         *apart_in_words(certificate.min_separation_m, certificate.min_moving_clearance_m),
     ]
+    if certificate.rule is not None:
+        lines.append(f"  {certificate.rule.words}")
     if plan.message:
         lines.append(f"  {plan.message}")
     return "\n".join([*lines, *explained(solution.explanation)])

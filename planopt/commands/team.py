@@ -103,6 +103,8 @@ def _plans_in_words(solution: TeamSolution) -> str:
                 certificate.min_separation_m, certificate.min_moving_clearance_m
             )
         )
+        if certificate.rule is not None:
+            lines.append(f"    {certificate.rule.words}")
         if plan.message:
             lines.append(f"    {plan.message}")
         lines += [f"  {line}" for line in explained(_of(plan.robot, solution))]

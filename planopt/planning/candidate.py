@@ -14,6 +14,7 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
@@ -92,6 +93,8 @@ class Judge:
         ``(N, 2)`` the rest of the last plan, which the other robots keep clear of; None without.
     history
         What has happened on the run before.
+    broad
+        What the bound rests on where all parameters are to count as uncertain.
     """
 
     problem: Problem
@@ -102,6 +105,7 @@ class Judge:
     moving: MovingDiscs = NOTHING_MOVES
     reserved_m: NDArray[np.float64] | None = None
     history: History = BEGINNING
+    broad: BroadPrediction | None = None
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -133,6 +137,7 @@ class Judge:
             candidate.kkt_residual,
             self.moving,
             self.history,
+            self.broad,
         )
         certificate = judgement.certificate
         clearance = np.array([certificate.min_clearance_m])

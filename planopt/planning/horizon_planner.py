@@ -34,7 +34,7 @@ from planopt.problems.problem import Problem
 LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
 
-ALLOCATIONS = 4
+ALLOCATIONS = 6
 """How often the risk of all steps together is shared out again, each with a polish."""
 
 VALUE_IN_SOLVER = 10.0

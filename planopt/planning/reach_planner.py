@@ -20,6 +20,7 @@ from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import MOVING_LINES
 from planopt.planning.programme.pivot import find_pivot
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
@@ -32,7 +33,6 @@ from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.rule_rows import RuleRows, step_rows
 from planopt.planning.worth.situation import Situation
-from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.problems.problem import Problem
 
 LINES_PER_SEGMENT = 4
@@ -58,7 +58,7 @@ class ReachPlanner:
         self._search = GlobalSearch(problem, scene, self._margins)
         self._eased = eased(problem)
         self._rule_search = None
-        if problem.constraints.rule != ConnectivityRule():
+        if not problem.constraints.rule.is_plain:
             self._rule_search = RuleSearch(self._eased, scene)
             self._region = workspace_region(problem)
         self._nlp: ReachNlp | None = None
@@ -93,7 +93,8 @@ class ReachPlanner:
         """
         begun = perf_counter()
         problem, scene = self.problem, self.scene
-        self._margins.refresh(belief.posterior)
+        broad = broad_prediction(problem, belief.posterior)
+        self._margins.refresh(belief.posterior, broad)
         moving = obstacles_ahead(problem, history.steps)
         rows_of = None
         if self._rule_search is None:
@@ -109,6 +110,7 @@ class ReachPlanner:
                 self._region,
                 moving=moving,
                 history=history,
+                broad=broad,
             )
             start = self._rule_search.find_start(situation, self._margins.margin_db)
             rows_of = partial(step_rows, situation)
@@ -116,7 +118,9 @@ class ReachPlanner:
         reserved = None
         if len(moving) and warm is not None:
             reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
-        judge = Judge(problem, scene.index, belief, position_m, cost, moving, reserved, history)
+        judge = Judge(
+            problem, scene.index, belief, position_m, cost, moving, reserved, history, broad
+        )
         if start is None:
             chosen = self._without_start(judge, warm)
         else:

@@ -285,8 +285,12 @@ class Refiner:
         """Margins of a start path."""
         if self._rows_of is not None:
             rows = self._rows_of(path_m)
-            return rows.margins_db(search_prediction(self._judge.belief.posterior, path_m))
-        return self._margins_db(search_prediction(self._judge.belief.posterior, path_m))
+            return rows.margins_db(self._power(path_m))
+        return self._margins_db(self._power(path_m))
+
+    def _power(self, path_m: NDArray[np.float64]) -> Prediction:
+        """Prediction along a path, as the proof will see it."""
+        return search_prediction(self._judge.belief.posterior, path_m, self._judge.broad)
 
     def _look_at(self, path_m: NDArray[np.float64]) -> None:
         """Take the rule's rows about a path."""

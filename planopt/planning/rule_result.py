@@ -40,6 +40,15 @@ class RuleResult:
         short = self.asked - self.achieved
         return -short if self.connectivity == "outage" else short
 
+    @property
+    def words(self) -> str:
+        """One line for people."""
+        unit = "" if self.unit == "probability" else f" {self.unit}"
+        return (
+            f"connectivity ({self.connectivity.replace('_', ' ')}): {self.achieved:.4g}{unit}, "
+            f"{self.asked:.4g}{unit} asked ({self.method}); slack {self.slack_db:.2f} dB"
+        )
+
 
 def worst_result(results: Iterable[RuleResult | None]) -> RuleResult | None:
     """The one with the most slack, or the least to spare; None where there is none."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+ParameterUncertainty = Literal["path_loss", "all"]
 ConnectivityForm = Literal["each_step", "stated_times", "average", "joint", "outage", "data"]
 
 
@@ -18,7 +19,8 @@ class ConnectivityRule:
         ``each_step``: probability at least p_min at each step. ``stated_times``: only at the times
         stated. ``average``: on average over the run so far and the plan. ``joint``: that all steps
         of the plan are connected. ``outage``: steps below p_min in a row are no longer than
-        stated. ``data``: the expected data delivered keep pace with the deadline.
+        stated. ``data``: the data delivered keep pace with the deadline, with probability p_min or,
+        where that is 0, in expectation.
     connected_times_s
         Of ``stated_times``, from the start of the run.
     outage_max_m, outage_max_s
@@ -31,6 +33,9 @@ class ConnectivityRule:
         keeps them, others are hard.
     slack_price
         What a dB of slack costs, in the objective's unit.
+    parameter_uncertainty
+        ``path_loss``: predictions count that theta is estimated; ``all``: that xi, beta and omega
+        are as well.
     """
 
     connectivity: ConnectivityForm = "each_step"
@@ -42,6 +47,12 @@ class ConnectivityRule:
     rate_mbit_s: float | None = None
     slack_max_db: float | None = None
     slack_price: float = 0.0
+    parameter_uncertainty: ParameterUncertainty = "path_loss"
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether p_min is asked of each step where it is possible, and nothing else."""
+        return self.connectivity == "each_step" and self.slack_max_db is None
 
     @property
     def by_step(self) -> bool:

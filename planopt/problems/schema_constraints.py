@@ -7,7 +7,11 @@ from typing import Annotated
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.problems.connectivity_rule import ConnectivityForm, ConnectivityRule
+from planopt.problems.connectivity_rule import (
+    ConnectivityForm,
+    ConnectivityRule,
+    ParameterUncertainty,
+)
 from planopt.problems.constraints import Constraints
 from planopt.problems.tables import Table
 
@@ -54,7 +58,7 @@ class ConstraintsTable(Table):
     connectivity: ConnectivityForm = Field(
         default="each_step",
         description="What p_min is asked of: each_step, stated_times, average, joint (all steps of "
-        "a plan), outage (steps below it in a row); or data, which has no p_min.",
+        "a plan), outage (steps below it in a row), data (delivery; 0: in expectation).",
     )
     connected_times_s: list[Positive] = Field(
         default=[],
@@ -75,7 +79,7 @@ class ConstraintsTable(Table):
         description="For outage: longest time in seconds of steps below p_min in a row.",
     )
     data_mbit: Positive | None = Field(
-        default=None, description="For data: what must be delivered, in Mbit, in expectation."
+        default=None, description="For data: what must be delivered, in Mbit."
     )
     deadline_s: Positive | None = Field(
         default=None, description="For data: until when, in seconds from the start of the run."
@@ -97,6 +101,12 @@ class ConstraintsTable(Table):
         description="What a dB of slack costs, in the objective's unit; needs slack_max_db.",
     )
 
+    parameter_uncertainty: ParameterUncertainty = Field(
+        default="path_loss",
+        description="What p_min counts as estimated: path_loss, or all, xi, beta and omega "
+        "besides. all goes with each_step and stated_times.",
+    )
+
     @model_validator(mode="after")
     def _keys_of_the_form(self) -> ConstraintsTable:
         fault = self._fault()
@@ -111,8 +121,6 @@ class ConstraintsTable(Table):
             for key in keys:
                 if other != form and key in given:
                     return f'has {key}, which goes only with connectivity = "{other}"'
-        if form == "data" and self.p_min > 0.0:
-            return 'has p_min, which connectivity = "data" does not: data count in expectation'
         if form not in ("each_step", "data") and self.p_min == 0.0:
             return f'needs p_min above 0 for connectivity = "{form}"'
         if form == "outage" and (self.outage_max_m is None) == (self.outage_max_s is None):
@@ -123,6 +131,11 @@ class ConstraintsTable(Table):
                     return f'needs {key} for connectivity = "{form}"'
         if self.slack_max_db is not None and self.p_min == 0.0 and form != "data":
             return "has slack_max_db, but nothing is asked of the connection: p_min is 0"
+        if self.parameter_uncertainty == "all":
+            if form not in ("each_step", "stated_times"):
+                return f'has parameter_uncertainty = "all", not for connectivity = "{form}"'
+            if self.p_min == 0.0:
+                return 'has parameter_uncertainty = "all", but p_min is 0'
         if self.slack_price > 0.0 and not self.slack_max_db:
             return "has slack_price, which needs slack_max_db above 0"
         return None
@@ -145,5 +158,6 @@ class ConstraintsTable(Table):
                 self.rate_mbit_s,
                 self.slack_max_db,
                 self.slack_price,
+                self.parameter_uncertainty,
             ),
         )

@@ -49,6 +49,8 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
         f"{spaced(plan.termination)} after {plan.iterations} iterations, "
         f"{1e3 * plan.wall_s:.0f} ms; rung: {spaced(plan.rung)}",
     ]
+    if proof.rule is not None:
+        lines.append(proof.rule.words)
     if proof.relaxed_steps:
         lines.append(
             f"the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "

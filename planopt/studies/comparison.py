@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
-from planopt.planning.loop.run import Metrics, Run
+from planopt.planning.loop.run import Run
 from planopt.planning.team.team_summary import TeamSummary
 from planopt.problems.problem import Problem
 
@@ -14,8 +14,7 @@ Driven = Run | TeamSummary
 
 def metric_values(run: Driven) -> dict[str, float]:
     """What a run is judged by, by name."""
-    metrics = run.metrics
-    return asdict(metrics) if isinstance(metrics, Metrics) else metrics
+    return run.all_metrics if isinstance(run, Run) else run.metrics
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ RULES: dict[str, dict[str, Any]] = {
     "average": {"p_min": 0.93},
     "joint": {"p_min": 0.8},
     "outage": {"p_min": 0.95, "outage_max_m": 4.0},
-    "data": {"data_mbit": 9.3, "deadline_s": 10.0, "rate_mbit_s": 1.0},
+    "data": {"p_min": 0.0, "data_mbit": 9.3, "deadline_s": 10.0, "rate_mbit_s": 1.0},
 }
 """Of the small problem of `terms_scene` at seed 3: the best plan without a rule keeps none."""
 

@@ -47,6 +47,7 @@ def planned(problem, **history):
         (0.9, ConnectivityRule("outage", outage_max_m=8.0), True),
         (0.9, ConnectivityRule("outage", outage_max_s=1.0), False),
         (0.0, ConnectivityRule("data", data_mbit=30.0, deadline_s=50.0, rate_mbit_s=1.0), True),
+        (0.9, ConnectivityRule("data", data_mbit=30.0, deadline_s=50.0, rate_mbit_s=1.0), True),
         (0.0, ConnectivityRule("data", data_mbit=49.0, deadline_s=50.0, rate_mbit_s=1.0), False),
     ],
 )

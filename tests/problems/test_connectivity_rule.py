@@ -14,7 +14,7 @@ GOOD = {
     "joint": {"p_min": 0.9, "slack_max_db": 1.5, "slack_price": 2.0},
     "outage": {"p_min": 0.9, "outage_max_s": 3.0},
     "data": {"data_mbit": 5.0, "deadline_s": 9.5, "rate_mbit_s": 2.0, "slack_max_db": 0.0},
-    "each_step": {"p_min": 0.9, "slack_max_db": 2.0},
+    "each_step": {"p_min": 0.9, "slack_max_db": 2.0, "parameter_uncertainty": "all"},
 }
 
 
@@ -70,9 +70,10 @@ def test_plain_problems_say_nothing_of_rules(learning, built):
             "needs one of outage_max_m and outage_max_s",
         ),
         ("data", {"data_mbit": 3.0, "deadline_s": 3.0}, "needs rate_mbit_s"),
-        ("data", {**GOOD["data"], "p_min": 0.5}, "has p_min"),
         ("each_step", {"slack_max_db": 1.0}, "p_min is 0"),
         ("average", {"p_min": 0.9, "slack_price": 1.0}, "needs slack_max_db"),
+        ("joint", {"p_min": 0.9, "parameter_uncertainty": "all"}, "not for connectivity"),
+        ("each_step", {"parameter_uncertainty": "all"}, "p_min is 0"),
         ("sometimes", {"p_min": 0.9}, "each_step"),
         ("stated_times", {"p_min": 0.9, "connected_times_s": [0.5]}, "no multiple"),
         ("stated_times", {"p_min": 0.9, "connected_times_s": [-1.0]}, "greater than 0"),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from planopt.planning.plan import Verdict
+from planopt.planning.rule_result import RuleResult
 from planopt.report.plan_words import MEANING, plan_words
 
 
@@ -40,3 +41,12 @@ def test_missing_parts(plan, problem):
     assert words[1] == "no obstacles to keep clear of"
     assert words[3].endswith("not polished")
     assert words[5:] == ["first", "second", "third"]
+
+
+def test_rule_of_connectivity_has_its_line(plan, problem):
+    """What was asked and achieved, by which method, with which slack."""
+    rule = RuleResult("stated_times", 2.0, 3.0, "steps", "p_min at each step asked for", 0.5)
+    ruled = replace(plan, certificate=replace(plan.certificate, rule=rule))
+    words = "\n".join(plan_words(ruled, problem.constraints))
+    assert "connectivity (stated times): 2 steps, 3 steps asked" in words
+    assert "slack 0.50 dB" in words

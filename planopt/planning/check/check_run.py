@@ -28,10 +28,12 @@ from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.metrics import metrics_of
+from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.step_log import step_log
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Certificate, Plan
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles
@@ -72,6 +74,7 @@ def check_run(
         posterior = grown_posterior(belief, posterior, count)
         path = np.stack([released.x_m, released.y_m], axis=1)
         history = history_of(problem, track[:step], connected[: step - 1])
+        broad = broad_prediction(problem, posterior)
         judgement = judge(
             problem,
             index,
@@ -81,6 +84,7 @@ def check_run(
             released.kkt_residual,
             obstacles_ahead(problem, history.steps),
             history,
+            broad,
         )
         plan = rebuilt_reach_plan(problem, path, judgement, released, Effort())
         where = f"{RUN_FILE}, key plans[{step - 1}]"
@@ -105,6 +109,7 @@ def check_run(
         reason=reason,
         log=log,
         metrics=metrics_of(log, plans, outcome),
+        rule=rule_metrics(problem, [log]),
     )
     found = {
         **run_json(problem, run),

@@ -23,6 +23,7 @@ from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Certificate, Plan
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.reservations import beside, others_of
@@ -55,6 +56,7 @@ def check_team_plan(
             ]
     index, region = index_obstacles(problem.workspace), workspace_region(problem)
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
+    broad = broad_prediction(problem, posterior)
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
     explanation = explanation_again(record.explanation)
     names = {robot.name for robot in problem.robots}
@@ -71,10 +73,10 @@ def check_team_plan(
         start = np.asarray(own.robots[0].start_m)
         moving = beside(problem, 0, others_of(paths, number))
         residual = robot.certificate.kkt_residual
-        judgement = judge(own, index, posterior, start, path, residual, moving)
+        judgement = judge(own, index, posterior, start, path, residual, moving, broad=broad)
         aim = aim_again(robot.aim, aim_of(watch, number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
-        worth = worth_again(own, posterior, path, aim, region)
+        worth = worth_again(own, posterior, path, aim, region, broad=broad)
         plan = rebuilt_plan(own, path, judgement, robot, effort, worth)
         where = f"robots[{number}]."
         reasons += [f"{plan.robot}: {text}" for text in obstacles_met(own, index, path)]

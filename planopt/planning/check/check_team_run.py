@@ -31,6 +31,7 @@ from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.plan import Certificate, Plan
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.reservations import beside, others_of
@@ -165,6 +166,7 @@ def _driven(
         posteriors[-1] = posterior
         path = paths[number][step - 1]
         history = history_of(own, track[:step], connected[: step - 1])
+        broad = broad_prediction(own, posterior)
         others = others_of([made[step - 1] for made in paths], number)
         judgement = judge(
             own,
@@ -175,9 +177,10 @@ def _driven(
             released.kkt_residual,
             beside(saved.problem, history.steps, others),
             history,
+            broad,
         )
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
-        worth = worth_again(own, posterior, path, aim, region, history)
+        worth = worth_again(own, posterior, path, aim, region, history, broad)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.mapping import Region
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
@@ -21,6 +22,7 @@ def worth_again(
     aim: Aim,
     region: Region,
     history: History = BEGINNING,
+    broad: BroadPrediction | None = None,
 ) -> float:
     """The weighted sum of the terms.
 
@@ -38,6 +40,8 @@ def worth_again(
         Where the map is wanted.
     history
         What had happened on the run before.
+    broad
+        What predictions rest on where all parameters are to count as uncertain.
     """
     at = Situation(
         problem,
@@ -48,5 +52,6 @@ def worth_again(
         aim.steering_m,
         aim.information,
         history=history,
+        broad=broad,
     )
     return PathWorth(at)(path_m[1:])

@@ -7,7 +7,7 @@ believed when it was made.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ def run_summary(run: Run) -> dict[str, Any]:
         "seed": run.seed,
         "outcome": run.outcome.value,
         "message": run.reason,
-        "metrics": {name: finite(value) for name, value in asdict(run.metrics).items()},
+        "metrics": {name: finite(value) for name, value in run.all_metrics.items()},
         "rungs": run.rungs,
         "verified_rate": finite(run.verified_rate),
         "step_s": step_times_json(run.log.step_s[1:]),

@@ -13,6 +13,7 @@ from planopt.planning.history import history_of
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.metrics import metrics_of
+from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Run
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.loop.step_log import step_log
@@ -92,6 +93,7 @@ def simulate(
         reason=reason,
         log=log,
         metrics=metrics_of(log, plans, outcome),
+        rule=rule_metrics(problem, [log]),
     )
     first = len(prepared.belief.posterior.measurements)
     return Simulation(problem, seed, belief, first, run, tuple(plans), truth)

@@ -8,11 +8,11 @@ import numpy as np
 
 from planopt.planning.history import data_of_steps_mbit
 from planopt.planning.loop.metrics import longest_outage_m
-from planopt.planning.loop.run import Run
+from planopt.planning.loop.run import StepLog
 from planopt.problems.problem import Problem
 
 
-def rule_metrics(problem: Problem, runs: Sequence[Run]) -> dict[str, float]:
+def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
     """The metric of the problem's rule by name, of the worst robot; empty where it has none.
 
     ``stated_times_connected``: share of the stated times driven through that were connected (one
@@ -20,7 +20,7 @@ def rule_metrics(problem: Problem, runs: Sequence[Run]) -> dict[str, float]:
     ``longest_outage_s``. ``data_mbit``: delivered by the deadline.
     """
     rule, step_s = problem.constraints.rule, problem.planner.step_s
-    connected = [run.log.connected[1:] for run in runs]
+    connected = [log.connected[1:] for log in logs]
     match rule.connectivity:
         case "stated_times":
             stated = np.unique(np.rint(np.array(rule.connected_times_s) / step_s)).astype(np.intp)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -101,6 +101,8 @@ class Run:
         How it ended, and why in words.
     log, metrics
         See their types.
+    rule
+        What was kept of a rule of connectivity other than p_min at each step, by metric.
     """
 
     robot: str
@@ -112,6 +114,12 @@ class Run:
     reason: str
     log: StepLog
     metrics: Metrics
+    rule: dict[str, float] = field(default_factory=dict[str, float])
+
+    @property
+    def all_metrics(self) -> dict[str, float]:
+        """Every metric by name."""
+        return {**asdict(self.metrics), **self.rule}
 
     @property
     def verified_rate(self) -> float:

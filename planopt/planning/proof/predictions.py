@@ -9,6 +9,7 @@ from planopt.channel.kriging import predict
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, predict_nearby
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.proof.broad_prediction import BroadPrediction
 
 SEARCH_EXACT_LIMIT = 1000
 """Up to this many measurements searches use the full posterior too."""
@@ -18,17 +19,28 @@ many there are."""
 
 
 def certified_prediction(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64]
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    broad: BroadPrediction | None = None,
 ) -> tuple[Prediction, str]:
-    """Prediction that certificates rest on, and its name in them."""
+    """Prediction that certificates rest on, and its name in them; by `broad` where there is one."""
+    if broad is not None:
+        exact = len(posterior.measurements) <= EXACT_LIMIT
+        return broad(positions_m), "exact" if exact else f"neighbours:{NEIGHBOURS_BEYOND}"
     if len(posterior.measurements) <= EXACT_LIMIT:
         return predict(posterior, positions_m), "exact"
     nearby = predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND, keep=True)
     return nearby, f"neighbours:{NEIGHBOURS_BEYOND}"
 
 
-def search_prediction(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
+def search_prediction(
+    posterior: ChannelPosterior,
+    positions_m: NDArray[np.float64],
+    broad: BroadPrediction | None = None,
+) -> Prediction:
     """Prediction that searches look at; what they find is certified afterwards."""
+    if broad is not None:
+        return broad(positions_m)
     if len(posterior.measurements) <= SEARCH_EXACT_LIMIT:
         return predict(posterior, positions_m)
     return predict_nearby(posterior, positions_m, SEARCH_NEIGHBOURS)

@@ -22,6 +22,7 @@ from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.proof.apart import judge_apart
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import certified_prediction
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
@@ -61,10 +62,11 @@ def verify(
     kkt_residual: float | None = None,
     moving: MovingDiscs | None = None,
     history: History = BEGINNING,
+    broad: BroadPrediction | None = None,
 ) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path: see :func:`judge`."""
     judgement = judge(
-        problem, index, posterior, start_m, positions_m, kkt_residual, moving, history
+        problem, index, posterior, start_m, positions_m, kkt_residual, moving, history, broad
     )
     return judgement.certificate, judgement.verdict
 
@@ -78,6 +80,7 @@ def judge(
     kkt_residual: float | None = None,
     moving: MovingDiscs | None = None,
     history: History = BEGINNING,
+    broad: BroadPrediction | None = None,
 ) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
 
@@ -95,6 +98,8 @@ def judge(
         What moves during the steps; None for the problem's moving obstacles, from time 0 on.
     history
         What has happened on the run before: rules over the whole run count it.
+    broad
+        What the bound rests on where all parameters are to count as uncertain.
     """
     constraints = problem.constraints
     radio = problem.stations[0]
@@ -118,7 +123,7 @@ def judge(
     if defect > DYNAMICS_TOLERANCE_M:
         reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
 
-    power, kind = certified_prediction(posterior, positions_m)
+    power, kind = certified_prediction(posterior, positions_m, broad)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None

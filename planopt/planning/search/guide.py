@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
-from planopt.planning.worth.rule_rows import fewest_held
+from planopt.planning.worth.held_steps import ROUNDING, fewest_held
 from planopt.planning.worth.situation import Situation
 
 HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
@@ -22,6 +22,9 @@ reward counts, with the second hardly the credit."""
 
 HALVINGS = 5
 """Bisections of the credit between them, in its logarithm."""
+
+PATTERNS = 4
+"""In so many ways the steps that end an outage are chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +86,28 @@ def _by_steps(situation: Situation) -> list[Guide]:
                 sizes = np.full(count, problem.planner.step_s)
                 before = history.outage_steps * problem.planner.step_s
             limit = rule.outage_max_m if rule.outage_max_m is not None else rule.outage_max_s
-            held = fewest_held(sizes, every, (limit or 0.0) * (1.0 + 1e-9), before)
-            return [Guide(p_min, asked, no_credit) for asked in (held, every)]
+            patterns = _patterns(sizes, (limit or 0.0) * (1.0 + ROUNDING), before)
+            return [Guide(p_min, asked, no_credit) for asked in (*patterns, every)]
         case _:
             asked = asked_steps(problem, history, count) & constraints.asks_connection
             return [Guide(p_min, asked, no_credit)]
+
+
+def _patterns(sizes: NDArray[np.float64], limit: float, before: float) -> list[NDArray[np.bool_]]:
+    """Steps that are held so that no run of others is too long; the first as late as may be.
+
+    In the others it is held earlier, up to `PATTERNS` evenly, and those after it with it.
+    """
+    latest = fewest_held(sizes, np.ones(len(sizes), dtype=bool), limit, before)
+    last = int(np.argmax(latest)) if latest.any() else 0
+    patterns = [latest]
+    for first in np.unique(np.linspace(0, last, PATTERNS).astype(np.intp))[:-1].tolist():
+        held = np.zeros(len(sizes), dtype=bool)
+        held[first] = True
+        rest = sizes[first + 1 :]
+        held[first + 1 :] = fewest_held(rest, np.ones(len(rest), dtype=bool), limit, 0.0)
+        patterns.append(held)
+    return patterns
 
 
 def _by_credit(

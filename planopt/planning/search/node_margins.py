@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.search.road_map import RoadMap
 
@@ -41,10 +42,15 @@ class NodeMargins:
         self.margin_db = np.zeros(len(road_map.nodes_m))
         self._exact = np.zeros(len(road_map.nodes_m), dtype=bool)
         self._posterior: ChannelPosterior | None = None
+        self._broad: BroadPrediction | None = None
 
-    def refresh(self, posterior: ChannelPosterior) -> None:
-        """Follow the belief: recompute what its new measurements changed."""
+    def refresh(self, posterior: ChannelPosterior, broad: BroadPrediction | None = None) -> None:
+        """Follow the belief: recompute what its new measurements changed.
+
+        Exact values are those of `broad`, where all parameters are to count as uncertain.
+        """
         self._map.refresh(posterior)
+        self._broad = broad
         self._posterior = posterior
         rows, columns = self._road_map.rows, self._road_map.columns
         self.margin_db = bound_margin_db(
@@ -59,7 +65,7 @@ class NodeMargins:
         """Margins at any places (n, 2), as good as searches need them."""
         if self._posterior is None:
             raise AssertionError("refresh first")
-        power = search_prediction(self._posterior, places_m)
+        power = search_prediction(self._posterior, places_m, self._broad)
         return bound_margin_db(power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min)
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:

@@ -14,6 +14,7 @@ from planopt.planning.ground import Ground, build_ground
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Plan
 from planopt.planning.planners import Planner, planner_for
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_seeds import TeamSeeds
 from planopt.planning.worth.aim import Aim
@@ -82,6 +83,7 @@ class Member:
         history
             What has happened on the run before.
         """
+        broad = broad_prediction(self.problem, belief.posterior)
         situation = Situation(
             self.problem,
             belief.posterior,
@@ -91,6 +93,7 @@ class Member:
             information=watched.information,
             moving=moving,
             history=history,
+            broad=broad,
         )
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
@@ -104,6 +107,7 @@ class Member:
             moving,
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
             history,
+            broad,
         )
         plan = self.planner.plan(situation, judge, warm)
         return plan, replace(watched, steering_m=situation.steering_m)

@@ -119,7 +119,7 @@ def team_metrics(
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
-    found |= rule_metrics(problem, runs)
+    found |= rule_metrics(problem, [run.log for run in runs])
     found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
     tracks = [run.log.positions_m for run in runs]
     if len(tracks) > 1:

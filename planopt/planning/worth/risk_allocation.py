@@ -51,7 +51,8 @@ def next_allocation(
 ) -> NDArray[np.float64]:
     """Risks of the steps for the next polish; ``(N,)``.
 
-    Between the last allocation that kept the bound and the last that did not, once there are both.
+    Between the last allocation that kept the bound and the last that did not, once there are both:
+    by the secant, or half-way where that does not change sides.
 
     Parameters
     ----------
@@ -68,6 +69,9 @@ def next_allocation(
         return allocated_again(tried[-1].risk, used, asked, tried[-1].found)
     low, high = within[-1], beyond[-1]
     share = AIMED_SHARE * (asked - low.found) / (high.found - low.found)
+    if len(tried) > 2 and (tried[-1].found > asked) == (tried[-2].found > asked):
+        # The secant comes from one side only: halve.
+        share = 0.5
     return low.risk + share * (high.risk - low.risk)
 
 

@@ -7,12 +7,12 @@ are held, and the allowed risk is allocated to the steps (theory 4.2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, bound_quantile, connection_probability
+from planopt.channel.connectivity import bound_quantile, connection_probability
 from planopt.channel.prediction import Prediction
 from planopt.planning.proof.rules.asked import (
     asked_steps,
@@ -21,7 +21,9 @@ from planopt.planning.proof.rules.asked import (
 )
 from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.tolerance import is_missed
+from planopt.planning.worth.held_steps import held_steps
 from planopt.planning.worth.risk_allocation import LARGEST_RISK, allocated_again
+from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
@@ -105,7 +107,12 @@ def rule_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
             return RuleRows(threshold, np.full(count, UNASKED), none, np.ones(count), total)
         case "data":
             each, total = data_asked_mbit(problem, history, count)
-            return RuleRows(threshold, np.full(count, UNASKED), none, each, total)
+            rows = RuleRows(threshold, np.full(count, UNASKED), none, each, total)
+            if constraints.p_min > 0.0 and rule_missing(situation, path_m) == 0.0:
+                # What is expected of the start is enough to keep its probability, or nearly so.
+                expected = rows.sum_of(situation.power(path_m))
+                return replace(rows, total=max(total, expected))
+            return rows
 
 
 def _held(threshold_dbm: float, level: float, asked: NDArray[np.bool_]) -> RuleRows:
@@ -150,58 +157,3 @@ def step_risk(situation: Situation, path_m: NDArray[np.float64]) -> NDArray[np.f
     power = situation.power(path_m)
     threshold = situation.problem.stations[0].threshold_dbm
     return 1.0 - connection_probability(power.mean_db, power.deviation_db, threshold)
-
-
-def held_steps(situation: Situation, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Steps that must keep p_min so that no outage is too long; the fewest of a path (N, 2).
-
-    As few as possible of the steps at which the path keeps it, each the last before an outage would
-    be too long. Where it keeps too few, steps at which it does not are held besides.
-    """
-    problem, history = situation.problem, situation.history
-    rule, step_s = problem.constraints.rule, problem.planner.step_s
-    power = situation.power(path_m)
-    keeps = (
-        bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            problem.stations[0].threshold_dbm,
-            problem.constraints.p_min,
-        )
-        >= 0.0
-    )
-    if rule.outage_max_m is not None:
-        ends = np.vstack([situation.position_m, path_m])
-        sizes = np.linalg.norm(np.diff(ends, axis=0), axis=1)
-        limit, before = rule.outage_max_m, history.outage_m
-    else:
-        sizes = np.full(len(path_m), step_s)
-        limit, before = rule.outage_max_s or 0.0, history.outage_steps * step_s
-    return fewest_held(sizes, keeps, limit * (1.0 + 1e-9), before)
-
-
-def fewest_held(
-    sizes: NDArray[np.float64], keeps: NDArray[np.bool_], limit: float, before: float
-) -> NDArray[np.bool_]:
-    """Which steps to hold so that no run of others is above `limit`; ``(n,)``.
-
-    Parameters
-    ----------
-    sizes
-        ``(n,)`` of the steps.
-    keeps
-        ``(n,)`` steps that can be held for nothing.
-    limit, before
-        The longest run, and what a run from the first step on has had already.
-    """
-    held = np.zeros(len(sizes), dtype=bool)
-    run, last = before, -1
-    for step, size in enumerate(sizes.tolist()):
-        run += size
-        if run <= limit:
-            continue
-        within = np.flatnonzero(keeps[last + 1 : step + 1])
-        last = last + 1 + int(within[-1]) if len(within) else step
-        held[last] = True
-        run = float(sizes[last + 1 : step + 1].sum())
-    return held

@@ -19,6 +19,7 @@ from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.objectives.until_connected import Search
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.worth.region import region_near
 from planopt.planning.worth.target_model import target_model
@@ -59,6 +60,8 @@ class Situation:
         What moves during the steps.
     history
         What has happened on the run before: rules over the whole run count it.
+    broad
+        What predictions rest on where all parameters are to count as uncertain.
     """
 
     problem: Problem
@@ -70,6 +73,7 @@ class Situation:
     information: NDArray[np.float64] | None = None
     moving: MovingDiscs = NOTHING_MOVES
     history: History = BEGINNING
+    broad: BroadPrediction | None = None
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -82,7 +86,7 @@ class Situation:
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
         new = [row for row, key in enumerate(keys) if key not in self._power]
         if new:
-            found = search_prediction(self.posterior, places_m[new])
+            found = search_prediction(self.posterior, places_m[new], self.broad)
             values = zip(found.mean_db.tolist(), found.deviation_db.tolist(), strict=True)
             self._power.update(zip([keys[row] for row in new], values, strict=True))
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)

@@ -9,14 +9,16 @@ import pytest
 from rules_scene import hand_made
 from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_everywhere
 from scipy.special import ndtr
+from scipy.stats import binomtest
 
 from planopt.channel.connection.joint_connectivity import joint_connectivity
 from planopt.channel.joint import sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.rules.asked import asked_steps
-from planopt.planning.proof.rules.joint import joint_result, path_prediction
+from planopt.planning.proof.rules.joint import ACCURACY, SEED, joint_result, path_prediction
 from planopt.planning.proof.rules.outage import longest_run
+from planopt.planning.proof.rules.probable_data import share_at_least
 from planopt.planning.proof.verify import judge
 from planopt.world.clearance import index_obstacles
 
@@ -95,7 +97,7 @@ def test_joint_counts_less_its_error():
     """The integral's error is taken off, so that the bound is one."""
     problem = hand_made("joint", p_min=0.5)
     prediction = path_prediction(belief_of(problem, faint).posterior, ALONG[1:])
-    found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(0), 1e-3)
+    found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(SEED), ACCURACY)
     result = joint_result(problem, prediction)
     assert found.exact.error > 0.0
     assert result.achieved == found.exact.value - found.exact.error
@@ -154,6 +156,34 @@ def test_data_must_keep_pace_with_the_deadline():
     assert ending.certificate.rule.achieved == pytest.approx(2.0 * chances(posterior)[:2].sum())
     after, _ = judged(hand_made("data", p_min=0.0, **rule), bad_everywhere, steps=20)
     assert (after.verdict, after.certificate.rule.asked) == (Verdict.VERIFIED, 0.0)
+
+
+def test_data_with_a_probability():
+    """A lower bound, near, of the share of sampled channels with three of four steps connected."""
+    rule = {"data_mbit": 15.0, "deadline_s": 20.0, "rate_mbit_s": 1.0}
+    judgement, posterior = judged(hand_made("data", p_min=0.5, **rule), faint)
+    drawn = sample_power(posterior, ALONG[1:], 40_000, np.random.default_rng(8))
+    share = float(((drawn >= THRESHOLD_DBM).sum(axis=1) >= 3).mean())
+    result = judgement.certificate.rule
+    assert (result.unit, result.asked) == ("probability", 0.5)
+    assert share - 0.03 < result.achieved < share + 0.005
+    for p_min, verdict in ((share - 0.04, Verdict.VERIFIED), (share + 0.04, Verdict.VIOLATED)):
+        again, _ = judged(hand_made("data", p_min=p_min, **rule), faint)
+        assert again.verdict is verdict
+    assert "constraints.p_min" in again.certificate.reasons[0]
+    # Two of three steps are asked for; the path ends with two in the gap.
+    rule["data_mbit"] = 13.2
+    assert judged(hand_made("data", **rule), GAP, ALONG[:4])[0].verdict is Verdict.VIOLATED
+    rule["data_mbit"] = 15.0
+    done, _ = judged(hand_made("data", p_min=0.99999, **rule), bad_everywhere, delivered_mbit=15.0)
+    assert done.verdict is Verdict.VERIFIED
+
+
+def test_share_at_least_is_clopper_and_pearsons():
+    """Against SciPy's interval."""
+    for count in (0, 1, 700, 1000):
+        interval = binomtest(count, 1000, alternative="greater").proportion_ci(0.99)
+        assert share_at_least(count, 1000) == pytest.approx(interval.low)
 
 
 def test_data_of_a_step_ends_at_the_deadline():

@@ -17,6 +17,7 @@ from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
+from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reachability import (
     best_margins_by_step,
@@ -28,6 +29,9 @@ from planopt.planning.rule_result import RuleResult
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
+
+MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""From positions (n, 2) to margins (n,) in dB."""
 
 OUTAGE_LEEWAY_STEPS = 2.0
 """How much longer, in longest steps, a way through a gap may be than the least one."""
@@ -61,6 +65,7 @@ def judge_single_steps(
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     power: Prediction,
+    broad: BroadPrediction | None = None,
 ) -> StepsFinding:
     """Judge the bound at the steps of a path (N + 1, 2) that it is asked of.
 
@@ -76,6 +81,8 @@ def judge_single_steps(
         Where the robot is.
     positions_m, power
         The path and the prediction along it, its first place included.
+    broad
+        What the bound rests on where all parameters are to count as uncertain.
     """
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
@@ -91,10 +98,11 @@ def judge_single_steps(
     here = bound_margin_db(
         power.mean_db[:1], power.deviation_db[:1], radio.threshold_dbm, constraints.p_min
     )
+    margin_db = _margins_of(problem, posterior, broad)
     best, no_connected_way = _what_is_possible(
         problem,
         index,
-        posterior,
+        margin_db,
         start_m,
         missed,
         starts_within=bool(here[0] >= 0.0),
@@ -109,7 +117,7 @@ def judge_single_steps(
             if margin >= 0.0
         ][:1]
     if no_connected_way:
-        reasons += _needless_outage(problem, index, posterior, positions_m, missed)
+        reasons += _needless_outage(problem, index, margin_db, positions_m, missed)
     count = int(asked.sum())
     if len(missed) == count and count:
         reasons.append(
@@ -159,7 +167,7 @@ def _beyond_slack(
 def _what_is_possible(
     problem: Problem,
     index: ObstacleIndex,
-    posterior: ChannelPosterior,
+    margin_db: MarginAt,
     start_m: NDArray[np.float64],
     missed: NDArray[np.intp],
     starts_within: bool,
@@ -172,7 +180,6 @@ def _what_is_possible(
     the first step that meets the bound or could.
     """
     constraints, length = problem.constraints, problem.step_length_m
-    margin_db = _margins_of(problem, posterior)
     if missed.size == 0:
         return (), False
     best = best_margins_by_step(
@@ -204,7 +211,7 @@ def _what_is_possible(
 def _needless_outage(
     problem: Problem,
     index: ObstacleIndex,
-    posterior: ChannelPosterior,
+    margin_db: MarginAt,
     positions_m: NDArray[np.float64],
     missed: NDArray[np.intp],
 ) -> list[str]:
@@ -216,7 +223,7 @@ def _needless_outage(
     here, end = least_outage_m(
         index,
         problem.workspace.bounds_m,
-        _margins_of(problem, posterior),
+        margin_db,
         positions_m[[0, -1]],
         np.asarray(problem.goal_m),
         problem.constraints.clearance_m,
@@ -233,12 +240,12 @@ def _needless_outage(
 
 
 def _margins_of(
-    problem: Problem, posterior: ChannelPosterior
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    problem: Problem, posterior: ChannelPosterior, broad: BroadPrediction | None
+) -> MarginAt:
     """Connectivity margin by position, as searches look at it."""
 
     def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        power = search_prediction(posterior, places)
+        power = search_prediction(posterior, places, broad)
         return bound_margin_db(
             power.mean_db,
             power.deviation_db,

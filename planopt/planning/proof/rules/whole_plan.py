@@ -15,12 +15,13 @@ from planopt.planning.history import History
 from planopt.planning.proof.rules.expected import average_result, data_result
 from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.outage import outage_result
+from planopt.planning.proof.rules.probable_data import drawn_powers_dbm, probable_data_result
 from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.rule_result import RuleResult
 from planopt.problems.problem import Problem
 
-HALVINGS = 30
-"""Bisections of the slack: 500 dB to less than a millionth."""
+HALVINGS = 22
+"""Bisections of the slack: 500 dB to a ten-thousandth."""
 
 WORDS = {
     "average": "the share of steps connected on average",
@@ -28,6 +29,7 @@ WORDS = {
     "outage": "the longest outage",
     "data": "the expected data delivered by the plan",
 }
+PROBABLE_DATA = "the probability that the plan keeps pace with constraints.data_mbit"
 
 
 def whole_plan_result(
@@ -69,16 +71,21 @@ def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
     """Why a path does not keep its rule; nothing where it does, within its slack."""
     if not is_missed(result) or result.slack_db > 0.0:
         return []
-    key = {
-        "average": "constraints.p_min",
-        "joint": "constraints.p_min",
-        "outage": f"constraints.outage_max_{result.unit}",
-        "data": "keeping pace with constraints.data_mbit",
-    }[result.connectivity]
+    words, key = (
+        WORDS[result.connectivity],
+        {
+            "average": "constraints.p_min",
+            "joint": "constraints.p_min",
+            "outage": f"constraints.outage_max_{result.unit}",
+            "data": "keeping pace with constraints.data_mbit",
+        }[result.connectivity],
+    )
+    if result.connectivity == "data" and result.unit == "probability":
+        words, key = PROBABLE_DATA, "constraints.p_min"
     unit = "" if result.unit == "probability" else f" {result.unit}"
     limit = problem.constraints.rule.slack_max_db
     return [
-        f"{WORDS[result.connectivity]} is {result.achieved:.4g}{unit} "
+        f"{words} is {result.achieved:.4g}{unit} "
         f"({result.method}), {key} asks for {result.asked:.4g}{unit}"
         + (f", also with constraints.slack_max_db {limit:g}" if limit else "")
     ]
@@ -101,6 +108,9 @@ def _result_by_slack(
     match problem.constraints.rule.connectivity:
         case "average":
             return lambda slack_db: average_result(problem, history, probability(slack_db))
+        case "data" if p_min > 0.0:
+            drawn = drawn_powers_dbm(path_prediction(posterior, positions_m[1:]))
+            return lambda slack_db: probable_data_result(problem, history, drawn, slack_db)
         case "data":
             return lambda slack_db: data_result(problem, history, probability(slack_db))
         case "outage":

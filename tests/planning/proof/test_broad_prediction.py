@@ -1,0 +1,94 @@
+"""Bounds with all parameters uncertain: quantiles of mixtures, and plans that keep them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from terms_scene import TRACKING, terms_problem
+
+from planopt import load
+from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.parameter_uncertainty import marginalise
+from planopt.channel.prediction import Prediction
+from planopt.planning.check.check import check
+from planopt.planning.files.saved import save_simulation
+from planopt.planning.files.team_saved import save_team_run
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.plan import Verdict
+from planopt.planning.proof.broad_prediction import (
+    BroadPrediction,
+    broad_prediction,
+    mixture_quantile_dbm,
+)
+from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.team.team_solve import solve_team
+
+SEED = 3
+
+
+def all_uncertain(problem):
+    """The problem with every parameter uncertain."""
+    rule = replace(problem.constraints.rule, parameter_uncertainty="all")
+    return replace(problem, constraints=replace(problem.constraints, rule=rule))
+
+
+@pytest.mark.parametrize("p_min", [0.5, 0.9, 0.99])
+def test_quantile_of_a_mixture(p_min):
+    """The mixture's own distribution function says `p_min` there."""
+    weights = np.array([0.5, 0.3, 0.2])
+    parts = [
+        Prediction(np.array([-60.0, -70.0]), np.array([3.0, 1.0])),
+        Prediction(np.array([-62.0, -71.0]), np.array([5.0, 4.0])),
+        Prediction(np.array([-55.0, -70.0]), np.array([8.0, 1.0])),
+    ]
+    found = mixture_quantile_dbm(weights, parts, p_min)
+    above = sum(
+        w * norm.sf(found, p.mean_db, p.deviation_db) for w, p in zip(weights, parts, strict=True)
+    )
+    np.testing.assert_allclose(above, p_min, atol=1e-12)
+
+
+def test_margin_is_that_of_the_mixture():
+    """At any place: zero margin where the mixture's chance of connection is p_min."""
+    problem = all_uncertain(terms_problem(TRACKING, p_min=0.9))
+    posterior = solve_team(problem, seed=SEED).belief.posterior
+    broad = broad_prediction(problem, posterior)
+    assert isinstance(broad, BroadPrediction)
+    places = np.random.default_rng(1).uniform(5.0, 35.0, (40, 2))
+    power = broad(places)
+    marginal = marginalise(posterior.parameters, posterior.measurements)
+    for place, mean, deviation in zip(places, power.mean_db, power.deviation_db, strict=True):
+        threshold = float(bound_margin_db(mean, deviation, 0.0, 0.9))
+        assert marginal.connectivity(place[None], threshold)[0] == pytest.approx(0.9, abs=1e-9)
+    assert broad_prediction(terms_problem(TRACKING, p_min=0.9), posterior) is None
+
+
+def test_plan_keeps_the_bound_of_the_mixture(tmp_path: Path):
+    """Planned, driven and checked; where it binds the mixture's chance is p_min."""
+    problem = all_uncertain(terms_problem(TRACKING, p_min=0.92, horizon=4, max_steps=3))
+    solution = solve_team(problem, seed=SEED)
+    plan, posterior = solution.plans[0], solution.belief.posterior
+    assert plan.verdict is Verdict.VERIFIED
+    marginal = marginalise(posterior.parameters, posterior.measurements)
+    threshold = problem.stations[0].threshold_dbm
+    chance = marginal.connectivity(plan.positions_m[1:], threshold)
+    assert chance.min() >= 0.92 - 1e-7
+    assert chance.min() < 0.925
+    save_team_run(simulate_team(problem, seed=SEED), tmp_path)
+    assert check(tmp_path).reasons == ()
+
+
+def test_way_to_a_goal_with_all_parameters_uncertain(tmp_path: Path):
+    """Driven for a few steps and checked from the files."""
+    problem = load("open_field")
+    problem = all_uncertain(
+        replace(problem, planner=replace(problem.planner, max_steps=3, horizon=4))
+    )
+    driven = simulate(problem, seed=1)
+    assert {plan.verdict for plan in driven.plans} == {Verdict.VERIFIED}
+    save_simulation(driven, tmp_path)
+    assert check(tmp_path).reasons == ()

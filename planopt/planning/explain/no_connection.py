@@ -22,6 +22,9 @@ PADS_DB = (0.005, 0.03, 0.1, 0.3, 1.0, 3.0)
 PADS_QUANTILE = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 """The same in standard deviations."""
 
+LEAST_P_MIN = 0.01
+"""A smaller probability is no answer to who wants to be connected."""
+
 SETTLED_SHARE = 0.02
 """The least value that helps is looked for to this share of the relaxation."""
 
@@ -75,7 +78,7 @@ def _probability(
         return None
     pads = z - np.array(PADS_QUANTILE)
     tried = connection_probability(pads, np.ones(len(pads)), 0.0)
-    values = [p for p in tried.tolist() if 0.0 < towards(p, DIGITS, down=True) < asked]
+    values = [p for p in tried.tolist() if LEAST_P_MIN <= towards(p, DIGITS, down=True) < asked]
 
     def changed(p_min: float) -> Problem:
         return replace(problem, constraints=replace(problem.constraints, p_min=p_min))

@@ -23,9 +23,9 @@ from planopt.world.workspace import Obstacle
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
-    """A saved plan whose threshold is 15 dB too high, and what it says."""
+    """A saved plan whose threshold is some dB too high, and what it says."""
     problem = terms_problem(TRACKING, p_min=0.8, horizon=3)
-    high = replace(problem.stations[0], threshold_dbm=-15.0)
+    high = replace(problem.stations[0], threshold_dbm=-23.0)
     solution = solve_team(replace(problem, stations=(high,)), seed=2)
     assert solution.verdict is Verdict.VIOLATED
     folder = tmp_path_factory.mktemp("violated")

@@ -53,6 +53,7 @@ def test_plain_problems_say_nothing_of_rules(learning, built):
         "p_min",
         "clearance_m",
         "goal_radius_m",
+        "separation_m",
     }
 
 

@@ -37,7 +37,7 @@ def judged(problem, power_at, path_m=ALONG, **history):
     posterior = belief_of(problem, power_at).posterior
     index = index_obstacles(problem.workspace)
     past = History(**history)
-    return judge(problem, index, posterior, path_m[0], path_m, None, past), posterior
+    return judge(problem, index, posterior, path_m[0], path_m, history=past), posterior
 
 
 def chances(posterior, path_m=ALONG):

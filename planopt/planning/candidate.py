@@ -14,9 +14,9 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.verify import judge
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, inside_bounds
+from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,8 @@ class Candidate:
         Whether clearance, bounds and motion model are kept, whatever connectivity is.
     power
         What the verifier predicted along the path, the robot's own place first.
+    drive
+        How the robot drives along the path; None for the single integrator.
     """
 
     path_m: NDArray[np.float64]
@@ -57,6 +59,7 @@ class Candidate:
     )
     sound: bool = False
     power: Prediction | None = None
+    drive: Drive | None = None
 
     @property
     def relaxes(self) -> bool:
@@ -72,8 +75,8 @@ class Judge:
     ----------
     problem, index, belief
         The problem, its obstacles, and what is believed of the channel.
-    position_m
-        ``(2,)`` where the robot is.
+    state
+        ``(s,)`` the robot's state; of a single integrator its place.
     objective
         What a path (N, 2) from there is worth.
     """
@@ -81,8 +84,13 @@ class Judge:
     problem: Problem
     index: ObstacleIndex
     belief: Belief
-    position_m: NDArray[np.float64]
+    state: NDArray[np.float64]
     objective: Callable[[NDArray[np.float64]], float]
+
+    @property
+    def position_m(self) -> NDArray[np.float64]:
+        """``(2,)`` where the robot is."""
+        return self.state[:2]
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -94,13 +102,17 @@ class Judge:
         )
 
     def candidate(
-        self, path_m: NDArray[np.float64], rung: Rung, termination: Termination
+        self,
+        path_m: NDArray[np.float64],
+        rung: Rung,
+        termination: Termination,
+        drive: Drive | None = None,
     ) -> Candidate:
-        """Make a candidate of a path, not yet verified."""
+        """Make a candidate of a path, not yet verified; `drive` says how it is driven."""
         # A solver may give back places that are no numbers.
         nothing = np.inf if self.problem.sense == "min" else -np.inf
         worth = self.objective(path_m) if np.isfinite(path_m).all() else nothing
-        return Candidate(path_m, worth, worth, rung, termination)
+        return Candidate(path_m, worth, worth, rung, termination, drive=drive)
 
     def judged(self, candidate: Candidate) -> Candidate:
         """Ask the verifier."""
@@ -109,22 +121,16 @@ class Judge:
             self.problem,
             self.index,
             self.belief.posterior,
-            self.position_m,
+            self.state,
             path,
             candidate.kkt_residual,
-        )
-        certificate = judgement.certificate
-        sound = (
-            certificate.min_clearance_m
-            >= self.problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
-            and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
-            and bool(inside_bounds(self.problem.workspace, path).all())
+            candidate.drive,
         )
         return replace(
             candidate,
-            certificate=certificate,
+            certificate=judgement.certificate,
             verdict=judgement.verdict,
-            sound=sound,
+            sound=judgement.sound,
             power=judgement.power,
         )
 
@@ -156,4 +162,5 @@ class Judge:
             multipliers=chosen.multipliers,
             message=plan_message(chosen.certificate, positions),
             sense=self.problem.sense,
+            drive=chosen.drive,
         )

@@ -11,6 +11,13 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.prediction import Prediction
 from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.driven import (
+    driven_starts,
+    motion_shape,
+    motion_task,
+    polished_drive,
+    without_start,
+)
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.offenders import LINE_REACH_STEPS, REPAIRS, lines_with_offenders
@@ -62,10 +69,15 @@ class HorizonPlanner:
         self.ground = ground
         self._search = StartSearch(problem, ground, thorough)
         self._bounded = problem.constraints.p_min > 0.0
+        self._driven = problem.robots[0].dynamics is not None
         self._nlp: PathNlp | None = None
         if problem.planner.name == "auto":
             self._nlp = build_path_nlp(
-                problem.planner.horizon, LINES_PER_SEGMENT, is_stagewise(problem), self._bounded
+                problem.planner.horizon,
+                LINES_PER_SEGMENT,
+                is_stagewise(problem),
+                self._bounded,
+                motion_shape(problem, LINES_PER_SEGMENT),
             )
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
@@ -82,6 +94,8 @@ class HorizonPlanner:
         """
         begun = perf_counter()
         starts = self._search.find_starts(situation, shifted_path(warm))
+        if self._driven:
+            starts = driven_starts(judge, starts, warm)
         chosen = self._climb(situation, judge, starts, warm)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
@@ -93,7 +107,7 @@ class HorizonPlanner:
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
             unpolished = replace(
-                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY),
+                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
                 lattice_objective=starts[0].worth,
             )
             if self._nlp is None:
@@ -109,7 +123,7 @@ class HorizonPlanner:
                 tried.append(unpolished)
                 if unpolished.verdict is Verdict.VERIFIED:
                     verified.append(unpolished)
-            if verified and not self._thorough:
+            if verified and not (self._thorough or self._driven):
                 break
         if verified:
             return _with_effort(max(verified, key=lambda c: c.objective), tried)
@@ -122,6 +136,8 @@ class HorizonPlanner:
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
+        if self._driven:
+            return without_start(judge, warm)
         horizon = self.problem.planner.horizon
         path = shifted_path(warm)
         if path is not None and len(path) == horizon:
@@ -172,14 +188,19 @@ class HorizonPlanner:
             evaluate=evaluate,
             scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
         )
+        if nlp.motion is not None and start.drive is not None:
+            motion = motion_task(problem, self.ground, nlp.motion, start.drive)
+            task = replace(task, motion=motion)
         if self._bounded:
             task = self._with_bound(task, situation)
         found: list[Candidate] = []
         for _ in range(REPAIRS):
             begun = perf_counter()
             point = polish_path(nlp, task)
+            drive = polished_drive(problem, judge.state, point.inputs)
+            path = point.path_m if drive is None else drive.positions_m[1:]
             candidate = replace(
-                judge.candidate(point.path_m, rung, point.termination),
+                judge.candidate(path, rung, point.termination, drive),
                 lattice_objective=start.worth,
                 solve_s=perf_counter() - begun,
                 iterations=point.iterations,
@@ -191,7 +212,7 @@ class HorizonPlanner:
                 found.append(candidate)
                 task = self._recentred(task, situation, point)
                 continue
-            if start.missing_db == 0.0 and candidate.objective < start.worth:
+            if start.clear and start.missing_db == 0.0 and candidate.objective < start.worth:
                 # The start will be asked for in its place.
                 return [*found, candidate]
             candidate = judge.judged(candidate)
@@ -242,6 +263,9 @@ class HorizonPlanner:
     def _recentred(self, task: PathTask, situation: Situation, point: Polished) -> PathTask:
         """The task from a returned path on: its neighbours, and the error measured there."""
         task = replace(task, path_m=point.path_m, evaluate=local_worth(situation, point.path_m))
+        if task.motion is not None:
+            drive = polished_drive(self.problem, task.motion.drive.states[0], point.inputs)
+            task = replace(task, motion=replace(task.motion, drive=drive))
         return replace(task, bound_db=self._wanted(task, situation)[0])
 
     def _repaired(self, task: PathTask, candidate: Candidate) -> PathTask | None:

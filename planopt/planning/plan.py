@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.robots.drive import Drive
+
 
 class Termination(StrEnum):
     """Why the search for a plan stopped. Says nothing about what the plan is worth."""
@@ -139,6 +141,8 @@ class Plan:
         The way beyond the horizon that the objective charges; None if it charges none.
     sense
         Whether less or more of the objective is better.
+    drive
+        States and inputs along the places; None for the single integrator.
     """
 
     robot: str
@@ -162,6 +166,12 @@ class Plan:
     message: str = ""
     pivot: Pivot | None = None
     sense: Literal["min", "max"] = "min"
+    drive: Drive | None = None
+
+    @property
+    def next_state(self) -> NDArray[np.float64]:
+        """``(s,)`` the robot's state after the first step."""
+        return self.positions_m[1] if self.drive is None else self.drive.states[1]
 
     @property
     def gain(self) -> float:

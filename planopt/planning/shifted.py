@@ -6,13 +6,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Plan, Verdict
+from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive, rolled_out
 
 
 def shifted_path(warm: Plan | None) -> NDArray[np.float64] | None:
     """Rest of a verified plan after its first step, standing still at its end.
 
-    None without a plan, and for one that was not verified: nothing starts from such a plan.
+    None without a plan, and for one that was not verified: nothing starts from such a plan. None,
+    too, for a robot that cannot stop at will: see :func:`shifted_drive`.
     """
-    if warm is None or warm.verdict is not Verdict.VERIFIED:
+    if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
         return None
     return np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])
+
+
+def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
+    """Rest of a plan after its first step, then a step of stopping.
+
+    None without a plan, or where the robot can stop at will. The plan need not be verified: what it
+    sweeps does not depend on what is believed of the channel.
+    """
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if warm is None or warm.drive is None or dynamics is None:
+        return None
+    last = dynamics.braking(warm.drive.states[-1], step_s, 1)
+    inputs = np.vstack([warm.drive.inputs[1:], last])
+    return rolled_out(dynamics, warm.drive.states[1], inputs, step_s)

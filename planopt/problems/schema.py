@@ -21,6 +21,7 @@ from planopt.problems.schema_objective import (
     TargetTable,
     TrackingTable,
 )
+from planopt.problems.schema_robot import RobotTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, ReportSettings
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
 
@@ -85,17 +86,6 @@ class WorldTable(Table):
 
     bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
     obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
-
-
-class RobotTable(Table):
-    """``[[robots]]``: one robot, and where it must go."""
-
-    name: Name = Field(default="robot", description="What outputs call it.")
-    start_m: Pair = Field(description="Start [x, y] in metres.")
-    goal_m: Pair | None = Field(
-        default=None, description="Goal [x, y] in metres, for the task reach."
-    )
-    speed_max_m_s: float = Field(gt=0, le=1000, description="Largest speed in m/s.")
 
 
 class StationTable(Table):
@@ -217,6 +207,9 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         return "task reach needs constraints.p_min above 0"
     if tables.planner.name not in ("auto", "lattice"):
         return f"planner.name {tables.planner.name} is not for task reach: use auto or lattice"
+    if tables.robots[0].dynamics != "single_integrator":
+        dynamics = tables.robots[0].dynamics
+        return f"task reach is for robots of dynamics single_integrator, not {dynamics}"
     return None
 
 
@@ -237,6 +230,19 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     names = [robot.name for robot in tables.robots]
     if len(set(names)) < len(names):
         return "two robots have one name"
+    return _dynamics_fault(tables)
+
+
+def _dynamics_fault(tables: ProblemFile) -> str | None:
+    """What keeps robots that cannot turn or stop at will from being planned for."""
+    for number, robot in enumerate(tables.robots):
+        if robot.dynamics == "single_integrator":
+            continue
+        if tables.planner.name not in ("auto", "lattice"):
+            return (
+                f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
+                f"robots[{number}] has {robot.dynamics}: use auto or lattice"
+            )
     return None
 
 

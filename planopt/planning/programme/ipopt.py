@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,8 @@ class NlpPoint:
         IPOPT's raw return status.
     iterations
         Its count.
+    driven
+        The variables besides, of a robot's dynamics.
     """
 
     positions_m: NDArray[np.float64]
@@ -50,6 +52,7 @@ class NlpPoint:
     variable_multipliers: NDArray[np.float64]
     status: str
     iterations: int
+    driven: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
 
 def call_nlp(
@@ -59,8 +62,11 @@ def call_nlp(
     parameters: NDArray[np.float64],
     variable_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
     row_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    driven: int = 0,
 ) -> NlpPoint:
-    """Solve once from `start` (positions, then slacks); arrays in the programme's order.
+    """Solve once from `start`; arrays in the programme's order.
+
+    Variables are positions, then slacks, then `driven` many of the robot's dynamics.
 
     What CasADi refuses to start with, such as a bound that is no number, comes back as a point of
     NaN with the status ``Invalid_Problem_Definition``.
@@ -77,7 +83,7 @@ def call_nlp(
     except RuntimeError:
         lost = np.full(len(start), np.nan)
         rows = np.full(len(row_bounds[0]), np.nan)
-        return _point(horizon, lost, rows, lost, "Invalid_Problem_Definition", 0)
+        return _point(horizon, lost, rows, lost, "Invalid_Problem_Definition", 0, driven)
     stats = solver.stats()
     return _point(
         horizon,
@@ -86,6 +92,7 @@ def call_nlp(
         np.asarray(result["lam_x"]).ravel(),
         str(stats["return_status"]),
         int(stats.get("iter_count", 0)),
+        driven,
     )
 
 
@@ -96,6 +103,8 @@ def _point(
     variables: NDArray[np.float64],
     status: str,
     iterations: int,
+    driven: int,
 ) -> NlpPoint:
-    n = 2 * horizon
-    return NlpPoint(x[:n].reshape(horizon, 2), x[n:], rows, variables, status, iterations)
+    n, slacks = 2 * horizon, len(x) - driven
+    places = x[:n].reshape(horizon, 2)
+    return NlpPoint(places, x[n:slacks], rows, variables, status, iterations, x[slacks:])

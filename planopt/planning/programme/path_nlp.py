@@ -9,9 +9,11 @@ each stage's connectivity bound::
           margin_k(q_k) + s_k >= bound_k             k = 1..N             "connectivity"
 
 Value and margins come by callbacks with exact first and second derivatives. A *stagewise* value is
-a sum over stages, whose Hessian has a 2 x 2 block for each; any other has a full one. The solver is
-built once per structure and reused; a failed solve leaves nothing behind, because every call sets
-start, bounds and parameters anew and passes no multipliers on.
+a sum over stages, whose Hessian has a 2 x 2 block for each; any other has a full one. A robot that
+cannot turn or stop at will adds variables after these and rows before "connectivity", those of
+:mod:`planopt.planning.programme.motion_rows`. The solver is built once per structure and reused; a
+failed solve leaves nothing behind, because every call sets start, bounds and parameters anew and
+passes no multipliers on.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from planopt.planning.programme.ipopt import OPTIONS
+from planopt.planning.programme.motion_rows import MotionShape, motion_rows
 from planopt.planning.programme.path_rows import PathCallback, path_rows
 from planopt.planning.programme.path_value import ValueSource
 
@@ -53,6 +56,8 @@ class PathNlp:
         The CasADi solver.
     callbacks
         Kept so that they live as long as the solver.
+    motion
+        The rows of the robot's dynamics; None for the single integrator.
     """
 
     horizon: int
@@ -61,9 +66,12 @@ class PathNlp:
     source: ValueSource
     solver: Any
     callbacks: tuple[Any, ...]
+    motion: MotionShape | None = None
 
 
-def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> PathNlp:
+def build_path_nlp(
+    horizon: int, lines: int, stagewise: bool, bounded: bool, motion: MotionShape | None = None
+) -> PathNlp:
     """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
 
     Parameters
@@ -74,8 +82,11 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         Whether the value is a sum over stages.
     bounded
         Whether connectivity is bounded.
+    motion
+        The structure of the rows of the robot's dynamics; None for the single integrator.
     """
     n = horizon
+    driven = 0 if motion is None else motion.variables
     source = ValueSource()
     stages = n if bounded else 0
     curved = 3 * n if stagewise else 4 * n * n
@@ -96,8 +107,13 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
 
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", stages)
     head, line = ca.SX.sym("head", 4), ca.SX.sym("line", 3 * n * lines)
-    x_sx, p_sx = ca.vertcat(q, s), ca.vertcat(head, line)
+    w, own = ca.SX.sym("w", driven), ca.SX.sym("own", 0 if motion is None else motion.parameters)
+    x_sx, p_sx = ca.vertcat(q, s, w), ca.vertcat(head, line, own)
     g_sx = path_rows(n, lines, q, head[0:2], line)
+    if motion is not None:
+        start = (head[0], head[1], *(own[i] for i in range(motion.rest)))
+        all_lines = ca.vertcat(line, own[motion.rest :])
+        g_sx = ca.vertcat(g_sx, *motion_rows(motion, q, w, start, all_lines).stacked())
     plain = g_sx.numel()
     v, dv, hv = ca.SX.sym("v"), ca.SX.sym("dv", 2 * n), ca.SX.sym("hv", curved)
     m, dm, hm = (
@@ -106,26 +122,26 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
     lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + stages)
     # The solver minimises.
     f_sx = -head[2] * v + head[3] * ca.sum1(s)
-    df_sx = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(stages))
+    df_sx = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(stages), ca.SX.zeros(driven))
     value_curvature = _blocks(hv, n) if stagewise else ca.reshape(hv, 2 * n, 2 * n)
     curvature = (
-        -lam_f * head[2] * ca.diagcat(value_curvature, ca.SX(stages, stages))
+        -lam_f * head[2] * ca.diagcat(value_curvature, ca.SX(stages + driven, stages + driven))
         + ca.hessian(ca.dot(lam[:plain], g_sx), x_sx)[0]
     )
     rows_sx, jacobian_sx = g_sx, ca.jacobian(g_sx, x_sx)
     if bounded:
         weighted = [lam[plain + k] * hm[3 * k + j] for k in range(n) for j in range(3)]
-        curvature += ca.diagcat(_blocks(ca.vertcat(*weighted), n), ca.SX(n, n))
+        curvature += ca.diagcat(_blocks(ca.vertcat(*weighted), n), ca.SX(n + driven, n + driven))
         rows_sx = ca.vertcat(g_sx, m + s)
         by_place = ca.diagcat(*[dm[2 * k : 2 * k + 2].T for k in range(n)])
-        jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(by_place, ca.SX.eye(n)))
+        jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(by_place, ca.SX.eye(n), ca.SX(n, driven)))
     objective = ca.Function("f", [x_sx, p_sx, v], [f_sx])
     gradient = ca.Function("df", [p_sx, dv], [df_sx])
     rows = ca.Function("g", [x_sx, p_sx, m], [rows_sx])
     jacobian = ca.Function("dg", [x_sx, p_sx, dm], [jacobian_sx])
     hessian = ca.Function("h", [x_sx, p_sx, lam_f, lam, hv, hm], [ca.triu(curvature)])
 
-    x, p = ca.MX.sym("x", 2 * n + stages), ca.MX.sym("p", p_sx.numel())
+    x, p = ca.MX.sym("x", 2 * n + stages + driven), ca.MX.sym("p", p_sx.numel())
     lam_f_mx, lam_mx = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + stages)
     at = x[: 2 * n]
     margin, margin_gradient, margin_hessian = (
@@ -149,7 +165,7 @@ def build_path_nlp(horizon: int, lines: int, stagewise: bool, bounded: bool) -> 
         ["triu_hess_gamma_x_x"],
     )
     solver = ca.nlpsol("path", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-    return PathNlp(n, lines, bounded, source, solver, (*callbacks, *margins))
+    return PathNlp(n, lines, bounded, source, solver, (*callbacks, *margins), motion)
 
 
 def _blocks(entries: Any, n: int) -> Any:

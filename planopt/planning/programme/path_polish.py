@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planopt.planning.programme.ipopt import NlpPoint, call_nlp
 from planopt.planning.programme.ipopt_status import termination_of
 from planopt.planning.programme.kkt import Bounds, kkt_residual
+from planopt.planning.programme.motion_task import MotionNumbers, MotionTask, motion_numbers
 from planopt.planning.programme.path_nlp import PathNlp
 from planopt.planning.programme.path_row_values import path_row_values
 from planopt.planning.programme.path_value import EvaluatePath
@@ -44,6 +45,8 @@ class PathTask:
         ``(N,)`` how much of it may be missing; zero where the bound is hard.
     slack_weight
         Cost of a missing dB.
+    motion
+        Of the robot's dynamics; None for the single integrator.
     """
 
     start_m: NDArray[np.float64]
@@ -57,6 +60,7 @@ class PathTask:
     bound_db: NDArray[np.float64] | None = None
     slack_limit_db: NDArray[np.float64] | None = None
     slack_weight: float = 0.0
+    motion: MotionTask | None = None
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
@@ -64,20 +68,32 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     n = nlp.horizon
     bound = np.zeros(0) if task.bound_db is None else task.bound_db
     slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
-    kept = np.isfinite(task.lines.gaps)
-    offsets = task.lines.offsets + np.where(kept, task.clearance_m + CLEARANCE_PAD_M, 0.0)
-    line = np.concatenate([task.lines.normals, offsets[:, :, None]], axis=2)
+    line = _padded(task.lines, task.clearance_m)
+    stop = (
+        np.zeros((0, nlp.lines, 3))
+        if task.motion is None
+        else _padded(task.motion.stop_lines, task.clearance_m)
+    )
+    motion = motion_numbers(task.motion, line, stop, task.bounds_m)
+    free = np.full(len(motion.start), np.inf)
     head = np.array([*task.start_m, task.scale, task.slack_weight])
     x_min, y_min, x_max, y_max = task.bounds_m
     variables = Bounds(
-        np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound))]),
-        np.concatenate([np.tile([x_max, y_max], n), slack_limit]),
+        np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound)), -free]),
+        np.concatenate([np.tile([x_max, y_max], n), slack_limit, free]),
     )
     plain = n * (2 * nlp.lines) - nlp.lines
-    longest = task.step_length_m - STEP_PAD_M
+    longest = task.step_length_m - STEP_PAD_M if nlp.motion is None else np.inf
     rows = Bounds(
-        np.concatenate([np.full(n, -np.inf), np.zeros(plain), bound]),
-        np.concatenate([np.full(n, longest**2), np.full(plain + len(bound), np.inf)]),
+        np.concatenate([np.full(n, -np.inf), np.zeros(plain), motion.rows.lower, bound]),
+        np.concatenate(
+            [
+                np.full(n, longest**2),
+                np.full(plain, np.inf),
+                motion.rows.upper,
+                np.full(len(bound), np.inf),
+            ]
+        ),
     )
     nlp.source.use(task.evaluate)
     margins = task.evaluate(task.path_m).margins
@@ -85,10 +101,11 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     point = call_nlp(
         nlp.solver,
         n,
-        np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit)]),
-        np.concatenate([head, line.ravel()]),
+        np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit), motion.start]),
+        np.concatenate([head, line.ravel(), motion.parameters]),
         (variables.lower, variables.upper),
         (rows.lower, rows.upper),
+        len(motion.start),
     )
     lam = point.row_multipliers
     ends = n * nlp.lines
@@ -98,15 +115,23 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         "line_start": lam[n + ends : n + plain].reshape(n - 1, nlp.lines),
     }
     if nlp.bounded:
-        multipliers["connectivity"] = lam[n + plain :]
+        multipliers["connectivity"] = lam[len(lam) - len(bound) :]
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
         termination=termination_of(point.status),
         iterations=point.iterations,
-        kkt_residual=_residual(task, point, line, rows, variables),
+        kkt_residual=_residual(task, point, line, rows, variables, motion),
         multipliers=multipliers,
+        inputs=None if task.motion is None else task.motion.shape.inputs_of(point.driven),
     )
+
+
+def _padded(lines: SeparatingLines, clearance_m: float) -> NDArray[np.float64]:
+    """Normals and offsets (segments, lines, 3), the clearance and a little more included."""
+    kept = np.isfinite(lines.gaps)
+    offsets = lines.offsets + np.where(kept, clearance_m + CLEARANCE_PAD_M, 0.0)
+    return np.concatenate([lines.normals, offsets[:, :, None]], axis=2)
 
 
 def _residual(
@@ -115,31 +140,42 @@ def _residual(
     line: NDArray[np.float64],
     row_bounds: Bounds,
     variable_bounds: Bounds,
+    motion: MotionNumbers,
 ) -> float:
     """KKT residual with the rows' gradients written out in NumPy."""
     n, slacks = len(task.path_m), len(point.slack_db)
     if not (np.isfinite(point.positions_m).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
-    rows, jacobian = path_row_values(np.vstack([task.start_m, point.positions_m]), line)
+    rows, by_place = path_row_values(np.vstack([task.start_m, point.positions_m]), line)
+    driven_rows, driven_jacobian = motion.values(point.positions_m, point.driven)
+    rows = np.concatenate([rows, driven_rows])
+    jacobian = np.zeros((len(rows), 2 * n + len(point.driven)))
+    jacobian[: len(by_place), : 2 * n] = by_place
+    jacobian[len(by_place) :] = driven_jacobian
     at = task.evaluate(point.positions_m)
     if at.margins is not None:
         stage = np.arange(n)
-        connectivity = np.zeros((n, n, 2))
-        connectivity[stage, stage] = at.margins.gradient
+        connectivity = np.zeros((n, jacobian.shape[1]))
+        connectivity[stage, 2 * stage] = at.margins.gradient[:, 0]
+        connectivity[stage, 2 * stage + 1] = at.margins.gradient[:, 1]
         rows = np.concatenate([rows, at.margins.value + point.slack_db])
-        jacobian = np.concatenate([jacobian, connectivity.reshape(n, 2 * n)])
+        jacobian = np.concatenate([jacobian, connectivity])
     slack_columns = np.zeros((len(jacobian), slacks))
     if slacks:
         slack_columns[-slacks:] = np.eye(slacks)
     return kkt_residual(
         np.concatenate(
-            [-task.scale * at.value.gradient.ravel(), np.full(slacks, task.slack_weight)]
+            [
+                -task.scale * at.value.gradient.ravel(),
+                np.full(slacks, task.slack_weight),
+                np.zeros(len(point.driven)),
+            ]
         ),
-        np.hstack([jacobian, slack_columns]),
+        np.hstack([jacobian[:, : 2 * n], slack_columns, jacobian[:, 2 * n :]]),
         rows,
         row_bounds,
         point.row_multipliers,
-        np.concatenate([point.positions_m.ravel(), point.slack_db]),
+        np.concatenate([point.positions_m.ravel(), point.slack_db, point.driven]),
         variable_bounds,
         point.variable_multipliers,
     )

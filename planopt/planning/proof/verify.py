@@ -21,20 +21,17 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.proof.motion import judge_motion
 from planopt.planning.proof.predictions import certified_prediction, search_prediction
 from planopt.planning.proof.reachability import (
     best_margins_by_step,
     connected_way_exists,
     least_outage_m,
 )
-from planopt.planning.tolerances import (
-    CLEARANCE_TOLERANCE_M,
-    DYNAMICS_TOLERANCE_M,
-    MARGIN_TOLERANCE_DB,
-)
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
-from planopt.robots.single_integrator import dynamics_defect_m
-from planopt.world.clearance import ObstacleIndex, inside_bounds, swept_clearance_m
+from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex
 
 OUTAGE_LEEWAY_STEPS = 2.0
 """How much longer, in longest steps, a way through a gap may be than the least one."""
@@ -50,11 +47,14 @@ class Judgement:
         See their types.
     power
         At every place of the path, the robot's own first; None if the path is not finite.
+    sound
+        Whether clearance, bounds and motion model are kept, whatever connectivity is.
     """
 
     certificate: Certificate
     verdict: Verdict
     power: Prediction | None
+    sound: bool = False
 
 
 def verify(
@@ -64,9 +64,10 @@ def verify(
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
+    drive: Drive | None = None,
 ) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path: see :func:`judge`."""
-    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual)
+    judgement = judge(problem, index, posterior, start_m, positions_m, kkt_residual, drive)
     return judgement.certificate, judgement.verdict
 
 
@@ -77,6 +78,7 @@ def judge(
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
+    drive: Drive | None = None,
 ) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
 
@@ -87,28 +89,21 @@ def judge(
     posterior
         What is believed of the channel.
     start_m, positions_m
-        Where the robot is, and the planned path from there.
+        Where the robot is (its whole state, where it has more than a place), and the planned path
+        from there.
     kkt_residual
         Passed on into the certificate.
+    drive
+        How the robot drives along the path; None for the single integrator.
     """
     constraints = problem.constraints
     radio = problem.stations[0]
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
         return Judgement(broken, Verdict.VIOLATED, None)
-    reasons: list[str] = []
-
-    clearance = float(np.min(swept_clearance_m(index, positions_m), initial=np.inf))
-    if clearance < constraints.clearance_m - CLEARANCE_TOLERANCE_M:
-        reasons.append(
-            f"the swept path comes within {clearance:.3f} m of an obstacle, "
-            f"constraints.clearance_m is {constraints.clearance_m:g}"
-        )
-    if not inside_bounds(problem.workspace, positions_m).all():
-        reasons.append("the path leaves world.bounds_m")
-    defect = dynamics_defect_m(positions_m, start_m, problem.step_length_m)
-    if defect > DYNAMICS_TOLERANCE_M:
-        reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
+    motion = judge_motion(problem, index, start_m, positions_m, drive)
+    reasons = list(motion.reasons)
+    start_m = start_m[:2]
 
     power, kind = certified_prediction(posterior, positions_m)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
@@ -138,9 +133,9 @@ def judge(
             f"the best place found within reach has a margin of {max(best):.2f} dB"
         )
     certificate = Certificate(
-        min_clearance_m=clearance,
+        min_clearance_m=motion.clearance_m,
         min_connectivity=float(probability.min()),
-        dynamics_defect=defect,
+        dynamics_defect=motion.defect_m,
         kkt_residual=kkt_residual,
         posterior=kind,
         relaxed_steps=tuple(int(step) for step in missed),
@@ -150,7 +145,7 @@ def judge(
         reasons=tuple(reasons),
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-    return Judgement(certificate, verdict, power)
+    return Judgement(certificate, verdict, power, sound=not motion.reasons)
 
 
 def _what_is_possible(

@@ -18,6 +18,7 @@ from planopt.planning.worth.local_worth import is_stagewise
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive
 from planopt.world.lattice_moves import LONGEST_MOVE
 
 STARTS = 2
@@ -57,11 +58,17 @@ class Start:
         What it is worth by all terms.
     missing_db
         By how much its steps miss the connectivity bound, in all.
+    drive
+        How a robot drives it that cannot turn or stop at will; None for any other.
+    clear
+        Whether the robot can drive it as it is, clear of obstacles.
     """
 
     path_m: NDArray[np.float64]
     worth: float
     missing_db: float
+    drive: Drive | None = None
+    clear: bool = True
 
 
 class StartSearch:

@@ -32,8 +32,8 @@ class Member:
     ----------
     problem
         With this robot alone.
-    start_m
-        ``(2,)``.
+    start
+        ``(s,)`` its state at the start; of a single integrator its place.
     ground
         Its geometry.
     planner
@@ -45,7 +45,7 @@ class Member:
     """
 
     problem: Problem
-    start_m: NDArray[np.float64]
+    start: NDArray[np.float64]
     ground: Ground
     planner: Planner
     steering: Steering | None
@@ -54,28 +54,29 @@ class Member:
     def plan(
         self,
         belief: Belief,
-        position_m: NDArray[np.float64],
+        state: NDArray[np.float64],
         target_m: NDArray[np.float64] | None,
         warm: Plan | None,
     ) -> tuple[Plan, Aim]:
-        """Plan from `position_m` (2,) on what this robot believes.
+        """Plan from `state` (s,) on what this robot believes.
 
         Parameters
         ----------
         belief
             Of the channel.
-        position_m
-            Where the robot is.
+        state
+            Of the robot, its place first.
         target_m
             ``(N, 2)`` where it expects the target; None without one.
         warm
             The plan that led here, or None.
         """
+        position_m = state[:2]
         situation = Situation(self.problem, belief.posterior, position_m, target_m, self.region)
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
             situation = replace(situation, steering_m=place)
-        judge = Judge(self.problem, self.ground.index, belief, position_m, PathWorth(situation))
+        judge = Judge(self.problem, self.ground.index, belief, state, PathWorth(situation))
         plan = self.planner.plan(situation, judge, warm)
         return plan, Aim(target_m, situation.steering_m)
 
@@ -99,8 +100,8 @@ def _member(
     problem: Problem, number: int, region: Region, generator: np.random.Generator
 ) -> Member:
     own = problem_of_robot(problem, number)
-    start = np.asarray(own.robots[0].start_m)
-    ground = build_ground(own, start)
+    start = own.robots[0].start_state
+    ground = build_ground(own, start[:2])
     steered = [t for t in own.terms if isinstance(t, MappingTerm) and t.form == "two_layer"]
     steering = Steering(own, ground, steered[0]) if steered else None
     return Member(own, start, ground, planner_for(own, ground, generator), steering, region)

@@ -66,7 +66,8 @@ def simulate_team(
     watches = [watch_target(problem, seeds.target)]
     crew = build_crew(problem, seeds)
     region = workspace_region(problem)
-    tracks: list[list[NDArray[np.float64]]] = [[member.start_m] for member in crew]
+    tracks: list[list[NDArray[np.float64]]] = [[member.start[:2]] for member in crew]
+    states = [member.start for member in crew]
     plans: list[list[Plan]] = [[] for _ in crew]
     aims: list[list[Aim]] = [[] for _ in crew]
     beliefs = [prepared.belief for _ in crew]
@@ -77,11 +78,12 @@ def simulate_team(
         for number, member in enumerate(crew):
             expected = None if watch is None else watch.expected_m(number, problem.planner.horizon)
             warm = plans[number][-1] if plans[number] else None
-            plan, aim = member.plan(beliefs[number], tracks[number][-1], expected, warm)
+            plan, aim = member.plan(beliefs[number], states[number], expected, warm)
             plans[number].append(plan)
             aims[number].append(aim)
         for number in range(len(crew)):
-            tracks[number].append(plans[number][-1].positions_m[1])
+            states[number] = plans[number][-1].next_state
+            tracks[number].append(states[number][:2])
             beliefs[number] = learn_here(problem, truth, beliefs[number], tracks[number][-1])
         here = np.array([track[-1] for track in tracks])
         arrived = true_power_dbm(truth, here) >= problem.stations[0].threshold_dbm

@@ -46,7 +46,7 @@ def solve_team(
     steps = problem.planner.horizon
     made = [
         member.plan(
-            belief, member.start_m, None if watch is None else watch.expected_m(number, steps), None
+            belief, member.start, None if watch is None else watch.expected_m(number, steps), None
         )
         for number, member in enumerate(build_crew(problem, seeds))
     ]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,15 +35,14 @@ class NlpPoint:
     positions_m
         ``(N, 2)``.
     slack_db
-        ``(N,)``, or ``(0,)`` where no connectivity is bounded.
+        ``(N,)``, or ``(0,)`` where no connectivity is bounded; variables that a programme has
+        besides come after them.
     row_multipliers, variable_multipliers
         By row of the programme and by variable; positive at an upper bound, negative at a lower.
     status
         IPOPT's raw return status.
     iterations
         Its count.
-    driven
-        The variables besides, of a robot's dynamics.
     """
 
     positions_m: NDArray[np.float64]
@@ -52,7 +51,6 @@ class NlpPoint:
     variable_multipliers: NDArray[np.float64]
     status: str
     iterations: int
-    driven: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
 
 def call_nlp(
@@ -62,11 +60,8 @@ def call_nlp(
     parameters: NDArray[np.float64],
     variable_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
     row_bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
-    driven: int = 0,
 ) -> NlpPoint:
-    """Solve once from `start`; arrays in the programme's order.
-
-    Variables are positions, then slacks, then `driven` many of the robot's dynamics.
+    """Solve once from `start` (positions, then slacks); arrays in the programme's order.
 
     What CasADi refuses to start with, such as a bound that is no number, comes back as a point of
     NaN with the status ``Invalid_Problem_Definition``.
@@ -83,7 +78,7 @@ def call_nlp(
     except RuntimeError:
         lost = np.full(len(start), np.nan)
         rows = np.full(len(row_bounds[0]), np.nan)
-        return _point(horizon, lost, rows, lost, "Invalid_Problem_Definition", 0, driven)
+        return _point(horizon, lost, rows, lost, "Invalid_Problem_Definition", 0)
     stats = solver.stats()
     return _point(
         horizon,
@@ -92,7 +87,6 @@ def call_nlp(
         np.asarray(result["lam_x"]).ravel(),
         str(stats["return_status"]),
         int(stats.get("iter_count", 0)),
-        driven,
     )
 
 
@@ -103,8 +97,6 @@ def _point(
     variables: NDArray[np.float64],
     status: str,
     iterations: int,
-    driven: int,
 ) -> NlpPoint:
-    n, slacks = 2 * horizon, len(x) - driven
-    places = x[:n].reshape(horizon, 2)
-    return NlpPoint(places, x[n:slacks], rows, variables, status, iterations, x[slacks:])
+    n = 2 * horizon
+    return NlpPoint(x[:n].reshape(horizon, 2), x[n:], rows, variables, status, iterations)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,8 +105,9 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         np.concatenate([head, line.ravel(), motion.parameters]),
         (variables.lower, variables.upper),
         (rows.lower, rows.upper),
-        len(motion.start),
     )
+    driven = point.slack_db[len(bound) :]
+    point = replace(point, slack_db=point.slack_db[: len(bound)])
     lam = point.row_multipliers
     ends = n * nlp.lines
     multipliers = {
@@ -121,9 +122,9 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         slack_db=point.slack_db,
         termination=termination_of(point.status),
         iterations=point.iterations,
-        kkt_residual=_residual(task, point, line, rows, variables, motion),
+        kkt_residual=_residual(task, point, line, rows, variables, motion, driven),
         multipliers=multipliers,
-        inputs=None if task.motion is None else task.motion.shape.inputs_of(point.driven),
+        inputs=None if task.motion is None else task.motion.shape.inputs_of(driven),
     )
 
 
@@ -141,15 +142,16 @@ def _residual(
     row_bounds: Bounds,
     variable_bounds: Bounds,
     motion: MotionNumbers,
+    driven: NDArray[np.float64],
 ) -> float:
     """KKT residual with the rows' gradients written out in NumPy."""
     n, slacks = len(task.path_m), len(point.slack_db)
     if not (np.isfinite(point.positions_m).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
     rows, by_place = path_row_values(np.vstack([task.start_m, point.positions_m]), line)
-    driven_rows, driven_jacobian = motion.values(point.positions_m, point.driven)
+    driven_rows, driven_jacobian = motion.values(point.positions_m, driven)
     rows = np.concatenate([rows, driven_rows])
-    jacobian = np.zeros((len(rows), 2 * n + len(point.driven)))
+    jacobian = np.zeros((len(rows), 2 * n + len(driven)))
     jacobian[: len(by_place), : 2 * n] = by_place
     jacobian[len(by_place) :] = driven_jacobian
     at = task.evaluate(point.positions_m)
@@ -168,14 +170,14 @@ def _residual(
             [
                 -task.scale * at.value.gradient.ravel(),
                 np.full(slacks, task.slack_weight),
-                np.zeros(len(point.driven)),
+                np.zeros(len(driven)),
             ]
         ),
         np.hstack([jacobian[:, : 2 * n], slack_columns, jacobian[:, 2 * n :]]),
         rows,
         row_bounds,
         point.row_multipliers,
-        np.concatenate([point.positions_m.ravel(), point.slack_db, point.driven]),
+        np.concatenate([point.positions_m.ravel(), point.slack_db, driven]),
         variable_bounds,
         point.variable_multipliers,
     )

@@ -16,6 +16,8 @@ class Drive:
 
     Attributes
     ----------
+    dynamics
+        Of the robot.
     states
         ``(N + 1, s)`` now and after each step, in the units of the dynamics' ``state_names``; the
         first two are x and y in metres.
@@ -23,6 +25,7 @@ class Drive:
         ``(N, m)`` of each step, in the units of ``input_names``; constant over the step.
     """
 
+    dynamics: Dynamics
     states: NDArray[np.float64]
     inputs: NDArray[np.float64]
 
@@ -43,4 +46,4 @@ def rolled_out(
     for control in inputs:
         after = dynamics.step(tuple(states[-1]), tuple(control), step_s)
         states.append(np.array(after, dtype=np.float64))
-    return Drive(np.array(states), np.asarray(inputs, dtype=np.float64))
+    return Drive(dynamics, np.array(states), np.asarray(inputs, dtype=np.float64))

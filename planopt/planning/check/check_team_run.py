@@ -19,6 +19,7 @@ from planopt.planning.check.rebuilt import Effort, rebuilt_plan
 from planopt.planning.check.worth_again import worth_again
 from planopt.planning.files.aim_json import aim_again
 from planopt.planning.files.belief_file import first_posterior, grown_posterior
+from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.saved import RUN_FILE
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
@@ -142,9 +143,15 @@ def _driven(
     """Every plan of robot number `number` on what it knew."""
     own = problem_of_robot(saved.problem, number)
     robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
-    key = f"{RUN_FILE}, key plans[{number}].released"
-    reasons = [f"{robot.name}: {text}" for text in obstacles_met(own, index, track)]
-    if np.abs(track[0] - robot.start_m).max() > EXACT:
+    place = f"plans[{number}].released"
+    key = f"{RUN_FILE}, key {place}"
+    table, dynamics = saved.file.parent / STEPS_FILE, robot.dynamics
+    driven = drive_of(dynamics, track, saved.steps[number].motion, table, f"robot {robot.name}")
+    states = track if driven is None else driven.states
+    reasons: list[str] = []
+    if driven is None:
+        reasons += [f"{robot.name}: {text}" for text in obstacles_met(own, index, track)]
+    if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
     posteriors = [first_posterior(belief)]
     plans: list[Plan] = []
@@ -156,16 +163,20 @@ def _driven(
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
         path = np.stack([released.x_m, released.y_m], axis=1)
-        judgement = judge(own, index, posterior, track[step - 1], path, released.kkt_residual)
+        drive = drive_of(dynamics, path, released.drive, saved.file, f"{place}[{step - 1}].drive")
+        judgement = judge(
+            own, index, posterior, states[step - 1], path, released.kkt_residual, drive
+        )
         aim = aim_again(
             released.aim,
             None if watch is None else watch.expected_m(number, own.planner.horizon),
         )
         worth = worth_again(own, posterior, path, aim, region)
-        plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
+        plan = rebuilt_plan(own, path, judgement, released, Effort(), worth, drive=drive)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)
-        if _leads_elsewhere(path, track, step):
+        ahead = path if drive is None else drive.states
+        if _leads_elsewhere(ahead, states, step):
             reasons.append(
                 f"step {step} of {robot.name} in {STEPS_FILE} is not the first step of its plan, "
                 f"{where}"
@@ -177,8 +188,8 @@ def _driven(
     return _Driven(plans, aims, posteriors, reasons)
 
 
-def _leads_elsewhere(path_m: NDArray[np.float64], track_m: NDArray[np.float64], step: int) -> bool:
-    return bool(np.abs(path_m[:2] - track_m[step - 1 : step + 1]).max() > EXACT)
+def _leads_elsewhere(planned: NDArray[np.float64], states: NDArray[np.float64], step: int) -> bool:
+    return bool(np.abs(planned[:2] - states[step - 1 : step + 1]).max() > EXACT)
 
 
 def _length_faults(saved: SavedTeam, record: TeamRunRecord) -> list[str]:

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from planopt.planning.files.drive_table import drive_json
 from planopt.planning.plan import Certificate, Pivot, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
@@ -206,4 +207,5 @@ def _robot(plan: Plan) -> dict[str, Any]:
         "x_m": finite_list(plan.positions_m[:, 0]),
         "y_m": finite_list(plan.positions_m[:, 1]),
         "connectivity": finite_list(plan.connectivity),
+        **drive_json(plan.drive),
     }

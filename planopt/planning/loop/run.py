@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Rung, Verdict
+from planopt.robots.drive import Drive
 
 
 class Outcome(StrEnum):
@@ -43,6 +44,8 @@ class StepLog:
         for a cost); row 0 is 0.
     relaxation_db
         By how much the bound was relaxed at this step (0: not).
+    drive
+        States and inputs; None for the single integrator.
     """
 
     t_s: NDArray[np.float64]
@@ -57,6 +60,7 @@ class StepLog:
     relaxation_db: NDArray[np.float64]
     rung: tuple[Rung, ...]
     verdict: tuple[Verdict, ...]
+    drive: Drive | None = None
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.errors import InputError
 from planopt.problems.robot import Robot
 from planopt.problems.tables import Name, Pair, Table
 from planopt.robots.double_integrator import DoubleIntegrator
@@ -131,7 +132,11 @@ def robot_table(robot: Robot) -> dict[str, Any]:
                 "start_heading_rad": robot.start_rest[0],
             }
         case _:
-            raise AssertionError(f"dynamics {robot.dynamics.kind} are not for files")
+            raise InputError(
+                f"{robot.dynamics.kind} is from Python and cannot be saved",
+                key="robots.dynamics",
+                remedy="use the plans and runs in Python",
+            )
     return {**table, "dynamics": robot.dynamics.kind, **own}
 
 

@@ -79,6 +79,10 @@ class DoubleIntegrator:
         x, y, vx, vy = state
         return ((x + 0.5 * step_s * vx, y + 0.5 * step_s * vy),)
 
+    def way_pad_m(self, step_s: float) -> float:
+        """None: the hull is exact."""
+        return 0.0
+
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """A point on the straight way ahead, at or beyond where braking by whole steps ends.
 

@@ -50,6 +50,10 @@ class Dynamics(Protocol):
         """Points that with both ends have the whole way of a step in their convex hull."""
         ...
 
+    def way_pad_m(self, step_s: float) -> float:
+        """How far outside that hull the way of a step may be, in metres."""
+        ...
+
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """Points that with the place have the way of stopping from a state in their hull."""
         ...

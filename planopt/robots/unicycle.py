@@ -95,6 +95,10 @@ class Unicycle:
                 points.append((state[0], state[1]))
         return tuple(points)
 
+    def way_pad_m(self, step_s: float) -> float:
+        """None: the hull is exact."""
+        return 0.0
+
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """None: it stops at once."""
         return ()

@@ -68,11 +68,12 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     n = nlp.horizon
     bound = np.zeros(0) if task.bound_db is None else task.bound_db
     slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
-    line = _padded(task.lines, task.clearance_m)
+    pad = 0.0 if nlp.motion is None else nlp.motion.dynamics.way_pad_m(nlp.motion.step_s)
+    line = _padded(task.lines, task.clearance_m + pad)
     stop = (
         np.zeros((0, nlp.lines, 3))
         if task.motion is None
-        else _padded(task.motion.stop_lines, task.clearance_m)
+        else _padded(task.motion.stop_lines, task.clearance_m + pad)
     )
     motion = motion_numbers(task.motion, line, stop, task.bounds_m)
     free = np.full(len(motion.start), np.inf)

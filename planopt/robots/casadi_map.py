@@ -22,9 +22,9 @@ from planopt.errors import InputError
 from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components
 from planopt.robots.runge_kutta import runge_kutta
-from planopt.world.ways import PointWay
+from planopt.world.ways import PointWay, Way
 
-DENSER = 16
+DENSER = 8
 """How many times as many samples a way is proven from as planned with."""
 
 TRIED = 5
@@ -180,18 +180,23 @@ class CasadiMap:
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
-    def way(
-        self, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float
-    ) -> PointWay:
-        """Samples, and how far from the lines between them the robot can be."""
+    def ways(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[Way]:
+        """Samples of each step, and how far from the lines between them the robot can be."""
         count = self.substeps * DENSER if self.continuous else 1
-        samples = self._samples(tuple(state), tuple(control), step_s, count)
-        places = np.array([state[:2], *(sample[:2] for sample in samples)], dtype=np.float64)
+        before, control = tuple(states.T), tuple(inputs.T)
+        samples = [before, *self._samples(before, control, step_s, count)]
+        places = np.array([[sample[0], sample[1]] for sample in samples]).transpose(2, 0, 1)
+        end = np.column_stack(self.step(before, control, step_s)[:2])
         longest = self.speed_max_m_s * step_s / count
-        apart = np.linalg.norm(np.diff(places, axis=0), axis=1)
-        within = 0.5 * math.sqrt(max(0.0, longest**2 - float(apart.min()) ** 2))
-        end = np.array(self.step(tuple(state), tuple(control), step_s)[:2], dtype=np.float64)
-        return PointWay(places, within + float(np.linalg.norm(end - places[-1])))
+        found: list[Way] = []
+        for way, planned in zip(places, end, strict=True):
+            apart = np.linalg.norm(np.diff(way, axis=0), axis=1)
+            within = 0.5 * math.sqrt(max(0.0, longest**2 - float(apart.min()) ** 2))
+            # That the plan's integration is coarser counts as not knowing where the robot is.
+            found.append(PointWay(way, within + float(np.linalg.norm(planned - way[-1]))))
+        return found
 
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float

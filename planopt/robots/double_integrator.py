@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components
-from planopt.world.ways import Parabola, PointWay
+from planopt.world.ways import Parabola, PointWay, Way
 
 STOPPED_M_S = 1e-9
 """A speed up to this is standing still."""
@@ -145,11 +145,15 @@ class DoubleIntegrator:
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
-    def way(
-        self, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float
-    ) -> Parabola:
-        """The parabola of a step."""
-        return Parabola(state[:2], step_s * state[2:], 0.5 * step_s * step_s * control)
+    def ways(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[Way]:
+        """The parabola of each step."""
+        half = 0.5 * step_s * step_s
+        return [
+            Parabola(state[:2], step_s * state[2:], half * control)
+            for state, control in zip(states, inputs, strict=True)
+        ]
 
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float

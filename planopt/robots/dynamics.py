@@ -79,8 +79,10 @@ class Dynamics(Protocol):
         """Inputs (N, m) that lead about along a path (N, 2) of straight steps."""
         ...
 
-    def way(self, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float) -> Way:
-        """The way of a step, for exact clearance."""
+    def ways(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[Way]:
+        """The ways of steps from states (n, s) with inputs (n, m), for clearance."""
         ...
 
     def excess_m(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components
 from planopt.robots.elementary import cosine, sinc, sine
-from planopt.world.ways import Arc
+from planopt.world.ways import Arc, Way
 
 PIECE_TURN_RAD = math.pi / 4.0
 """A step is cut into arcs that turn no more than this: its hull is then near to the arc."""
@@ -146,10 +146,14 @@ class Unicycle:
             speed = self.turn_rate_max_rad_s / abs(curvature)
         return speed, speed * curvature
 
-    def way(self, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float) -> Arc:
-        """The arc of a step."""
-        speed, rate = (float(value) for value in control)
-        return Arc(state[:2], float(state[2]), step_s * speed, step_s * rate)
+    def ways(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[Way]:
+        """The arc of each step."""
+        return [
+            Arc(state[:2], float(state[2]), step_s * float(speed), step_s * float(rate))
+            for state, (speed, rate) in zip(states, inputs, strict=True)
+        ]
 
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float

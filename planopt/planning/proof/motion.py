@@ -97,10 +97,7 @@ def _driven(
     step_s = problem.planner.step_s
     states = drive.states
     unit_m = np.array(dynamics.unit_m(step_s))
-    ways = [
-        dynamics.way(state, control, step_s)
-        for state, control in zip(states[:-1], drive.inputs, strict=True)
-    ]
+    ways = dynamics.ways(states[:-1], drive.inputs, step_s)
     clearance = min((way.clearance_m(index) for way in ways), default=np.inf)
     reasons = _clearance_reasons(problem, clearance, "the swept path")
     if not all(_within(problem, way) for way in ways):
@@ -113,12 +110,7 @@ def _driven(
         if not _within(problem, stop):
             reasons.append("the way of stopping after the last step leaves world.bounds_m")
 
-    reached = np.array(
-        [
-            dynamics.step(tuple(state), tuple(control), step_s)
-            for state, control in zip(states[:-1], drive.inputs, strict=True)
-        ]
-    )
+    reached = np.column_stack(dynamics.step(tuple(states[:-1].T), tuple(drive.inputs.T), step_s))
     jump = float(np.max(np.abs(states[0] - start) * unit_m))
     jump = max(jump, float(np.max(np.abs(states[:, :2] - positions_m))))
     off = float(np.max(np.abs(reached - states[1:]) * unit_m, initial=0.0))

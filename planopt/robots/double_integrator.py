@@ -22,7 +22,10 @@ STOPPED_M_S = 1e-9
 """A speed up to this is standing still."""
 
 BRAKING_SHARE = 0.8
-"""Share of the acceleration that followed paths are slowed down with at their end."""
+"""Share of the acceleration that followed paths are slowed down with for turns and their end."""
+
+SWING_SHARE = 0.25
+"""How far a followed path may be swung out of at turns, as a share of the longest step."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +135,11 @@ class DoubleIntegrator:
             target, left_m = carrot.ahead_m(place, self.speed_max_m_s * step_s)
             offset = target - place
             length = float(np.hypot(*offset))
+            lookahead = self.speed_max_m_s * step_s
             slowed = BRAKING_SHARE * self.acceleration_max_m_s2
             speed = min(
                 self.speed_max_m_s,
-                math.sqrt(2.0 * slowed * left_m),
+                carrot.speed_m_s(slowed, SWING_SHARE * lookahead),
                 left_m / step_s,
             )
             wanted = offset * (speed / length) if length > 0.0 else np.zeros(2)

@@ -63,7 +63,12 @@ def judge_motion(
     dynamics = problem.robots[0].dynamics
     if dynamics is None:
         return _straight(problem, index, start, positions_m)
-    if drive is None or drive.states.shape != (len(positions_m), len(dynamics.state_names)):
+    states, inputs = len(dynamics.state_names), len(dynamics.input_names)
+    if (
+        drive is None
+        or drive.states.shape != (len(positions_m), states)
+        or drive.inputs.shape != (len(positions_m) - 1, inputs)
+    ):
         return MotionJudgement(0.0, np.inf, ("the states and inputs of the robot are missing",))
     if not (np.isfinite(drive.states).all() and np.isfinite(drive.inputs).all()):
         return MotionJudgement(0.0, np.inf, ("not finite",))

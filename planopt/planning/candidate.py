@@ -66,6 +66,11 @@ class Candidate:
         """Whether some step misses the connectivity bound."""
         return self.certificate is not None and bool(self.certificate.relaxed_steps)
 
+    @property
+    def missing_db(self) -> float:
+        """By how much its steps miss the connectivity bound, in all."""
+        return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
+
 
 @dataclass(frozen=True)
 class Judge:

@@ -21,6 +21,8 @@ from planopt.planning.programme.offenders import LINE_REACH_STEPS
 from planopt.planning.proof.motion import judge_motion
 from planopt.planning.search.start_search import Start
 from planopt.planning.shifted import shifted_drive
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
 from planopt.robots.dynamics import Dynamics
@@ -43,12 +45,14 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
     return MotionShape(dynamics, problem.planner.step_s, problem.planner.horizon, lines)
 
 
-def driven_starts(judge: Judge, starts: list[Start], warm: Plan | None) -> list[Start]:
+def driven_starts(
+    judge: Judge, situation: Situation, starts: list[Start], warm: Plan | None
+) -> list[Start]:
     """Starts that the robot can drive, best first; those that come too near to obstacles last.
 
     Parameters
     ----------
-    judge
+    judge, situation
         Of the step.
     starts
         As the search found them, for a robot that turns and stops at will.
@@ -60,22 +64,23 @@ def driven_starts(judge: Judge, starts: list[Start], warm: Plan | None) -> list[
     found: list[Start] = []
     for start in starts:
         inputs = dynamics.following(judge.state, start.path_m, step_s)
-        found.append(_start(judge, rolled_out(dynamics, judge.state, inputs, step_s), start))
+        drive = rolled_out(dynamics, judge.state, inputs, step_s)
+        found.append(_start(judge, situation, drive))
     shifted = shifted_drive(problem, warm)
     if shifted is not None and warm is not None and warm.verdict is Verdict.VERIFIED:
         if len(shifted.inputs) == problem.planner.horizon:
-            found.append(_start(judge, shifted, None))
-    found.sort(key=lambda start: (not start.clear, -start.worth))
+            found.append(_start(judge, situation, shifted))
+    found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.worth))
     return found
 
 
-def _start(judge: Judge, drive: Drive, of: Start | None) -> Start:
+def _start(judge: Judge, situation: Situation, drive: Drive) -> Start:
     path = drive.positions_m[1:]
     clear = not judge_motion(
         judge.problem, judge.index, judge.state, drive.positions_m, drive
     ).reasons
-    # What a start misses of the bound is mended or given up by the polish.
-    missing = 0.0 if of is None else of.missing_db
+    margins = judge.margins_db(situation.power(path))
+    missing = float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())
     return Start(path, judge.objective(path), missing, drive, clear)
 
 

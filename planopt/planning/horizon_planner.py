@@ -95,7 +95,7 @@ class HorizonPlanner:
         begun = perf_counter()
         starts = self._search.find_starts(situation, shifted_path(warm))
         if self._driven:
-            starts = driven_starts(judge, starts, warm)
+            starts = driven_starts(judge, situation, starts, warm)
         chosen = self._climb(situation, judge, starts, warm)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
@@ -132,6 +132,8 @@ class HorizonPlanner:
             return _with_effort(fallback, tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [candidate for candidate in tried if candidate.sound]
+        if self._driven:
+            sound.sort(key=lambda candidate: candidate.missing_db)
         return _with_effort(sound[0] if sound else fallback, tried)
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:

@@ -180,6 +180,16 @@ class CasadiMap:
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """Nothing but the largest speed is known."""
+        return np.ones(len(places_m), dtype=np.bool_)
+
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> list[Way]:

@@ -149,6 +149,18 @@ class DoubleIntegrator:
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """The disc of radius a t^2 / 2 about where it would coast to."""
+        away = places_m - (state[:2] + duration_s * state[2:])
+        radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
+        return np.hypot(away[:, 0], away[:, 1]) <= radius + slack_m
+
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> list[Way]:

@@ -79,6 +79,19 @@ class Dynamics(Protocol):
         """Inputs (N, m) that lead about along a path (N, 2) of straight steps."""
         ...
 
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """Whether it may be at places (n, 2) after a while, or `slack_m` from there.
+
+        Obstacles and the largest speed are left out; it is never False where the robot can be.
+        """
+        ...
+
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> list[Way]:

@@ -146,6 +146,29 @@ class Unicycle:
             speed = self.turn_rate_max_rad_s / abs(curvature)
         return speed, speed * curvature
 
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """No farther to the side than turning allows: v (1 - cos w t) / w up to a quarter turn.
+
+        Until then nothing behind it, if it cannot drive backward.
+        """
+        rate = self.turn_rate_max_rad_s
+        turning_s = min(duration_s, 0.5 * math.pi / rate)
+        speed = max(self.speed_max_m_s, -self.speed_min_m_s)
+        sideways = speed * ((1.0 - math.cos(rate * turning_s)) / rate + duration_s - turning_s)
+        ahead = np.array([math.cos(state[2]), math.sin(state[2])])
+        offset = places_m - state[:2]
+        across = np.abs(offset @ np.array([-ahead[1], ahead[0]]))
+        reached = across <= sideways + slack_m
+        if self.speed_min_m_s == 0.0 and turning_s == duration_s:
+            reached &= offset @ ahead >= -slack_m
+        return reached
+
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> list[Way]:

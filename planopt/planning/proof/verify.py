@@ -24,6 +24,7 @@ from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.proof.motion import judge_motion
 from planopt.planning.proof.predictions import certified_prediction, search_prediction
 from planopt.planning.proof.reachability import (
+    MayReach,
     best_margins_by_step,
     connected_way_exists,
     least_outage_m,
@@ -103,7 +104,6 @@ def judge(
         return Judgement(broken, Verdict.VIOLATED, None)
     motion = judge_motion(problem, index, start_m, positions_m, drive)
     reasons = list(motion.reasons)
-    start_m = start_m[:2]
 
     power, kind = certified_prediction(posterior, positions_m)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
@@ -165,6 +165,7 @@ def _what_is_possible(
     """
     constraints, length = problem.constraints, problem.step_length_m
     margin_db = _margins_of(problem, posterior)
+    state, start_m = start_m, start_m[:2]
     if missed.size == 0:
         return (), False
     best = best_margins_by_step(
@@ -175,6 +176,7 @@ def _what_is_possible(
         length,
         missed,
         constraints.clearance_m,
+        _may_reach(problem, state),
     )
     if best[-1] < 0.0 or problem.task != "reach":
         return best, False
@@ -191,6 +193,18 @@ def _what_is_possible(
         length,
         within_m=0.0 if starts_within else first * length,
     )
+
+
+def _may_reach(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
+    """Where a robot may be that cannot turn or stop at will; None for any other."""
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if dynamics is None:
+        return None
+
+    def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
+        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
+
+    return may_reach
 
 
 def _needless_outage(

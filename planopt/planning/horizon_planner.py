@@ -113,7 +113,7 @@ class HorizonPlanner:
             if self._nlp is None:
                 unpolished = replace(unpolished, rung=Rung.PLAN)
             else:
-                rung = Rung.PLAN if number == 0 else Rung.COLD_RETRY
+                rung = Rung.PLAN if number == 0 or self._driven else Rung.COLD_RETRY
                 for candidate in self.polished(situation, judge, start, rung):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)

@@ -57,7 +57,7 @@ def draw_team_run(run: TeamRun) -> Figure:
     before = run.beliefs[0].posterior.measurements.positions_m[: run.first_measurements]
     for number, panel in enumerate(maps):
         drawn = draw_measured(panel, before, "measured before")
-        drawn += draw_tracks(panel, problem, tracks)
+        drawn += draw_tracks(panel, problem, run.runs)
         if plans:
             drawn += draw_plans(panel, problem, plans, 1)
         if run.target is not None:

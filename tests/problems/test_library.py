@@ -18,6 +18,7 @@ from planopt.problems.load import load
 from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [
+    "harbour_track",
     "indoor_learn",
     "munich_courier",
     "munich_hard",

@@ -110,7 +110,7 @@ def check_team_run(
     reasons = [reason for one in driven for reason in one.reasons]
     reasons += in_words(RUN_FILE, disagreements(saved.data, found))
     reasons += step_time_faults(record.step_s, sum(len(one.plans) for one in driven))
-    again = joined_steps([steps_of_run(run.robot, run.log) for run in runs])
+    again = joined_steps([steps_of_run(run.robot, run.log, run.drive) for run in runs])
     reasons += steps_reasons(joined_steps(saved.steps), again)
     tables = {KNOWLEDGE_FILE: knowledge_table(problem, channel)}
     if target is not None:

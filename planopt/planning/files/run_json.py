@@ -135,7 +135,7 @@ def robot_json(run: Run) -> dict[str, Any]:
         "x_m": finite_list(log.positions_m[:, 0]),
         "y_m": finite_list(log.positions_m[:, 1]),
         "connectivity": finite_list(log.connectivity),
-        **drive_json(log.drive),
+        **drive_json(run.drive),
     }
 
 

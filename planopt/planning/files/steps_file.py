@@ -109,8 +109,8 @@ def steps_of_plan(plan: Plan) -> Steps:
     return _steps(plan.robot, columns, labels, plan.drive)
 
 
-def steps_of_run(robot: str, log: StepLog) -> Steps:
-    """The table of a run."""
+def steps_of_run(robot: str, log: StepLog, drive: Drive | None = None) -> Steps:
+    """The table of a run; `drive` has states and inputs, where there are some."""
     columns = (
         log.t_s,
         *log.positions_m.T,
@@ -124,7 +124,7 @@ def steps_of_run(robot: str, log: StepLog) -> Steps:
         [rung.value for rung in log.rung],
         [verdict.value for verdict in log.verdict],
     )
-    return _steps(robot, columns, labels, log.drive)
+    return _steps(robot, columns, labels, drive)
 
 
 def _steps(

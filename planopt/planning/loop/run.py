@@ -44,8 +44,6 @@ class StepLog:
         for a cost); row 0 is 0.
     relaxation_db
         By how much the bound was relaxed at this step (0: not).
-    drive
-        States and inputs; None for the single integrator.
     """
 
     t_s: NDArray[np.float64]
@@ -60,7 +58,6 @@ class StepLog:
     relaxation_db: NDArray[np.float64]
     rung: tuple[Rung, ...]
     verdict: tuple[Verdict, ...]
-    drive: Drive | None = None
 
 
 @dataclass(frozen=True)
@@ -105,6 +102,8 @@ class Run:
         How it ended, and why in words.
     log, metrics
         See their types.
+    drive
+        States and inputs over the steps; None for the single integrator.
     """
 
     robot: str
@@ -116,6 +115,7 @@ class Run:
     reason: str
     log: StepLog
     metrics: Metrics
+    drive: Drive | None = None
 
     @property
     def verified_rate(self) -> float:

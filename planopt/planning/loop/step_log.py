@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from planopt.planning.loop.run import StepLog
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive
 
 
 def step_log(
@@ -60,14 +59,4 @@ def step_log(
         relaxation_db=column(0.0, relaxation),
         rung=(Rung.PLAN, *(p.rung for p in plans)),
         verdict=(Verdict.VERIFIED, *(p.verdict for p in plans)),
-        drive=driven(plans),
     )
-
-
-def driven(plans: Sequence[Plan]) -> Drive | None:
-    """States and inputs of a run, the first step of each plan; None for the single integrator."""
-    drives = [plan.drive for plan in plans if plan.drive is not None]
-    if not drives or len(drives) < len(plans):
-        return None
-    states = [drives[0].states[0], *(drive.states[1] for drive in drives)]
-    return Drive(drives[0].dynamics, np.array(states), np.array([d.inputs[0] for d in drives]))

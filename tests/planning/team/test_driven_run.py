@@ -155,4 +155,4 @@ def test_same_seed_same_run(dynamics) -> None:
     problem = with_dynamics(terms_problem(TRACKING, horizon=3, max_steps=3), dynamics)
     first, second = (simulate_team(problem, seed=1) for _ in range(2))
     assert np.array_equal(first.runs[0].log.positions_m, second.runs[0].log.positions_m)
-    assert np.array_equal(first.runs[0].log.drive.inputs, second.runs[0].log.drive.inputs)
+    assert np.array_equal(first.runs[0].drive.inputs, second.runs[0].drive.inputs)

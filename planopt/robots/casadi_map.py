@@ -239,10 +239,10 @@ class CasadiMap:
         both = np.broadcast_arrays(*(np.asarray(value) for value in (*state, *control)))
         shape, table = both[0].shape, np.array([value.ravel() for value in both])
         split = len(self.state_names)
-        real = np.ascontiguousarray(table.real)
+        real = np.ascontiguousarray(np.real(table))
         value = np.array(self.function(real[:split], real[split:]))
         if np.iscomplexobj(table):
-            step = np.ascontiguousarray(table.imag)
+            step = np.ascontiguousarray(np.imag(table))
             slope = self._directional(real[:split], real[split:], step[:split], step[split:])
             value = value + 1j * np.array(slope)
         return tuple(row.reshape(shape) for row in value)

@@ -78,14 +78,14 @@ def judge_motion(
 def _straight(
     problem: Problem,
     index: ObstacleIndex,
-    start: NDArray[np.float64],
+    start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
 ) -> MotionJudgement:
     clearance = float(np.min(swept_clearance_m(index, positions_m), initial=np.inf))
     reasons = _clearance_reasons(problem, clearance, "the swept path")
     if not inside_bounds(problem.workspace, positions_m).all():
         reasons.append("the path leaves world.bounds_m")
-    defect = dynamics_defect_m(positions_m, start, problem.step_length_m)
+    defect = dynamics_defect_m(positions_m, start_m, problem.step_length_m)
     if defect > DYNAMICS_TOLERANCE_M:
         reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
     return MotionJudgement(clearance, defect, tuple(reasons))
@@ -133,14 +133,14 @@ def _driven(
     return MotionJudgement(clearance, max(jump, off, over, still), tuple(reasons))
 
 
-def _clearance_reasons(problem: Problem, clearance_m: float, what: str) -> list[str]:
-    wanted = problem.constraints.clearance_m
-    if clearance_m >= wanted - CLEARANCE_TOLERANCE_M:
-        return []
-    return [
-        f"{what} comes within {clearance_m:.3f} m of an obstacle, "
-        f"constraints.clearance_m is {wanted:g}"
-    ]
+def _clearance_reasons(problem: Problem, clearance: float, what: str) -> list[str]:
+    constraints = problem.constraints
+    if clearance < constraints.clearance_m - CLEARANCE_TOLERANCE_M:
+        return [
+            f"{what} comes within {clearance:.3f} m of an obstacle, "
+            f"constraints.clearance_m is {constraints.clearance_m:g}"
+        ]
+    return []
 
 
 def _within(problem: Problem, way: Way) -> bool:

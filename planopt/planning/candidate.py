@@ -80,22 +80,25 @@ class Judge:
     ----------
     problem, index, belief
         The problem, its obstacles, and what is believed of the channel.
-    state
-        ``(s,)`` the robot's state; of a single integrator its place.
+    position_m
+        ``(2,)`` where the robot is.
     objective
         What a path (N, 2) from there is worth.
+    rest
+        What the robot's state has beyond its place; nothing of a single integrator.
     """
 
     problem: Problem
     index: ObstacleIndex
     belief: Belief
-    state: NDArray[np.float64]
+    position_m: NDArray[np.float64]
     objective: Callable[[NDArray[np.float64]], float]
+    rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     @property
-    def position_m(self) -> NDArray[np.float64]:
-        """``(2,)`` where the robot is."""
-        return self.state[:2]
+    def state(self) -> NDArray[np.float64]:
+        """``(s,)`` the robot's state, its place first."""
+        return np.concatenate([self.position_m, self.rest])
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""

@@ -7,6 +7,7 @@ tables at once (a start inside an obstacle) is in :mod:`planopt.problems.checks`
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
@@ -26,6 +27,9 @@ from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, Rep
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
 
 SCHEMA_VERSION = 1
+
+MOST_TURN_RAD = 2.0 * math.pi
+"""What a robot may turn in a step: more than a circle of the same input is nothing to plan."""
 
 
 class ProblemTable(Table):
@@ -242,6 +246,12 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
             return (
                 f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
                 f"robots[{number}] has {robot.dynamics}: use auto or lattice"
+            )
+        turn_rad = (robot.turn_rate_max_rad_s or 0.0) * tables.planner.step_s
+        if turn_rad > MOST_TURN_RAD:
+            return (
+                f"robots[{number}].turn_rate_max_rad_s lets it turn by {turn_rad:.3g} rad in a "
+                f"step, which should be at most a full circle: lessen it or planner.step_s"
             )
     return None
 

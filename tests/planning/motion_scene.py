@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from terms_scene import judge_of, situation_of, terms_problem
 
+from planopt.planning.candidate import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.problems.problem import Problem
 from planopt.robots.double_integrator import DoubleIntegrator
@@ -34,9 +35,14 @@ def planned(problem: Problem, warm: Any = None, state: Any = None, seed: int = 0
     here = problem.robots[0].start_state if state is None else np.asarray(state)
     situation = replace(situation, position_m=here[:2])
     judge, ground = judge_of(situation, belief)
-    judge = replace(judge, state=here)
+    judge = at_state(judge, here)
     planner = HorizonPlanner(problem, ground)
     return planner.plan(situation, judge, warm), situation, judge, planner
+
+
+def at_state(judge: Judge, state: np.ndarray) -> Judge:
+    """A judge of a robot in another state."""
+    return replace(judge, position_m=state[:2], rest=state[2:])
 
 
 def driven_problem(dynamics: Dynamics, *terms: dict[str, Any], **planner: Any) -> Problem:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from motion_scene import DOUBLE, WHEELS, driven_problem, planned, with_dynamics
+from motion_scene import DOUBLE, WHEELS, at_state, driven_problem, planned, with_dynamics
 from terms_scene import ENERGY, LEARNING, TRACKING, terms_problem
 
 from planopt.channel.measurements import Measurements
@@ -94,7 +94,7 @@ def test_last_plan_one_step_later_is_still_sound(dynamics) -> None:
     plan, _, judge, _ = planned(problem)
     for _ in range(7):
         drive = shifted_drive(problem, plan)
-        judge = replace(judge, state=plan.drive.states[1])
+        judge = at_state(judge, plan.drive.states[1])
         candidate = judge.candidate(drive.positions_m[1:], Rung.SHIFTED, plan.termination, drive)
         candidate = judge.judged(candidate)
         assert candidate.sound
@@ -109,7 +109,7 @@ def test_ladder_brakes_where_that_is_clear_and_else_drives_the_rest(monkeypatch)
     plan, situation, judge, planner = planned(problem)
     monkeypatch.setattr(planner._search, "find_starts", lambda *_: [])
     monkeypatch.setattr("planopt.planning.horizon_planner.driven_starts", lambda *_: [])
-    moving = replace(judge, state=plan.drive.states[1])
+    moving = at_state(judge, plan.drive.states[1])
     unverified = replace(plan, verdict=Verdict.VIOLATED)
     stop = planner.plan(replace(situation, position_m=moving.position_m), moving, unverified)
     assert stop.rung is Rung.STOP
@@ -120,7 +120,7 @@ def test_ladder_brakes_where_that_is_clear_and_else_drives_the_rest(monkeypatch)
     inputs = np.array([[-0.5, 0.6], [-0.5, 0.6], [-0.3, -0.5], [0.0, -0.2], [0.0, 0.0]])
     swerving = rolled_out(DOUBLE, state, inputs, 1.0)
     known = replace(unverified, drive=swerving, positions_m=swerving.positions_m)
-    near = replace(judge, state=swerving.states[1])
+    near = at_state(judge, swerving.states[1])
     again = planner.plan(replace(situation, position_m=near.position_m), near, known)
     assert again.rung is Rung.STOP
     shifted = shifted_drive(problem, known)
@@ -193,7 +193,8 @@ def mirror(problem, situation, judge):
         judge,
         problem=swapped,
         belief=replace(judge.belief, posterior=posterior),
-        state=swapped.robots[0].start_state,
+        position_m=swapped.robots[0].start_state[:2],
+        rest=swapped.robots[0].start_state[2:],
         objective=PathWorth(other),
     )
     return swapped, other, other_judge

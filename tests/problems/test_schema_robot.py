@@ -105,6 +105,16 @@ def test_baselines_refuse(learn, built, planner: str) -> None:
         built(learn)
 
 
+def test_more_than_a_circle_in_a_step_is_refused(learn, built) -> None:
+    """There is nothing to plan, and formulas are exact up to there."""
+    learn["planner"]["step_s"] = 2.0
+    learn["robots"][0] |= WHEELS | {"turn_rate_max_rad_s": 3.14}
+    assert built(learn).robots[0].dynamics == Unicycle(1.0, 3.14)
+    learn["robots"][0]["turn_rate_max_rad_s"] = 3.15
+    with pytest.raises(InputError, match="full circle"):
+        built(learn)
+
+
 def test_library_problems_have_single_integrators() -> None:
     """Files without the key are as they were."""
     assert load("outdoor_track").robots[0].dynamics is None

@@ -98,6 +98,28 @@ def test_points_of_the_way(dynamics: Dynamics) -> None:
             assert shape.distance(shapely.Point(place)) <= within + 1e-12
 
 
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS, Unicycle(3.0, 0.2), Unicycle(3.0, 0.4, -2.0)])
+def test_what_may_be_reached_has_all_that_is(dynamics: Dynamics) -> None:
+    """Random drives within the limits never leave it, and it is no more than the disc of speed."""
+    generator = np.random.default_rng(11)
+    for _ in range(200):
+        state = generator.uniform(-2.0, 2.0, len(dynamics.state_names))
+        steps = int(generator.integers(1, 5))
+        if isinstance(dynamics, Unicycle):
+            low = [dynamics.speed_min_m_s, -dynamics.turn_rate_max_rad_s]
+            inputs = generator.uniform(low, [3.0, dynamics.turn_rate_max_rad_s], (steps, 2))
+            # The corners of the input set lead farthest.
+            inputs[:, 1] = np.sign(inputs[:, 1]) * dynamics.turn_rate_max_rad_s
+        else:
+            heading = generator.uniform(0.0, 6.3, steps)
+            inputs = 1.3 * np.column_stack([np.cos(heading), np.sin(heading)])
+        end = rolled_out(dynamics, state, inputs, STEP_S).positions_m[-1:]
+        assert dynamics.may_reach(state, end, steps * STEP_S, 1e-9).all()
+    beside = np.array([[0.0, 2.9 * STEP_S]])
+    ahead = np.zeros(len(dynamics.state_names))
+    assert not dynamics.may_reach(ahead, beside, STEP_S, 0.0).any()
+
+
 def test_double_integrator_brakes_in_time() -> None:
     """It stands at the end of its stopping way, within its limits and its stop points' hull."""
     generator = np.random.default_rng(3)

@@ -76,7 +76,8 @@ class Member:
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
             situation = replace(situation, steering_m=place)
-        judge = Judge(self.problem, self.ground.index, belief, state, PathWorth(situation))
+        worth = PathWorth(situation)
+        judge = Judge(self.problem, self.ground.index, belief, position_m, worth, state[2:])
         plan = self.planner.plan(situation, judge, warm)
         return plan, Aim(target_m, situation.steering_m)
 

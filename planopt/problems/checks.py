@@ -17,6 +17,7 @@ from planopt.problems.channel_setup import (
     RasterTruth,
     SampledMeasurements,
 )
+from planopt.problems.check_motion import check_stopping
 from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,
@@ -37,7 +38,8 @@ def check(problem: Problem) -> None:
     Raises
     ------
     InputError
-        Bounds are reversed, a start or goal is out of bounds or too near to an obstacle, the
+        Bounds are reversed, a start or goal is out of bounds or too near to an obstacle, a robot
+        cannot stop in time from its start, the
         channel's tables do not fit each other, or the truth would be too large.
     """
     _check_bounds(problem)
@@ -46,6 +48,7 @@ def check(problem: Problem) -> None:
         _check_place(problem, index, robot.start_m, f"robots[{number}].start_m")
         if robot.goal_m is not None:
             _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
+        check_stopping(problem, index, number)
     _check_channel(problem)
 
 

@@ -84,6 +84,24 @@ def test_what_does_not_fit_is_refused(learn, built, keys, words: str) -> None:
     assert "robots[0]" in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("start", "velocity", "words"),
+    [
+        ([18.0, 15.0], [0.9, 0.0], "clear of the obstacles"),
+        ([0.5, 5.0], [-0.9, 0.0], "within world.bounds_m"),
+    ],
+)
+def test_a_start_from_which_it_cannot_stop_is_refused(learn, built, start, velocity, words) -> None:
+    """In front of the hall, or of the border; the other way it is fine."""
+    learn["robots"][0] |= HEAVY | {"start_m": start, "start_velocity_m_s": velocity}
+    learn["robots"][0]["acceleration_max_m_s2"] = 0.3
+    with pytest.raises(InputError, match=words) as error:
+        built(learn)
+    assert error.value.key == "robots[0].start_velocity_m_s"
+    learn["robots"][0]["start_velocity_m_s"] = [-velocity[0], 0.0]
+    assert built(learn).robots[0].start_rest == (-velocity[0], 0.0)
+
+
 def test_other_tasks_and_planners_refuse(tables, built) -> None:
     """A goal, and planners that look one step ahead, are for single integrators."""
     tables["robots"][0] |= HEAVY

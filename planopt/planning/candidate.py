@@ -16,9 +16,9 @@ from planopt.planning.message import plan_message
 from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.verify import judge
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear
+from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
@@ -44,6 +44,8 @@ class Candidate:
         connectivity is.
     power
         What the verifier predicted along the path, the robot's own place first.
+    drive
+        How the robot drives along the path; None for the single integrator.
     """
 
     path_m: NDArray[np.float64]
@@ -61,6 +63,7 @@ class Candidate:
     )
     sound: bool = False
     power: Prediction | None = None
+    drive: Drive | None = None
 
     @property
     def relaxes(self) -> bool:
@@ -73,6 +76,11 @@ class Candidate:
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
         return max(self.certificate.best_margin_db) < 0.0
+
+    @property
+    def missing_db(self) -> float:
+        """By how much its steps miss the connectivity bound, in all."""
+        return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
 
 
 @dataclass(frozen=True)
@@ -95,6 +103,8 @@ class Judge:
         What has happened on the run before.
     broad
         What the bound rests on where all parameters are to count as uncertain.
+    rest
+        What the robot's state has beyond its place; nothing of a single integrator.
     """
 
     problem: Problem
@@ -106,6 +116,12 @@ class Judge:
     reserved_m: NDArray[np.float64] | None = None
     history: History = BEGINNING
     broad: BroadPrediction | None = None
+    rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """``(s,)`` the robot's state, its place first."""
+        return np.concatenate([self.position_m, self.rest])
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -117,13 +133,17 @@ class Judge:
         )
 
     def candidate(
-        self, path_m: NDArray[np.float64], rung: Rung, termination: Termination
+        self,
+        path_m: NDArray[np.float64],
+        rung: Rung,
+        termination: Termination,
+        drive: Drive | None = None,
     ) -> Candidate:
-        """Make a candidate of a path, not yet verified."""
+        """Make a candidate of a path, not yet verified; `drive` says how it is driven."""
         # A solver may give back places that are no numbers.
         nothing = np.inf if self.problem.sense == "min" else -np.inf
         worth = self.objective(path_m) if np.isfinite(path_m).all() else nothing
-        return Candidate(path_m, worth, worth, rung, termination)
+        return Candidate(path_m, worth, worth, rung, termination, drive=drive)
 
     def judged(self, candidate: Candidate) -> Candidate:
         """Ask the verifier."""
@@ -132,26 +152,19 @@ class Judge:
             self.problem,
             self.index,
             self.belief.posterior,
-            self.position_m,
+            self.state,
             path,
             candidate.kkt_residual,
             self.moving,
             self.history,
             self.broad,
-        )
-        certificate = judgement.certificate
-        clearance = np.array([certificate.min_clearance_m])
-        sound = bool(
-            is_clear(clearance, self.problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M).all()
-            and certificate.dynamics_defect <= DYNAMICS_TOLERANCE_M
-            and inside_bounds(self.problem.workspace, path).all()
-            and judgement.apart
+            candidate.drive,
         )
         return replace(
             candidate,
-            certificate=certificate,
+            certificate=judgement.certificate,
             verdict=judgement.verdict,
-            sound=sound,
+            sound=judgement.sound,
             power=judgement.power,
         )
 
@@ -195,4 +208,5 @@ class Judge:
             multipliers=chosen.multipliers,
             message=plan_message(chosen.certificate, positions),
             sense=self.problem.sense,
+            drive=chosen.drive,
         )

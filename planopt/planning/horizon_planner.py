@@ -9,6 +9,13 @@ import numpy as np
 
 from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.driven import (
+    driven_starts,
+    motion_shape,
+    motion_task,
+    polished_drive,
+    without_start,
+)
 from planopt.planning.ground import Ground
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
@@ -30,6 +37,7 @@ from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rule_ro
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive
 
 LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
@@ -65,6 +73,7 @@ class HorizonPlanner:
         self._search = StartSearch(problem, ground, thorough)
         coupled = structure_of(problem) == "full" and problem.planner.horizon > 1
         self._followed = COUPLED_STARTS if coupled else 1
+        self._driven = problem.robots[0].dynamics is not None
         self._nlp: PathNlp | None = None
         self._built: dict[int, PathNlp] = {}
         self._fit_lines(min(len(problem.workspace.moving), MOVING_LINES))
@@ -85,6 +94,8 @@ class HorizonPlanner:
         self._fit_lines(moving_count(situation.moving))
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
         starts = self._search.find_starts(situation, shifted)
+        if self._driven:
+            starts = driven_starts(judge, situation, starts, warm)
         budget = budget_from(self.problem, begun)
         chosen = self._climb(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
@@ -103,6 +114,7 @@ class HorizonPlanner:
                 has_sum_row(self.problem),
                 METHODS[settings.name],
                 settings.budget_s,
+                motion=motion_shape(self.problem, LINES_PER_SEGMENT + moving),
                 until_settled=True,
             )
         self._nlp = self._built[moving]
@@ -120,13 +132,13 @@ class HorizonPlanner:
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
             unpolished = replace(
-                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY),
+                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
                 lattice_objective=starts[0].worth,
             )
             if self._nlp is None:
                 unpolished = replace(unpolished, rung=Rung.PLAN)
             else:
-                rung = Rung.PLAN if number < self._followed else Rung.COLD_RETRY
+                rung = Rung.PLAN if number < self._followed or self._driven else Rung.COLD_RETRY
                 for candidate in self.polished(situation, judge, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
@@ -140,7 +152,8 @@ class HorizonPlanner:
                 tried.append(unpolished)
                 if unpolished.verdict is Verdict.VERIFIED:
                     verified.append(unpolished)
-            if verified and number + 1 >= self._followed and not self._thorough:
+            settled = number + 1 >= self._followed and not (self._thorough or self._driven)
+            if verified and settled:
                 break
         if verified and self._thorough and self._nlp is not None:
             found = self._once_more(situation, judge, starts, verified, budget)
@@ -150,6 +163,8 @@ class HorizonPlanner:
             return _with_effort(max(verified, key=lambda c: c.objective), tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [candidate for candidate in tried if candidate.sound]
+        if self._driven:
+            sound.sort(key=lambda candidate: candidate.missing_db)
         if any(candidate.hopeless for candidate in sound):
             return _with_effort(sound[0], tried)
         fallback = self._without_start(judge, warm)
@@ -172,6 +187,8 @@ class HorizonPlanner:
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""
+        if self._driven:
+            return without_start(judge, warm)
         path = shifted_path(self.problem, judge.index, judge.position_m, warm)
         if path is not None:
             shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
@@ -217,6 +234,9 @@ class HorizonPlanner:
             evaluate=evaluate,
             scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
         )
+        if nlp.motion is not None and start.drive is not None:
+            motion = motion_task(problem, self.ground, nlp.motion, start.drive)
+            task = replace(task, motion=motion)
         task = with_bounds(task, situation, rows)
         allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
         found: list[Candidate] = []
@@ -224,8 +244,10 @@ class HorizonPlanner:
         for _ in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
+            drive = polished_drive(problem, judge.state, point.inputs)
+            path = point.path_m if drive is None else drive.positions_m[1:]
             candidate = replace(
-                judge.candidate(point.path_m, rung, point.termination),
+                judge.candidate(path, rung, point.termination, drive),
                 lattice_objective=start.worth,
                 solve_s=perf_counter() - begun,
                 iterations=point.iterations,
@@ -237,9 +259,10 @@ class HorizonPlanner:
                 found.append(candidate)
                 if budget.spent or point.termination not in RETURNED:
                     return found
-                task = recentred(task, situation, rows, point)
+                task = _driven_from(recentred(task, situation, rows, point), drive)
                 continue
-            if start.missing_db == 0.0 and candidate.objective < start.worth and not allocations:
+            improvable = start.clear and start.missing_db == 0.0 and not allocations
+            if improvable and candidate.objective < start.worth:
                 # The start will be asked for in its place.
                 return [*found, candidate]
             candidate = judge.judged(candidate)
@@ -256,7 +279,8 @@ class HorizonPlanner:
             if again is None:
                 return found
             rows, allocations = again, allocations - 1
-            task = with_bounds(moved(task, situation, rows, candidate.path_m), situation, rows)
+            task = _driven_from(moved(task, situation, rows, candidate.path_m), drive)
+            task = with_bounds(task, situation, rows)
         return found
 
     def _repaired(
@@ -275,6 +299,13 @@ class HorizonPlanner:
             situation.moving,
         )
         return None if lines is None else replace(task, lines=lines)
+
+
+def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:
+    """The task from a drive on; as it is for the single integrator."""
+    if task.motion is None or drive is None:
+        return task
+    return replace(task, motion=replace(task.motion, drive=drive))
 
 
 def _with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:

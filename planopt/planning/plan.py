@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.rule_result import RuleResult
+from planopt.robots.drive import Drive
 
 
 class Termination(StrEnum):
@@ -158,6 +159,8 @@ class Plan:
         The way beyond the horizon that the objective charges; None if it charges none.
     sense
         Whether less or more of the objective is better.
+    drive
+        States and inputs along the places; None for the single integrator.
     """
 
     robot: str
@@ -181,6 +184,12 @@ class Plan:
     message: str = ""
     pivot: Pivot | None = None
     sense: Literal["min", "max"] = "min"
+    drive: Drive | None = None
+
+    @property
+    def next_state(self) -> NDArray[np.float64]:
+        """``(s,)`` the robot's state after the first step."""
+        return self.positions_m[1] if self.drive is None else self.drive.states[1]
 
     @property
     def gain(self) -> float:

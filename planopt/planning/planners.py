@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from planopt.errors import InputError
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
 from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.baselines.random_walk import RandomPlanner
@@ -46,7 +47,21 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
         Its geometry.
     generator
         For planners that draw; others leave it alone.
+
+    Raises
+    ------
+    InputError
+        The planner is not for the robot's dynamics.
     """
+    robot = problem.robots[0]
+    if robot.dynamics is not None and problem.planner.name not in ("auto", "lattice"):
+        raise InputError(
+            f"is {problem.planner.name}, which plans for single integrators only; "
+            f"{robot.name} is a {robot.dynamics.kind}",
+            file=problem.file,
+            key="planner.name",
+            remedy="use auto, nlp, scp or lattice",
+        )
     match problem.planner.name:
         case "auto" | "nlp" | "scp" | "lattice":
             return HorizonPlanner(problem, ground)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.soundness import is_sound
 from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive, rolled_out
 from planopt.world.clearance import ObstacleIndex
 
 
@@ -18,6 +19,7 @@ def shifted_path(
 
     None without a plan, for one that was not verified, and for one that today's robot cannot drive
     on today's map, be it for an obstacle, its place or its speed: nothing starts from such a plan.
+    None, too, for a robot that cannot stop at will: see :func:`shifted_drive`.
 
     Parameters
     ----------
@@ -28,9 +30,23 @@ def shifted_path(
     warm
         The last plan.
     """
-    if warm is None or warm.verdict is not Verdict.VERIFIED:
+    if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
         return None
     rest = np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])
     if len(rest) != problem.planner.horizon:
         return None
     return rest if is_sound(problem, index, position_m, rest) else None
+
+
+def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
+    """Rest of a plan after its first step, then a step of stopping.
+
+    None without a plan, or where the robot can stop at will. The plan need not be verified: what it
+    sweeps does not depend on what is believed of the channel.
+    """
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if warm is None or warm.drive is None or dynamics is None:
+        return None
+    last = dynamics.braking(warm.drive.states[-1], step_s, 1)
+    inputs = np.vstack([warm.drive.inputs[1:], last])
+    return rolled_out(dynamics, warm.drive.states[1], inputs, step_s)

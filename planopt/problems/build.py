@@ -17,7 +17,6 @@ from planopt.problems.channel_setup import (
 from planopt.problems.objective import ReachObjective, TermsObjective
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
-from planopt.problems.robot import Robot
 from planopt.problems.schema import ObstacleTable, ProblemFile
 from planopt.problems.schema_channel import (
     ChannelTable,
@@ -62,10 +61,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             tuple(table.obstacle for table in tables.world.moving),
         ),
         channel=_channel(tables.channel, folder),
-        robots=tuple(
-            Robot(table.name, table.start_m, table.goal_m, table.speed_max_m_s)
-            for table in tables.robots
-        ),
+        robots=tuple(table.robot for table in tables.robots),
         stations=tuple(
             RadioStation(
                 table.name,

@@ -18,6 +18,7 @@ from planopt.problems.channel_setup import (
     RasterTruth,
     SampledMeasurements,
 )
+from planopt.problems.check_motion import check_stopping
 from planopt.problems.objective import CasadiTerm
 from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import check_rule
@@ -41,7 +42,8 @@ def check(problem: Problem) -> None:
     Raises
     ------
     InputError
-        Bounds are reversed, a start or goal is out of bounds or too near to an obstacle, the
+        Bounds are reversed, a start or goal is out of bounds or too near to an obstacle, a robot
+        cannot stop in time from its start, the
         channel's tables do not fit each other, or the truth would be too large.
     """
     _check_bounds(problem)
@@ -50,6 +52,7 @@ def check(problem: Problem) -> None:
         _check_place(problem, index, robot.start_m, f"robots[{number}].start_m")
         if robot.goal_m is not None:
             _check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
+        check_stopping(problem, index, number)
     _check_apart(problem)
     _check_channel(problem)
     check_rule(problem)
@@ -61,6 +64,7 @@ def check(problem: Problem) -> None:
 def _check_apart(problem: Problem) -> None:
     """Robots start apart from each other, and from where moving obstacles are at time 0."""
     separation = problem.constraints.separation_m
+    _check_who_keeps_apart(problem)
     starts = np.array([robot.start_m for robot in problem.robots])
     for number, robot in enumerate(problem.robots):
         for other in range(number):
@@ -85,6 +89,21 @@ def _check_apart(problem: Problem) -> None:
                     key=f"robots[{number}].start_m",
                     remedy="move it, or lessen constraints.clearance_m",
                 )
+
+
+def _check_who_keeps_apart(problem: Problem) -> None:
+    """Distances at equal times are known of ways that are straight and even, not of others."""
+    asked = "constraints.separation_m" if problem.constraints.separation_m else None
+    asked = "world.moving" if problem.workspace.moving else asked
+    for number, robot in enumerate(problem.robots):
+        if asked is not None and robot.dynamics is not None:
+            raise InputError(
+                "is for robots that move straight and evenly in a step, which "
+                f"robots[{number}] ({robot.name}) does not",
+                file=problem.file,
+                key=asked,
+                remedy=f"leave it out, or use the dynamics single_integrator for {robot.name}",
+            )
 
 
 def check_files(problem: Problem) -> None:

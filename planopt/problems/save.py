@@ -31,6 +31,7 @@ from planopt.problems.objective import (
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
+from planopt.problems.schema_robot import robot_table
 from planopt.world.moving_obstacle import MovingObstacle
 from planopt.world.workspace import Obstacle
 
@@ -59,7 +60,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
             "moving": [_moving(obstacle) for obstacle in problem.workspace.moving],
         },
         "channel": channel,
-        "robots": [_plain(asdict(robot)) for robot in problem.robots],
+        "robots": [_plain(robot_table(robot)) for robot in problem.robots],
         "stations": [_station(station) for station in problem.stations],
         "targets": [_plain(asdict(target)) for target in problem.targets],
         "objective": _objective(problem),

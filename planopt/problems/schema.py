@@ -7,6 +7,7 @@ tables at once (a start inside an obstacle) is in :mod:`planopt.problems.checks`
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
@@ -23,6 +24,7 @@ from planopt.problems.schema_objective import (
     TargetTable,
     TrackingTable,
 )
+from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_terms import (
     CasadiTable,
     TransmissionEnergyTable,
@@ -32,6 +34,9 @@ from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, Rep
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Quad, Table
 
 SCHEMA_VERSION = 1
+
+MOST_TURN_RAD = 2.0 * math.pi
+"""What a robot may turn in a step: more than a circle of the same input is nothing to plan."""
 
 
 class ProblemTable(Table):
@@ -95,17 +100,6 @@ class WorldTable(Table):
     moving: list[MovingTable] = Field(
         default=[], max_length=50, description="Obstacles that move as predicted."
     )
-
-
-class RobotTable(Table):
-    """``[[robots]]``: one robot, and where it must go."""
-
-    name: Name = Field(default="robot", description="What outputs call it.")
-    start_m: Pair = Field(description="Start [x, y] in metres.")
-    goal_m: Pair | None = Field(
-        default=None, description="Goal [x, y] in metres, for the task reach."
-    )
-    speed_max_m_s: float = Field(gt=0, le=1000, description="Largest speed in m/s.")
 
 
 class StationTable(Table):
@@ -224,6 +218,9 @@ def _reach_fault(tables: ProblemFile) -> str | None:
             f"planner.name {tables.planner.name} is not for task reach: use auto, nlp, scp or "
             "lattice"
         )
+    if tables.robots[0].dynamics != "single_integrator":
+        dynamics = tables.robots[0].dynamics
+        return f"task reach is for robots of dynamics single_integrator, not {dynamics}"
     return None
 
 
@@ -244,6 +241,25 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     names = [robot.name for robot in tables.robots]
     if len(set(names)) < len(names):
         return "two robots have one name"
+    return _dynamics_fault(tables)
+
+
+def _dynamics_fault(tables: ProblemFile) -> str | None:
+    """What keeps robots that cannot turn or stop at will from being planned for."""
+    for number, robot in enumerate(tables.robots):
+        if robot.dynamics == "single_integrator":
+            continue
+        if tables.planner.name in ("one_step", "random", "lawnmower"):
+            return (
+                f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
+                f"robots[{number}] has {robot.dynamics}: use auto, nlp, scp or lattice"
+            )
+        turn_rad = (robot.turn_rate_max_rad_s or 0.0) * tables.planner.step_s
+        if turn_rad > MOST_TURN_RAD:
+            return (
+                f"robots[{number}].turn_rate_max_rad_s lets it turn by {turn_rad:.3g} rad in a "
+                f"step, which should be at most a full circle: lessen it or planner.step_s"
+            )
     return None
 
 

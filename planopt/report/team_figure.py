@@ -59,7 +59,7 @@ def draw_team_run(run: TeamRun) -> Figure:
     for number, panel in enumerate(maps):
         drawn = draw_measured(panel, before, "measured before")
         drawn += draw_moving(panel, problem, len(tracks[0]) - 1, predicted=False)
-        drawn += draw_tracks(panel, problem, tracks)
+        drawn += draw_tracks(panel, problem, run.runs)
         if plans:
             drawn += draw_plans(panel, problem, plans, 1)
         if run.target is not None:

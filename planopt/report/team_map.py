@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.connectivity import connection_probability
+from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
 from planopt.planning.team.team_run import TargetLog
 from planopt.problems.problem import Problem
+from planopt.report.driven_line import driven_line
 from planopt.report.grid import Bounds, predicted_rasters
 from planopt.report.maps import (
     LAYER_Z,
@@ -156,18 +158,18 @@ def draw_measured(panel: Panel, places_m: NDArray[np.float64], label: str) -> li
     ]
 
 
-def draw_tracks(
-    panel: Panel, problem: Problem, tracks_m: Sequence[NDArray[np.float64]]
-) -> list[Artist]:
-    """Draw the driven ways ``(steps + 1, 2)``, every step marked."""
+def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[Run]) -> list[Artist]:
+    """Draw the driven ways, every step marked."""
     artists: list[Artist] = []
-    for number, (robot, track) in enumerate(zip(problem.robots, tracks_m, strict=True)):
+    for number, (robot, run) in enumerate(zip(problem.robots, runs, strict=True)):
+        track, steps = driven_line(problem, run.log.positions_m, run.drive)
         panel.plot(*track.T, color=WHITE, linewidth=4.2, zorder=PATH_Z, solid_capstyle="round")
         artists += panel.plot(
             *track.T,
             color=robot_colour(number),
             linewidth=1.8,
             marker=robot_marker(number),
+            markevery=steps,
             markersize=4.5,
             markeredgecolor=WHITE,
             markeredgewidth=0.6,
@@ -181,7 +183,7 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
     """Draw the plans' places from number `first` on, dashed."""
     artists: list[Artist] = []
     for number, (robot, plan) in enumerate(zip(problem.robots, plans, strict=True)):
-        places = plan.positions_m[first:]
+        places, steps = driven_line(problem, plan.positions_m, plan.drive, first)
         panel.plot(*places.T, color=WHITE, linewidth=3.6, zorder=PATH_Z, solid_capstyle="round")
         artists += panel.plot(
             *places.T,
@@ -189,6 +191,7 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
             linewidth=1.8,
             linestyle=(0, (2.5, 1.0)),
             marker=robot_marker(number),
+            markevery=steps,
             markersize=5.5,
             markerfacecolor=WHITE,
             markeredgecolor=robot_colour(number),

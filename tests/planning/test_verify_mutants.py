@@ -1,9 +1,9 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
-Each mutant is a change of a few characters in `verify.py`, `single_steps.py` or
-`reachability.py`. Good and bad plans
-are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
-which must say something else of at least one of them. A mutant that survives is a hole here.
+Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `reachability.py` or
+`motion.py`. Good and bad plans are judged by the source as it is, which must say what stands beside
+each plan, and by each mutant, which must say something else of at least one of them. A mutant that
+survives is a hole here.
 """
 
 from __future__ import annotations
@@ -266,6 +266,8 @@ CASES: dict[str, Case] = {
 
 VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
 STEPS = "planopt.planning.proof.rules.single_steps"
+MOTION = "planopt.planning.proof.motion"
+MODULES = (VERIFY, STEPS, REACHABILITY, MOTION)
 
 
 def source_of(module: str) -> str:
@@ -284,10 +286,14 @@ def module_of(name: str, source: str) -> ModuleType:
     return module
 
 
-def verifier_of(verify: str, steps: str, reachability: str) -> Callable[..., tuple]:
-    """The verifier of three texts, each serving the one before."""
-    searches, bound = module_of(REACHABILITY, reachability), module_of(STEPS, steps)
-    judging = module_of(VERIFY, verify)
+def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
+    """The verifier of the texts, by module."""
+    searches, bound = (
+        module_of(REACHABILITY, sources[REACHABILITY]),
+        module_of(STEPS, sources[STEPS]),
+    )
+    judging = module_of(VERIFY, sources[VERIFY])
+    judging.__dict__["judge_motion"] = module_of(MOTION, sources[MOTION]).judge_motion
     for name in ("best_margins_by_step", "connected_way_exists", "least_outage_m"):
         setattr(bound, name, getattr(searches, name))
     judging.__dict__["judge_single_steps"] = bound.judge_single_steps
@@ -336,7 +342,7 @@ def said(verifier: Callable[..., tuple], case: Case) -> Said:
 @pytest.mark.parametrize("name", CASES)
 def test_source_as_it_is(name):
     """Every plan is judged as it must be, by the very texts that are mutated below."""
-    verifier = verifier_of(source_of(VERIFY), source_of(STEPS), source_of(REACHABILITY))
+    verifier = verifier_of({module: source_of(module) for module in MODULES})
     assert said(verifier, CASES[name]) == expected(CASES[name])
 
 
@@ -344,83 +350,83 @@ def test_source_as_it_is(name):
 MUTANTS: dict[str, tuple[str, str, str]] = {
     "finite check dropped": (VERIFY, "if not np.isfinite(positions_m).all():", "if False:"),
     "clearance tolerance times a million": (
-        VERIFY,
+        MOTION,
         "constraints.clearance_m, CLEARANCE_TOLERANCE_M)",
         "constraints.clearance_m, 1e6 * CLEARANCE_TOLERANCE_M)",
     ),
     "clearance tolerance of the wrong sign": (
-        VERIFY,
+        MOTION,
         "constraints.clearance_m, CLEARANCE_TOLERANCE_M)",
         "constraints.clearance_m, -CLEARANCE_TOLERANCE_M)",
     ),
-    "clearance the wrong way round": (VERIFY, "if not is_clear(swept", "if is_clear(swept"),
+    "clearance the wrong way round": (MOTION, "if is_clear(swept", "if not is_clear(swept"),
     "clearance dropped": (
-        VERIFY,
+        MOTION,
         "is_clear(swept, constraints.",
         "is_clear(swept, 0.0 * constraints.",
     ),
     "contact where no clearance is asked": (
-        VERIFY,
+        MOTION,
         "is_clear(swept, constraints.clearance_m, CLEARANCE_TOLERANCE_M)",
         "(swept >= constraints.clearance_m - CLEARANCE_TOLERANCE_M)",
     ),
     "one segment that is clear": (
-        VERIFY,
+        MOTION,
         "CLEARANCE_TOLERANCE_M).all()",
         "CLEARANCE_TOLERANCE_M).any()",
     ),
     "largest clearance": (
-        VERIFY,
+        MOTION,
         "np.min(swept, initial=np.inf)",
         "np.max(swept, initial=-np.inf)",
     ),
     "clearance of all but the last segment": (
-        VERIFY,
+        MOTION,
         "swept_clearance_m(index, positions_m)",
         "swept_clearance_m(index, positions_m[:-1])",
     ),
     "clearance of all but the first segment": (
-        VERIFY,
+        MOTION,
         "swept_clearance_m(index, positions_m)",
         "swept_clearance_m(index, positions_m[1:])",
     ),
     "clearance at the samples only": (
-        VERIFY,
+        MOTION,
         "swept_clearance_m(index, positions_m)",
         "swept_clearance_m(index, np.repeat(positions_m, 2, axis=0))[::2]",
     ),
     "any place within the bounds": (
-        VERIFY,
+        MOTION,
         "inside_bounds(problem.workspace, positions_m).all()",
         "inside_bounds(problem.workspace, positions_m).any()",
     ),
     "last place within the bounds": (
-        VERIFY,
+        MOTION,
         "inside_bounds(problem.workspace, positions_m).all()",
         "inside_bounds(problem.workspace, positions_m)[-1]",
     ),
     "bounds inverted": (
-        VERIFY,
+        MOTION,
         "if not inside_bounds(problem.workspace, positions_m).all()",
         "if inside_bounds(problem.workspace, positions_m).all()",
     ),
     "speed tolerance times a million": (
-        VERIFY,
+        MOTION,
         "defect > DYNAMICS_TOLERANCE_M",
         "defect > 1e6 * DYNAMICS_TOLERANCE_M",
     ),
     "speed the wrong way round": (
-        VERIFY,
+        MOTION,
         "defect > DYNAMICS_TOLERANCE_M",
         "defect < -DYNAMICS_TOLERANCE_M",
     ),
     "start not looked at": (
-        VERIFY,
+        MOTION,
         "dynamics_defect_m(positions_m, start_m,",
         "dynamics_defect_m(positions_m, positions_m[0],",
     ),
     "speed of all but the last step": (
-        VERIFY,
+        MOTION,
         "dynamics_defect_m(positions_m, start_m,",
         "dynamics_defect_m(positions_m[:-1], start_m,",
     ),
@@ -599,11 +605,11 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_mutant_is_found_out(name):
     """At least one plan is judged otherwise, or not at all."""
-    module, original, instead = MUTANTS[name]
-    sources = {name: source_of(name) for name in (VERIFY, STEPS, REACHABILITY)}
-    assert sources[module].count(original) == 1, "the mutant does not fit the source any more"
-    sources[module] = sources[module].replace(original, instead)
-    verifier = verifier_of(sources[VERIFY], sources[STEPS], sources[REACHABILITY])
+    changed, original, instead = MUTANTS[name]
+    sources = {module: source_of(module) for module in MODULES}
+    assert sources[changed].count(original) == 1, "the mutant does not fit the source any more"
+    sources[changed] = sources[changed].replace(original, instead)
+    verifier = verifier_of(sources)
 
     def is_judged_right(case: Case) -> bool:
         try:

@@ -148,7 +148,7 @@ def plan_reasons(
         The plan, and the one before it.
     """
     objections = list(plan.certificate.reasons)
-    if objections:
+    if objections and plan.drive is None:
         objections[:0] = obstacles_met(problem, index, plan.positions_m)
     steps = len(plan.positions_m) - 1
     if steps != problem.planner.horizon:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from planopt.planning.check.agreement import SHOWN_ALIKE, Disagreement, disagreements
-from planopt.planning.files.steps_file import COLUMNS, STEPS_FILE, Steps
+from planopt.planning.files.steps_file import STEPS_FILE, Steps
 
 
 def steps_reasons(said: Steps, found: Steps) -> list[str]:
     """What in the table is not as found, by row and column; few rows of each column."""
     reasons: list[str] = []
-    for name in COLUMNS:
+    for name in said.columns:
         if name == "step":  # was counted when it was read
             continue
         alike = list(_column_differences(name, said, found))
@@ -35,4 +35,6 @@ def _column_differences(name: str, said: Steps, found: Steps) -> Iterator[tuple[
 def _column(steps: Steps, name: str) -> list[float] | list[str]:
     if name == "robot":
         return list(steps.robots)
-    return steps.numbers[name].tolist() if name in steps.numbers else list(steps.labels[name])
+    if name in steps.labels:
+        return list(steps.labels[name])
+    return {**steps.numbers, **steps.motion}[name].tolist()

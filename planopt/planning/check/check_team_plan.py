@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
 from planopt.planning.check.check_explanation import explanation_faults
@@ -15,6 +13,7 @@ from planopt.planning.check.worth_again import worth_again
 from planopt.planning.files.aim_json import aim_again
 from planopt.planning.files.belief_file import first_posterior, grown_posterior
 from planopt.planning.files.explanation_json import explanation_again
+from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.saved import PLAN_FILE
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_plan
@@ -70,16 +69,28 @@ def check_team_plan(
     aims: list[Aim] = []
     for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
         own, path = problem_of_robot(problem, number), steps.positions_m
-        start = np.asarray(own.robots[0].start_m)
-        moving = beside(problem, 0, others_of(paths, number))
-        residual = robot.certificate.kkt_residual
-        judgement = judge(own, index, posterior, start, path, residual, moving, broad=broad)
+        one = own.robots[0]
+        drive = drive_of(
+            one.dynamics, path, steps.motion, saved.file.parent / STEPS_FILE, f"robot {one.name}"
+        )
+        judgement = judge(
+            own,
+            index,
+            posterior,
+            one.start_state,
+            path,
+            robot.certificate.kkt_residual,
+            beside(problem, 0, others_of(paths, number)),
+            broad=broad,
+            drive=drive,
+        )
         aim = aim_again(robot.aim, aim_of(watch, number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
         worth = worth_again(own, posterior, path, aim, region, broad=broad)
-        plan = rebuilt_plan(own, path, judgement, robot, effort, worth)
+        plan = rebuilt_plan(own, path, judgement, robot, effort, worth, drive=drive)
         where = f"robots[{number}]."
-        reasons += [f"{plan.robot}: {text}" for text in obstacles_met(own, index, path)]
+        if drive is None:
+            reasons += [f"{plan.robot}: {text}" for text in obstacles_met(own, index, path)]
         reasons += [f"{plan.robot}: {text}" for text in plan.certificate.reasons]
         reasons += [
             f"{PLAN_FILE}, key {where}{key}: {fault}"

@@ -19,6 +19,7 @@ from planopt.planning.check.rebuilt import Effort, rebuilt_plan
 from planopt.planning.check.worth_again import worth_again
 from planopt.planning.files.aim_json import aim_again
 from planopt.planning.files.belief_file import first_posterior, grown_posterior
+from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.saved import RUN_FILE
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
@@ -116,7 +117,7 @@ def check_team_run(
     reasons = [reason for one in driven for reason in one.reasons]
     reasons += in_words(RUN_FILE, disagreements(saved.data, found))
     reasons += step_time_faults(record.step_s, sum(len(one.plans) for one in driven))
-    again = joined_steps([steps_of_run(run.robot, run.log) for run in runs])
+    again = joined_steps([steps_of_run(run.robot, run.log, run.drive) for run in runs])
     reasons += steps_reasons(joined_steps(saved.steps), again)
     tables = {KNOWLEDGE_FILE: knowledge_table(problem, channel)}
     if target is not None:
@@ -151,9 +152,15 @@ def _driven(
     """Every plan of robot number `number` on what it knew, beside the `paths` of all robots."""
     own = problem_of_robot(saved.problem, number)
     robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
-    key = f"{RUN_FILE}, key plans[{number}].released"
-    reasons = [f"{robot.name}: {text}" for text in obstacles_met(own, index, track)]
-    if np.abs(track[0] - robot.start_m).max() > EXACT:
+    place = f"plans[{number}].released"
+    key = f"{RUN_FILE}, key {place}"
+    table, dynamics = saved.file.parent / STEPS_FILE, robot.dynamics
+    driven = drive_of(dynamics, track, saved.steps[number].motion, table, f"robot {robot.name}")
+    states = track if driven is None else driven.states
+    reasons: list[str] = []
+    if driven is None:
+        reasons += [f"{robot.name}: {text}" for text in obstacles_met(own, index, track)]
+    if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
     posteriors = [first_posterior(belief)]
     plans: list[Plan] = []
@@ -165,6 +172,7 @@ def _driven(
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
         path = paths[number][step - 1]
+        drive = drive_of(dynamics, path, released.drive, saved.file, f"{place}[{step - 1}].drive")
         history = history_of(own, track[:step], connected[: step - 1])
         broad = broad_prediction(own, posterior)
         others = others_of([made[step - 1] for made in paths], number)
@@ -172,19 +180,21 @@ def _driven(
             own,
             index,
             posterior,
-            track[step - 1],
+            states[step - 1],
             path,
             released.kkt_residual,
             beside(saved.problem, history.steps, others),
             history,
             broad,
+            drive,
         )
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
         worth = worth_again(own, posterior, path, aim, region, history, broad)
-        plan = rebuilt_plan(own, path, judgement, released, Effort(), worth)
+        plan = rebuilt_plan(own, path, judgement, released, Effort(), worth, drive=drive)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)
-        if _leads_elsewhere(path, track, step):
+        ahead = path if drive is None else drive.states
+        if _leads_elsewhere(ahead, states, step):
             reasons.append(
                 f"step {step} of {robot.name} in {STEPS_FILE} is not the first step of its plan, "
                 f"{where}"
@@ -196,8 +206,8 @@ def _driven(
     return _Driven(plans, aims, posteriors, reasons)
 
 
-def _leads_elsewhere(path_m: NDArray[np.float64], track_m: NDArray[np.float64], step: int) -> bool:
-    return bool(np.abs(path_m[:2] - track_m[step - 1 : step + 1]).max() > EXACT)
+def _leads_elsewhere(planned: NDArray[np.float64], states: NDArray[np.float64], step: int) -> bool:
+    return bool(np.abs(planned[:2] - states[step - 1 : step + 1]).max() > EXACT)
 
 
 def _length_faults(saved: SavedTeam, record: TeamRunRecord) -> list[str]:

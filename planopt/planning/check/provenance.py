@@ -52,11 +52,17 @@ def provenance_faults(problem: Problem, plan: Plan, previous: Plan | None) -> li
 
 
 def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tuple[str, str]]:
-    path, rung = plan.positions_m, plan.rung
+    rung = plan.rung
     faults: list[str] = []
-    if rung is Rung.STOP and np.abs(path - path[0]).max() > EXACT:
-        faults.append("the path does not stand still")
-    if rung is Rung.SHIFTED and not _is_shifted(plan, previous):
+    if rung is Rung.STOP and not _is_stop(problem, plan, previous):
+        faults.append(
+            "the path does not stand still" if plan.drive is None else "the robot does not stop"
+        )
+    if rung is Rung.SHIFTED and (
+        previous is None
+        or previous.verdict is not Verdict.VERIFIED
+        or not _is_shifted(problem, plan, previous)
+    ):
         faults.append("the path is not the rest of a verified plan before it")
     if rung is Rung.RESERVED and not _is_rest(plan, previous):
         faults.append("the path is not the rest of the plan before it")
@@ -70,10 +76,25 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
     return [("rung", f"{rung.value}, but {fault}") for fault in faults]
 
 
-def _is_shifted(plan: Plan, previous: Plan | None) -> bool:
-    return (
-        previous is not None and previous.verdict is Verdict.VERIFIED and _is_rest(plan, previous)
+def _is_stop(problem: Problem, plan: Plan, previous: Plan | None) -> bool:
+    """Whether a plan stops: at once, by braking, or after the rest of the last one."""
+    if plan.drive is None:
+        return bool(np.abs(plan.positions_m - plan.positions_m[0]).max() <= EXACT)
+    braking = plan.drive.dynamics.braking(
+        plan.drive.states[0], problem.planner.step_s, len(plan.drive.inputs)
     )
+    if np.abs(braking - plan.drive.inputs).max() <= EXACT:
+        return True
+    return previous is not None and _is_shifted(problem, plan, previous)
+
+
+def _is_shifted(problem: Problem, plan: Plan, previous: Plan) -> bool:
+    if plan.drive is None or previous.drive is None:
+        return _is_rest(plan, previous)
+    last = plan.drive.dynamics.braking(previous.drive.states[-1], problem.planner.step_s, 1)
+    inputs = np.vstack([previous.drive.inputs[1:], last])
+    same = inputs.shape == plan.drive.inputs.shape
+    return same and bool(np.abs(inputs - plan.drive.inputs).max() <= EXACT)
 
 
 def _is_rest(plan: Plan, previous: Plan | None) -> bool:

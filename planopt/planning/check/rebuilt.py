@@ -16,6 +16,7 @@ from planopt.planning.plan import Pivot, Plan, Rung, Termination
 from planopt.planning.proof.verify import Judgement
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def rebuilt_plan(
     effort: Effort,
     objective: float,
     pivot: Pivot | None = None,
+    drive: Drive | None = None,
 ) -> Plan:
     """The plan of any task; parameters as in :func:`rebuilt_reach_plan`.
 
@@ -82,6 +84,8 @@ def rebuilt_plan(
         What the path is worth.
     pivot
         The way beyond the horizon that this charges.
+    drive
+        How the robot drives along the path; None for the single integrator.
     """
     power = judgement.power
     if power is None:
@@ -107,4 +111,5 @@ def rebuilt_plan(
         message=plan_message(judgement.certificate, path_m),
         pivot=pivot,
         sense=problem.sense,
+        drive=drive,
     )

@@ -117,6 +117,6 @@ def _planned(problem: Problem, solution: TeamSolution, number: int) -> Verdict:
         if other != number
     }
     plan, _ = member.plan(
-        solution.belief, member.start_m, watched, None, moving_for(problem, 0, others)
+        solution.belief, member.start, watched, None, moving_for(problem, 0, others)
     )
     return plan.verdict

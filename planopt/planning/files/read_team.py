@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.planning.files.belief_file import BELIEF_FILE, SavedBelief, read_belief
+from planopt.planning.files.drive_table import drive_columns
 from planopt.planning.files.number_table import read_table
 from planopt.planning.files.read_saved import (
     damaged,
@@ -91,7 +92,7 @@ def read_team(file: Path, data: Mapping[str, Any]) -> SavedTeam:
             file, "robots", f"{len(record.robots)} robots, the problem has {len(problem.robots)}"
         )
     require_even(file, record.robots)
-    table = read_steps(file.parent / STEPS_FILE)
+    table = read_steps(file.parent / STEPS_FILE, drive_columns(problem))
     require_rows(file, table, record.robots)
     ends = np.cumsum([0, *(len(robot.t_s) for robot in record.robots)]).tolist()
     steps = tuple(table.take(slice(begin, end)) for begin, end in pairwise(ends))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.solution_json import (
     NotNegative,
     Number,
@@ -40,6 +41,7 @@ class PlannedRecord(Record):
     rung: str
     lattice_objective: float
     kkt_residual: NotNegative | None
+    drive: dict[str, list[Number | None]] | None = None
 
 
 class ReleasedRecord(PlannedRecord):
@@ -133,6 +135,7 @@ def robot_json(run: Run) -> dict[str, Any]:
         "x_m": finite_list(log.positions_m[:, 0]),
         "y_m": finite_list(log.positions_m[:, 1]),
         "connectivity": finite_list(log.connectivity),
+        **drive_json(run.drive),
     }
 
 
@@ -147,4 +150,5 @@ def released_plan_json(plan: Plan) -> dict[str, Any]:
         "verdict": plan.verdict.value,
         "rung": plan.rung.value,
         "kkt_residual": finite(plan.certificate.kkt_residual),
+        **drive_json(plan.drive),
     }

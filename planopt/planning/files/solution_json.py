@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.explanation_json import RelaxationRecord, explanation_json
 from planopt.planning.plan import Certificate, Pivot, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
@@ -232,4 +233,5 @@ def _robot(plan: Plan) -> dict[str, Any]:
         "x_m": finite_list(plan.positions_m[:, 0]),
         "y_m": finite_list(plan.positions_m[:, 1]),
         "connectivity": finite_list(plan.connectivity),
+        **drive_json(plan.drive),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.planning.files.csv_rows import read_number, read_rows
+from planopt.planning.files.drive_table import drive_table
 from planopt.planning.files.solution_json import REMEDY, finite_list
 from planopt.planning.loop.run import StepLog
 from planopt.planning.plan import Plan
+from planopt.robots.drive import Drive
 
 STEPS_FILE = "steps.csv"
 
@@ -38,12 +40,21 @@ class Steps:
         `NUMBER_COLUMNS` by name, NaN where a cell is empty; ``(n,)`` each.
     labels
         `LABEL_COLUMNS` by name.
+    motion
+        Columns of states and inputs by name, of robots that cannot turn or stop at will; NaN where
+        a cell is empty.
     """
 
     robots: tuple[str, ...]
     steps: tuple[int, ...]
     numbers: dict[str, NDArray[np.float64]]
     labels: dict[str, tuple[str, ...]]
+    motion: dict[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The header."""
+        return (*COLUMNS, *self.motion)
 
     def take(self, rows: slice) -> Steps:
         """The table of some of the rows."""
@@ -52,6 +63,7 @@ class Steps:
             self.steps[rows],
             {name: column[rows] for name, column in self.numbers.items()},
             {name: column[rows] for name, column in self.labels.items()},
+            {name: column[rows] for name, column in self.motion.items()},
         )
 
     @property
@@ -73,6 +85,12 @@ def joined_steps(tables: Sequence[Steps]) -> Steps:
             name: tuple(cell for table in tables for cell in table.labels[name])
             for name in LABEL_COLUMNS
         },
+        {
+            name: np.concatenate(
+                [table.motion.get(name, np.full(len(table.steps), np.nan)) for table in tables]
+            )
+            for name in dict.fromkeys(name for table in tables for name in table.motion)
+        },
     )
 
 
@@ -88,11 +106,11 @@ def steps_of_plan(plan: Plan) -> Steps:
         np.full(count, np.nan),
     )
     labels = ([""] * count, [plan.rung.value] * count, [plan.verdict.value] * count)
-    return _steps(plan.robot, columns, labels)
+    return _steps(plan.robot, columns, labels, plan.drive)
 
 
-def steps_of_run(robot: str, log: StepLog) -> Steps:
-    """The table of a run."""
+def steps_of_run(robot: str, log: StepLog, drive: Drive | None = None) -> Steps:
+    """The table of a run; `drive` has states and inputs, where there are some."""
     columns = (
         log.t_s,
         *log.positions_m.T,
@@ -106,17 +124,21 @@ def steps_of_run(robot: str, log: StepLog) -> Steps:
         [rung.value for rung in log.rung],
         [verdict.value for verdict in log.verdict],
     )
-    return _steps(robot, columns, labels)
+    return _steps(robot, columns, labels, drive)
 
 
 def _steps(
-    robot: str, columns: tuple[NDArray[np.float64], ...], labels: tuple[list[str], ...]
+    robot: str,
+    columns: tuple[NDArray[np.float64], ...],
+    labels: tuple[list[str], ...],
+    drive: Drive | None,
 ) -> Steps:
     return Steps(
         (robot,) * len(columns[0]),
         tuple(range(len(columns[0]))),
         dict(zip(NUMBER_COLUMNS, columns, strict=True)),
         {name: tuple(cells) for name, cells in zip(LABEL_COLUMNS, labels, strict=True)},
+        drive_table(drive),
     )
 
 
@@ -124,17 +146,25 @@ def steps_text(steps: Steps) -> str:
     """The file: numbers to the last digit, empty where there is none."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow(steps.columns)
     columns = [finite_list(steps.numbers[name]) for name in NUMBER_COLUMNS]
-    rows = zip(*columns, *(steps.labels[name] for name in LABEL_COLUMNS), strict=True)
+    motion = [finite_list(column) for column in steps.motion.values()]
+    rows = zip(*columns, *(steps.labels[name] for name in LABEL_COLUMNS), *motion, strict=True)
     for robot, step, row in zip(steps.robots, steps.steps, rows, strict=True):
         cells = ("" if cell is None else cell for cell in row)
         writer.writerow([robot, step, *cells])
     return text.getvalue()
 
 
-def read_steps(path: Path) -> Steps:
+def read_steps(path: Path, motion_columns: Sequence[str] = ()) -> Steps:
     """Read what :func:`steps_text` wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+    motion_columns
+        The columns of states and inputs that it must have.
 
     Raises
     ------
@@ -144,9 +174,9 @@ def read_steps(path: Path) -> Steps:
     """
     robots: list[str] = []
     steps: list[int] = []
-    numbers: dict[str, list[float]] = {name: [] for name in NUMBER_COLUMNS}
+    numbers: dict[str, list[float]] = {name: [] for name in (*NUMBER_COLUMNS, *motion_columns)}
     labels: dict[str, list[str]] = {name: [] for name in LABEL_COLUMNS}
-    for line, row in read_rows(path, COLUMNS):
+    for line, row in read_rows(path, (*COLUMNS, *motion_columns)):
         step = len(steps) and steps[-1] + 1
         # The next robot's rows begin anew.
         if robots and row["robot"] != robots[-1] and row["step"] == "0":
@@ -161,7 +191,7 @@ def read_steps(path: Path) -> Steps:
             )
         steps.append(step)
         robots.append(row["robot"])
-        for name in NUMBER_COLUMNS:
+        for name in numbers:
             numbers[name].append(
                 read_number(row[name], name, path, line, may_miss=name not in REQUIRED_NUMBERS)
             )
@@ -170,6 +200,7 @@ def read_steps(path: Path) -> Steps:
     return Steps(
         tuple(robots),
         tuple(steps),
-        {name: np.array(column) for name, column in numbers.items()},
+        {name: np.array(numbers[name]) for name in NUMBER_COLUMNS},
         {name: tuple(column) for name, column in labels.items()},
+        {name: np.array(numbers[name]) for name in motion_columns},
     )

@@ -71,7 +71,7 @@ def save_team_run(run: TeamRun, folder: Path) -> None:
     """
     withdraw(folder)
     problem = run.problem
-    steps = joined_steps([steps_of_run(one.robot, one.log) for one in run.runs])
+    steps = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
     write_text(folder / STEPS_FILE, steps_text(steps))
     for name, belief, one in zip(belief_files(problem), run.beliefs, run.runs, strict=True):
         known = known_before_steps(belief, run.first_measurements, one.log.positions_m)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.loop.driven import driven
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.step_log import step_log
@@ -43,4 +44,5 @@ def completed_run(
         reason=f"all {problem.planner.max_steps} steps driven",
         log=log,
         metrics=metrics_of(log, plans, Outcome.COMPLETED),
+        drive=driven(plans),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Rung, Verdict
+from planopt.robots.drive import Drive
 
 
 class Outcome(StrEnum):
@@ -103,6 +104,8 @@ class Run:
         See their types.
     rule
         What was kept of a rule of connectivity other than p_min at each step, by metric.
+    drive
+        States and inputs over the steps; None for the single integrator.
     """
 
     robot: str
@@ -115,6 +118,7 @@ class Run:
     log: StepLog
     metrics: Metrics
     rule: dict[str, float] = field(default_factory=dict[str, float])
+    drive: Drive | None = None
 
     @property
     def all_metrics(self) -> dict[str, float]:

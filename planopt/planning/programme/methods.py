@@ -16,10 +16,12 @@ METHODS: dict[PlannerName, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "s
 """Of the planners that polish; the others do not."""
 
 
-def solve_by(method: Method, solver: Any, horizon: int, budget_s: float | None = None) -> SolveNlp:
+def solve_by(
+    method: Method, solver: Any, horizon: int, cones: int, budget_s: float | None = None
+) -> SolveNlp:
     """Solve a programme over `horizon` stages, built as a CasADi `solver`, by a method.
 
-    The first `horizon` rows are the squared lengths of its path's steps. A solve ends after
+    The first `cones` rows are the squared lengths of its path's steps. A solve ends after
     `budget_s` seconds, if that is given; IPOPT has that among its options.
     """
     if method == "ipopt":
@@ -28,4 +30,4 @@ def solve_by(method: Method, solver: Any, horizon: int, budget_s: float | None =
     from planopt.planning.programme.nlp_functions import nlp_functions
     from planopt.planning.programme.scp import scp_solve
 
-    return scp_solve(nlp_functions(solver), horizon, cones=horizon, budget_s=budget_s)
+    return scp_solve(nlp_functions(solver), horizon, cones, budget_s)

@@ -21,7 +21,8 @@ class NlpPoint:
     positions_m
         ``(N, 2)``.
     slack_db
-        ``(N,)``, or ``(0,)`` where no connectivity is bounded.
+        ``(N,)``, or ``(0,)`` where no connectivity is bounded; variables that a programme has
+        besides come after them.
     row_multipliers, variable_multipliers
         By row of the programme and by variable; positive at an upper bound, negative at a lower.
     termination

@@ -13,9 +13,11 @@ There are rows of margins, one of a total (a sum over stages), or none. The tota
 like the others, c what a dB is worth.
 
 Value and margins come by callbacks with exact first and second derivatives. What the value couples
-(:data:`planopt.planning.programme.path_value.Structure`) is known to the solver. It is
-built once per structure and reused; a failed solve leaves nothing behind, because every call sets
-start, bounds and parameters anew and passes no multipliers on.
+(:data:`planopt.planning.programme.path_value.Structure`) is known to the solver. A robot that
+cannot turn or stop at will adds variables after these and rows before "connectivity", those of
+:mod:`planopt.planning.programme.motion_rows`. The solver is built once per structure and reused; a
+failed solve leaves nothing behind, because every call sets start, bounds and parameters anew and
+passes no multipliers on.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ import numpy as np
 
 from planopt.planning.programme.ipopt import OPTIONS, time_limit
 from planopt.planning.programme.methods import Method, solve_by
+from planopt.planning.programme.motion_rows import MotionShape, motion_rows
 from planopt.planning.programme.nlp_point import SolveNlp
 from planopt.planning.programme.path_rows import PathCallback, path_rows
 from planopt.planning.programme.path_value import Structure, ValueSource
@@ -79,6 +82,8 @@ class PathNlp:
         One call of it, or of another method with its functions.
     callbacks
         Kept so that they live as long as the solver.
+    motion
+        The rows of the robot's dynamics; None for the single integrator.
     """
 
     horizon: int
@@ -89,6 +94,7 @@ class PathNlp:
     solve: SolveNlp
     callbacks: tuple[Any, ...]
     summed: bool = False
+    motion: MotionShape | None = None
 
 
 def build_path_nlp(
@@ -100,6 +106,7 @@ def build_path_nlp(
     method: Method = "ipopt",
     budget_s: float | None = None,
     until_settled: bool = False,
+    motion: MotionShape | None = None,
 ) -> PathNlp:
     """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
 
@@ -119,8 +126,11 @@ def build_path_nlp(
         Seconds after which a solve ends; None for no limit.
     until_settled
         Stop where the value has `SETTLED`, which need not be a point of KKT.
+    motion
+        The structure of the rows of the robot's dynamics; None for the single integrator.
     """
     n = horizon
+    driven = 0 if motion is None else motion.variables
     source = ValueSource()
     stages, totals = n if bounded else 0, int(summed)
     slacks = stages + totals
@@ -151,8 +161,16 @@ def build_path_nlp(
 
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", slacks)
     head, line = ca.SX.sym("head", 5), ca.SX.sym("line", 4 * n * lines)
-    x_sx, p_sx = ca.vertcat(q, s), ca.vertcat(head, line)
+    driving, own = (
+        ca.SX.sym("driving", driven),
+        ca.SX.sym("own", 0 if motion is None else motion.parameters),
+    )
+    x_sx, p_sx = ca.vertcat(q, s, driving), ca.vertcat(head, line, own)
     g_sx = path_rows(n, lines, q, head[0:2], line)
+    if motion is not None:
+        start = (head[0], head[1], *(own[i] for i in range(motion.rest)))
+        all_lines = ca.vertcat(line, own[motion.rest :])
+        g_sx = ca.vertcat(g_sx, *motion_rows(motion, q, driving, start, all_lines).stacked())
     plain = g_sx.numel()
     v, dv, hv = ca.SX.sym("v"), ca.SX.sym("dv", 2 * n), ca.SX.sym("hv", curved)
     m, dm, hm = (
@@ -164,30 +182,30 @@ def build_path_nlp(
     lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + slacks)
     # The solver minimises.
     f_sx = -head[2] * v + head[3] * ca.sum1(s)
-    df_sx = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(slacks))
+    df_sx = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(slacks), ca.SX.zeros(driven))
     value_curvature = _curvature(hv, n, structure)
     curvature = (
-        -lam_f * head[2] * ca.diagcat(value_curvature, ca.SX(slacks, slacks))
+        -lam_f * head[2] * ca.diagcat(value_curvature, ca.SX(slacks + driven, slacks + driven))
         + ca.hessian(ca.dot(lam[:plain], g_sx), x_sx)[0]
     )
     rows_sx, jacobian_sx = g_sx, ca.jacobian(g_sx, x_sx)
     if bounded:
         weighted = [lam[plain + k] * hm[3 * k + j] for k in range(n) for j in range(3)]
-        curvature += ca.diagcat(_blocks(ca.vertcat(*weighted), n), ca.SX(n, n))
+        curvature += ca.diagcat(_blocks(ca.vertcat(*weighted), n), ca.SX(n + driven, n + driven))
         rows_sx = ca.vertcat(g_sx, m + s)
         by_place = ca.diagcat(*[dm[2 * k : 2 * k + 2].T for k in range(n)])
-        jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(by_place, ca.SX.eye(n)))
+        jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(by_place, ca.SX.eye(n), ca.SX(n, driven)))
     if summed:
-        curvature += ca.diagcat(_blocks(lam[plain] * hw, n), ca.SX(1, 1))
+        curvature += ca.diagcat(_blocks(lam[plain] * hw, n), ca.SX(1 + driven, 1 + driven))
         rows_sx = ca.vertcat(g_sx, w + head[4] * s)
-        jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(dw.T, head[4]))
+        jacobian_sx = ca.vertcat(jacobian_sx, ca.horzcat(dw.T, head[4], ca.SX(1, driven)))
     objective = ca.Function("f", [x_sx, p_sx, v], [f_sx])
     gradient = ca.Function("df", [p_sx, dv], [df_sx])
     rows = ca.Function("g", [x_sx, p_sx, m, w], [rows_sx])
     jacobian = ca.Function("dg", [x_sx, p_sx, dm, dw], [jacobian_sx])
     hessian = ca.Function("h", [x_sx, p_sx, lam_f, lam, hv, hm, hw], [ca.triu(curvature)])
 
-    x, p = ca.MX.sym("x", 2 * n + slacks), ca.MX.sym("p", p_sx.numel())
+    x, p = ca.MX.sym("x", 2 * n + slacks + driven), ca.MX.sym("p", p_sx.numel())
     lam_f_mx, lam_mx = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + slacks)
     at = x[: 2 * n]
     margin, margin_gradient, margin_hessian = (
@@ -220,8 +238,9 @@ def build_path_nlp(
         ["triu_hess_gamma_x_x"],
     )
     solver = ca.nlpsol("path", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-    solve = solve_by(method, solver, n, budget_s)
-    return PathNlp(n, lines, bounded, source, solver, solve, (*callbacks, *margins, *sums), summed)
+    solve = solve_by(method, solver, n, n if motion is None else 0, budget_s)
+    every = (*callbacks, *margins, *sums)
+    return PathNlp(n, lines, bounded, source, solver, solve, every, summed, motion)
 
 
 def _curvature(entries: Any, n: int, structure: Structure) -> Any:

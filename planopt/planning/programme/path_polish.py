@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.programme.kkt import Bounds, kkt_residual
+from planopt.planning.programme.motion_task import MotionNumbers, MotionTask, motion_numbers
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_nlp import PathNlp
 from planopt.planning.programme.path_row_values import path_row_values
@@ -47,6 +48,8 @@ class PathTask:
         What the sum over stages must reach, or None where none is bounded.
     total_per_db
         What a dB of slack adds to it.
+    motion
+        Of the robot's dynamics; None for the single integrator.
     """
 
     start_m: NDArray[np.float64]
@@ -62,6 +65,7 @@ class PathTask:
     slack_weight: float = 0.0
     total_bound: float | None = None
     total_per_db: float = 0.0
+    motion: MotionTask | None = None
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
@@ -71,27 +75,43 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     if task.total_bound is not None:
         bound = np.append(bound, task.total_bound)
     slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
-    line = task.lines.rows(task.clearance_m + CLEARANCE_PAD_M)
+    pad = 0.0 if nlp.motion is None else nlp.motion.dynamics.way_pad_m(nlp.motion.step_s)
+    kept = task.clearance_m + pad + CLEARANCE_PAD_M
+    line = task.lines.rows(kept)
+    stop = np.zeros((0, nlp.lines, 4))
+    if task.motion is not None:
+        stop = task.motion.stop_lines.rows(kept)
+    motion = motion_numbers(task.motion, line, stop, task.bounds_m)
+    free = np.full(len(motion.start), np.inf)
     head = np.array([*task.start_m, task.scale, task.slack_weight, task.total_per_db])
     x_min, y_min, x_max, y_max = task.bounds_m
     variables = Bounds(
-        np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound))]),
-        np.concatenate([np.tile([x_max, y_max], n), slack_limit]),
+        np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound)), -free]),
+        np.concatenate([np.tile([x_max, y_max], n), slack_limit, free]),
     )
     plain = n * (2 * nlp.lines) - nlp.lines
-    longest = task.step_length_m - STEP_PAD_M
+    longest = task.step_length_m - STEP_PAD_M if nlp.motion is None else np.inf
     rows = Bounds(
-        np.concatenate([np.full(n, -np.inf), np.zeros(plain), bound]),
-        np.concatenate([np.full(n, longest**2), np.full(plain + len(bound), np.inf)]),
+        np.concatenate([np.full(n, -np.inf), np.zeros(plain), motion.rows.lower, bound]),
+        np.concatenate(
+            [
+                np.full(n, longest**2),
+                np.full(plain, np.inf),
+                motion.rows.upper,
+                np.full(len(bound), np.inf),
+            ]
+        ),
     )
     nlp.source.use(task.evaluate)
     missing = np.zeros(0) if len(bound) == 0 else _missing_db(task, bound)
     point = nlp.solve(
-        np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit)]),
-        np.concatenate([head, line.ravel()]),
+        np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit), motion.start]),
+        np.concatenate([head, line.ravel(), motion.parameters]),
         variables,
         rows,
     )
+    driven = point.slack_db[len(bound) :]
+    point = replace(point, slack_db=point.slack_db[: len(bound)])
     lam = point.row_multipliers
     ends = n * nlp.lines
     multipliers = {
@@ -100,14 +120,15 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         "line_start": lam[n + ends : n + plain].reshape(n - 1, nlp.lines),
     }
     if nlp.bounded or nlp.summed:
-        multipliers["connectivity"] = lam[n + plain :]
+        multipliers["connectivity"] = lam[len(lam) - len(bound) :]
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
         termination=point.termination,
         iterations=point.iterations,
-        kkt_residual=_residual(task, point, line, rows, variables),
+        kkt_residual=_residual(task, point, line, rows, variables, motion, driven),
         multipliers=multipliers,
+        inputs=None if task.motion is None else task.motion.shape.inputs_of(driven),
     )
 
 
@@ -127,19 +148,27 @@ def _residual(
     line: NDArray[np.float64],
     row_bounds: Bounds,
     variable_bounds: Bounds,
+    motion: MotionNumbers,
+    driven: NDArray[np.float64],
 ) -> float:
     """KKT residual with the rows' gradients written out in NumPy."""
     n, slacks = len(task.path_m), len(point.slack_db)
     if not (np.isfinite(point.positions_m).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
-    rows, jacobian = path_row_values(np.vstack([task.start_m, point.positions_m]), line)
+    rows, by_place = path_row_values(np.vstack([task.start_m, point.positions_m]), line)
+    driven_rows, driven_jacobian = motion.values(point.positions_m, driven)
+    rows = np.concatenate([rows, driven_rows])
+    jacobian = np.zeros((len(rows), 2 * n + len(driven)))
+    jacobian[: len(by_place), : 2 * n] = by_place
+    jacobian[len(by_place) :] = driven_jacobian
     at = task.evaluate(point.positions_m)
     if at.margins is not None:
         stage = np.arange(n)
-        connectivity = np.zeros((n, n, 2))
-        connectivity[stage, stage] = at.margins.gradient
+        connectivity = np.zeros((n, jacobian.shape[1]))
+        connectivity[stage, 2 * stage] = at.margins.gradient[:, 0]
+        connectivity[stage, 2 * stage + 1] = at.margins.gradient[:, 1]
         rows = np.concatenate([rows, at.margins.value + point.slack_db])
-        jacobian = np.concatenate([jacobian, connectivity.reshape(n, 2 * n)])
+        jacobian = np.concatenate([jacobian, connectivity])
     slack_columns = np.zeros((len(jacobian), slacks))
     if at.margins is not None:
         slack_columns[-slacks:] = np.eye(slacks)
@@ -149,13 +178,17 @@ def _residual(
         slack_columns = np.vstack([slack_columns, [[task.total_per_db]]])
     return kkt_residual(
         np.concatenate(
-            [-task.scale * at.value.gradient.ravel(), np.full(slacks, task.slack_weight)]
+            [
+                -task.scale * at.value.gradient.ravel(),
+                np.full(slacks, task.slack_weight),
+                np.zeros(len(driven)),
+            ]
         ),
-        np.hstack([jacobian, slack_columns]),
+        np.hstack([jacobian[:, : 2 * n], slack_columns, jacobian[:, 2 * n :]]),
         rows,
         row_bounds,
         point.row_multipliers,
-        np.concatenate([point.positions_m.ravel(), point.slack_db]),
+        np.concatenate([point.positions_m.ravel(), point.slack_db, driven]),
         variable_bounds,
         point.variable_multipliers,
     )

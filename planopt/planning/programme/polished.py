@@ -27,6 +27,8 @@ class Polished:
     multipliers
         By name: ``speed`` (N,), ``line_end`` (N, lines), ``line_start`` (N - 1, lines),
         ``connectivity`` (N,).
+    inputs
+        ``(N, m)`` of a robot that cannot turn or stop at will; None of a single integrator.
     """
 
     path_m: NDArray[np.float64]
@@ -35,3 +37,4 @@ class Polished:
     iterations: int
     kkt_residual: float
     multipliers: dict[str, NDArray[np.float64]]
+    inputs: NDArray[np.float64] | None = None

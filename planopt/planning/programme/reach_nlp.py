@@ -129,5 +129,10 @@ def build_reach_nlp(
     )
     solver = ca.nlpsol("reach", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
     return ReachNlp(
-        n, lines, source, solver, solve_by(method, solver, n, budget_s), (value, gradient, hessian)
+        n,
+        lines,
+        source,
+        solver,
+        solve_by(method, solver, n, n, budget_s),
+        (value, gradient, hessian),
     )

@@ -33,6 +33,10 @@ REFINEMENTS = 2
 FLOOD_SPACING_STEPS = 0.5
 """Grid spacing of the flood in longest steps."""
 
+MayReach = Callable[[NDArray[np.float64], int, float], NDArray[np.bool_]]
+"""Whether a robot may be at places (n, 2) after so many steps, or so many metres from there; never
+False where it may."""
+
 
 def connected_way_exists(
     index: ObstacleIndex,
@@ -118,10 +122,12 @@ def best_margins_by_step(
     step_length_m: float,
     steps: NDArray[np.intp],
     clearance: float,
+    may_reach: MayReach | None = None,
 ) -> tuple[float, ...]:
     """Largest connectivity margin (dB) over the places within reach by each of some steps.
 
-    One grid serves all steps, so that more time never gives a worse place.
+    One grid serves all steps, so that more time never gives a worse place, unless the robot cannot
+    wait there.
 
     Parameters
     ----------
@@ -137,6 +143,8 @@ def best_margins_by_step(
         ``(k,)`` increasing, the first step being 1.
     clearance
         The clearance that it must keep, in metres.
+    may_reach
+        Where a robot may be that cannot turn or stop at will; None for any other.
     """
     radius = float(steps[-1]) * step_length_m
     spacing = step_length_m / (FINE_NODES if steps[-1] <= FINE_STEPS else COARSE_NODES)
@@ -154,22 +162,39 @@ def best_margins_by_step(
     best: list[float] = []
     for k, step in enumerate(steps):
         reach = float(step) * step_length_m
+        reached = _reached(start_m, reach, int(step), may_reach)
         within = slice(0, int(np.searchsorted(distance, reach, side="right")))
-        here = float(margins[within].max())
+        if may_reach is not None:
+            within = reached(places)
+            if not within.any():
+                # What it may reach lies between the nodes.
+                within = (distance <= reach) & may_reach(places, int(step), spacing)
+        here = float(np.max(margins[within], initial=-np.inf))
         if here < 0.0 and k < REFINED_STEPS:
             top = places[within][np.argsort(-margins[within])[:REFINED_NODES]]
-            refined = _refined(index, bounds_m, margin_db, start_m, reach, clearance, top, spacing)
+            refined = _refined(index, bounds_m, margin_db, reached, clearance, top, spacing)
             here = max(here, refined)
-        best.append(max(here, best[-1]) if best else here)
+        best.append(max(here, best[-1]) if best and may_reach is None else here)
     return tuple(best)
+
+
+def _reached(
+    start_m: NDArray[np.float64], radius_m: float, step: int, may_reach: MayReach | None
+) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
+    """Whether places (n, 2) are within reach."""
+
+    def reached(places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        near = np.linalg.norm(places_m - start_m, axis=1) <= radius_m
+        return near if may_reach is None else near & may_reach(places_m, step, 0.0)
+
+    return reached
 
 
 def _refined(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    start_m: NDArray[np.float64],
-    radius_m: float,
+    reached: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
     clearance: float,
     top_m: NDArray[np.float64],
     spacing_m: float,
@@ -181,7 +206,7 @@ def _refined(
     lower, upper = np.array(bounds_m[:2]), np.array(bounds_m[2:])
     for _ in range(REFINEMENTS):
         places = (top_m[:, None] + spacing_m * around).reshape(-1, 2)
-        places = places[np.linalg.norm(places - start_m, axis=1) <= radius_m]
+        places = places[reached(places)]
         places = places[((places >= lower) & (places <= upper)).all(axis=1)]
         places = places[is_clear(clearance_m(index, places), clearance)]
         if len(places) == 0:

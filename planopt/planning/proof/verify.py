@@ -23,13 +23,13 @@ from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.motion import judge_motion
 from planopt.planning.proof.predictions import certified_prediction
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.robots.single_integrator import dynamics_defect_m
-from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
+from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex
 from planopt.world.moving_discs import MovingDiscs
 
 
@@ -43,14 +43,15 @@ class Judgement:
         See their types.
     power
         At every place of the path, the robot's own first; None if the path is not finite.
-    apart
-        Whether the path keeps from everything that moves.
+    sound
+        Whether clearance, bounds, motion model and the distance from what moves are kept, whatever
+        connectivity is.
     """
 
     certificate: Certificate
     verdict: Verdict
     power: Prediction | None
-    apart: bool = True
+    sound: bool = False
 
 
 def verify(
@@ -63,10 +64,11 @@ def verify(
     moving: MovingDiscs | None = None,
     history: History = BEGINNING,
     broad: BroadPrediction | None = None,
+    drive: Drive | None = None,
 ) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path: see :func:`judge`."""
     judgement = judge(
-        problem, index, posterior, start_m, positions_m, kkt_residual, moving, history, broad
+        problem, index, posterior, start_m, positions_m, kkt_residual, moving, history, broad, drive
     )
     return judgement.certificate, judgement.verdict
 
@@ -81,6 +83,7 @@ def judge(
     moving: MovingDiscs | None = None,
     history: History = BEGINNING,
     broad: BroadPrediction | None = None,
+    drive: Drive | None = None,
 ) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
 
@@ -91,7 +94,8 @@ def judge(
     posterior
         What is believed of the channel.
     start_m, positions_m
-        Where the robot is, and the planned path from there.
+        Where the robot is (its whole state, where it has more than a place), and the planned path
+        from there.
     kkt_residual
         Passed on into the certificate.
     moving
@@ -100,28 +104,18 @@ def judge(
         What has happened on the run before: rules over the whole run count it.
     broad
         What the bound rests on where all parameters are to count as uncertain.
+    drive
+        How the robot drives along the path; None for the single integrator.
     """
     constraints = problem.constraints
     radio = problem.stations[0]
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
-        return Judgement(broken, Verdict.VIOLATED, None, apart=False)
-    reasons: list[str] = []
-
-    swept = swept_clearance_m(index, positions_m)
-    clearance = float(np.min(swept, initial=np.inf))
-    if not is_clear(swept, constraints.clearance_m, CLEARANCE_TOLERANCE_M).all():
-        reasons.append(
-            f"the swept path comes within {clearance:.3f} m of an obstacle, "
-            f"constraints.clearance_m is {constraints.clearance_m:g}"
-        )
-    if not inside_bounds(problem.workspace, positions_m).all():
-        reasons.append("the path leaves world.bounds_m")
+        return Judgement(broken, Verdict.VIOLATED, None)
+    motion = judge_motion(problem, index, start_m, positions_m, drive)
+    reasons = list(motion.reasons)
     apart = judge_apart(obstacles_ahead(problem, 0) if moving is None else moving, positions_m)
     reasons += apart.reasons
-    defect = dynamics_defect_m(positions_m, start_m, problem.step_length_m)
-    if defect > DYNAMICS_TOLERANCE_M:
-        reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
 
     power, kind = certified_prediction(posterior, positions_m, broad)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
@@ -136,9 +130,9 @@ def judge(
         result = whole_plan_result(problem, history, posterior, positions_m, planned)
         reasons += rule_reasons(problem, result)
     certificate = Certificate(
-        min_clearance_m=clearance,
+        min_clearance_m=motion.clearance_m,
         min_connectivity=float(probability.min()),
-        dynamics_defect=defect,
+        dynamics_defect=motion.defect_m,
         kkt_residual=kkt_residual,
         posterior=kind,
         relaxed_steps=() if steps is None else steps.relaxed_steps,
@@ -151,4 +145,5 @@ def judge(
         rule=result,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-    return Judgement(certificate, verdict, power, apart=not apart.reasons)
+    sound = not motion.reasons and not apart.reasons
+    return Judgement(certificate, verdict, power, sound)

@@ -25,6 +25,7 @@ from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive
 from planopt.world.lattice_moves import LONGEST_MOVE
 from planopt.world.moving_discs import ways_gap_m
 
@@ -66,11 +67,17 @@ class Start:
     missing_db
         By how much it misses the rule of connectivity, as
         :func:`planopt.planning.worth.rule_worth.rule_missing` counts.
+    drive
+        How a robot drives it that cannot turn or stop at will; None for any other.
+    clear
+        Whether the robot can drive it as it is, clear of obstacles.
     """
 
     path_m: NDArray[np.float64]
     worth: float
     missing_db: float
+    drive: Drive | None = None
+    clear: bool = True
 
 
 class StartSearch:

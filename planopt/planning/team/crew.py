@@ -35,8 +35,8 @@ class Member:
     ----------
     problem
         With this robot alone.
-    start_m
-        ``(2,)``.
+    start
+        ``(s,)`` its state at the start; of a single integrator its place.
     ground
         Its geometry.
     planner
@@ -48,7 +48,7 @@ class Member:
     """
 
     problem: Problem
-    start_m: NDArray[np.float64]
+    start: NDArray[np.float64]
     ground: Ground
     planner: Planner
     steering: Steering | None
@@ -57,21 +57,21 @@ class Member:
     def plan(
         self,
         belief: Belief,
-        position_m: NDArray[np.float64],
+        state: NDArray[np.float64],
         watched: Aim,
         warm: Plan | None,
         moving: MovingDiscs = NOTHING_MOVES,
         reserved_m: NDArray[np.float64] | None = None,
         history: History = BEGINNING,
     ) -> tuple[Plan, Aim]:
-        """Plan from `position_m` (2,) on what this robot believes.
+        """Plan from `state` (s,) on what this robot believes.
 
         Parameters
         ----------
         belief
             Of the channel.
-        position_m
-            Where the robot is.
+        state
+            Of the robot, its place first.
         watched
             What is known of the target.
         warm
@@ -83,6 +83,7 @@ class Member:
         history
             What has happened on the run before.
         """
+        position_m = state[:2]
         broad = broad_prediction(self.problem, belief.posterior)
         situation = Situation(
             self.problem,
@@ -108,6 +109,7 @@ class Member:
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
             history,
             broad,
+            state[2:],
         )
         plan = self.planner.plan(situation, judge, warm)
         return plan, replace(watched, steering_m=situation.steering_m)
@@ -132,8 +134,8 @@ def _member(
     problem: Problem, number: int, region: Region, generator: np.random.Generator
 ) -> Member:
     own = problem_of_robot(problem, number)
-    start = np.asarray(own.robots[0].start_m)
-    ground = build_ground(own, start)
+    start = own.robots[0].start_state
+    ground = build_ground(own, start[:2])
     steered = [t for t in own.terms if isinstance(t, MappingTerm) and t.form == "two_layer"]
     steering = Steering(own, ground, steered[0]) if steered else None
     return Member(own, start, ground, planner_for(own, ground, generator), steering, region)

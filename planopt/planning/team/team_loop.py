@@ -69,7 +69,8 @@ def simulate_team(
     watches = [watch_target(problem, seeds.target)]
     crew = build_crew(problem, seeds)
     region = workspace_region(problem)
-    tracks: list[list[NDArray[np.float64]]] = [[member.start_m] for member in crew]
+    tracks: list[list[NDArray[np.float64]]] = [[member.start[:2]] for member in crew]
+    states = [member.start for member in crew]
     plans: list[list[Plan]] = [[] for _ in crew]
     aims: list[list[Aim]] = [[] for _ in crew]
     beliefs = [prepared.belief for _ in crew]
@@ -79,7 +80,7 @@ def simulate_team(
         watch = watches[-1]
         moment = TeamMoment(
             beliefs=beliefs,
-            positions_m=[track[-1] for track in tracks],
+            states=states,
             watched=[aim_of(watch, number, problem.planner.horizon) for number in range(len(crew))],
             histories=[
                 history_of(
@@ -97,7 +98,8 @@ def simulate_team(
             plans[number].append(plan)
             aims[number].append(aim)
         for number in range(len(crew)):
-            tracks[number].append(plans[number][-1].positions_m[1])
+            states[number] = plans[number][-1].next_state
+            tracks[number].append(states[number][:2])
             beliefs[number] = learn_here(problem, truth, beliefs[number], tracks[number][-1])
         here = np.array([track[-1] for track in tracks])
         arrived = true_power_dbm(truth, here) >= problem.stations[0].threshold_dbm

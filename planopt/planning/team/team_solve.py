@@ -50,7 +50,7 @@ def solve_team(
     robots = range(len(crew))
     moment = TeamMoment(
         beliefs=[belief for _ in robots],
-        positions_m=[member.start_m for member in crew],
+        states=[member.start for member in crew],
         watched=[aim_of(watch, number, steps) for number in robots],
         histories=[BEGINNING for _ in robots],
         warm=[None for _ in robots],

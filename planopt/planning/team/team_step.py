@@ -35,13 +35,13 @@ class TeamMoment:
 
     Attributes
     ----------
-    beliefs, positions_m, watched, histories, warm
-        Of each robot: what it believes of the channel, its place (2,), what it knows of the target,
+    beliefs, states, watched, histories, warm
+        Of each robot: what it believes of the channel, its state (s,), what it knows of the target,
         what has happened on the run before, and the plan that led here or None.
     """
 
     beliefs: Sequence[Belief]
-    positions_m: Sequence[NDArray[np.float64]]
+    states: Sequence[NDArray[np.float64]]
     watched: Sequence[Aim]
     histories: Sequence[History]
     warm: Sequence[Plan | None]
@@ -88,7 +88,7 @@ def _in_order(
     """Let robots plan in this order, each beside the plans made, and what is reserved if asked."""
     reserved = [
         reserved_path(place, None if plan is None else plan.positions_m, problem.planner.horizon)
-        for place, plan in zip(moment.positions_m, moment.warm, strict=True)
+        for place, plan in zip((state[:2] for state in moment.states), moment.warm, strict=True)
     ]
     made: dict[int, tuple[Plan, Aim]] = {}
     for number in order:
@@ -99,7 +99,7 @@ def _in_order(
         }
         made[number] = crew[number].plan(
             moment.beliefs[number],
-            moment.positions_m[number],
+            moment.states[number],
             moment.watched[number],
             moment.warm[number],
             moving_for(problem, moment.driven, others),

@@ -1,0 +1,134 @@
+"""Starts, tasks and last resorts of a robot that cannot turn or stop at will.
+
+The search finds ways of a robot that can. Its inputs are found by following such a way; what that
+cuts or swings out at corners is for the polish to mend. The last plan, one step later and then
+stopping, is always a way that the robot can drive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.ground import Ground
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.programme.motion_rows import MotionShape
+from planopt.planning.programme.motion_task import MotionTask
+from planopt.planning.programme.offenders import LINE_REACH_STEPS
+from planopt.planning.proof.motion import judge_motion
+from planopt.planning.search.start_search import Start
+from planopt.planning.shifted import shifted_drive
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive, rolled_out
+from planopt.robots.dynamics import Dynamics
+from planopt.world.separation import separating_lines
+
+
+def dynamics_of(problem: Problem) -> Dynamics:
+    """Of the problem's first robot, which has some."""
+    dynamics = problem.robots[0].dynamics
+    if dynamics is None:
+        raise AssertionError("a single integrator has no dynamics of its own")
+    return dynamics
+
+
+def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
+    """Structure of the rows of the robot's dynamics; None for the single integrator."""
+    dynamics = problem.robots[0].dynamics
+    if dynamics is None:
+        return None
+    return MotionShape(dynamics, problem.planner.step_s, problem.planner.horizon, lines)
+
+
+def driven_starts(
+    judge: Judge, situation: Situation, starts: list[Start], warm: Plan | None
+) -> list[Start]:
+    """Starts that the robot can drive, best first; those that come too near to obstacles last.
+
+    Parameters
+    ----------
+    judge, situation
+        Of the step.
+    starts
+        As the search found them, for a robot that turns and stops at will.
+    warm
+        The plan that led here, or None.
+    """
+    problem = judge.problem
+    dynamics, step_s = dynamics_of(problem), problem.planner.step_s
+    found: list[Start] = []
+    for start in starts:
+        inputs = dynamics.following(judge.state, start.path_m, step_s)
+        drive = rolled_out(dynamics, judge.state, inputs, step_s)
+        found.append(_start(judge, situation, drive))
+    shifted = shifted_drive(problem, warm)
+    if shifted is not None and warm is not None and warm.verdict is Verdict.VERIFIED:
+        if len(shifted.inputs) == problem.planner.horizon:
+            found.append(_start(judge, situation, shifted))
+    found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.worth))
+    return found
+
+
+def _start(judge: Judge, situation: Situation, drive: Drive) -> Start:
+    path = drive.positions_m[1:]
+    clear = not judge_motion(
+        judge.problem, judge.index, judge.state, drive.positions_m, drive
+    ).reasons
+    margins = judge.margins_db(situation.power(path))
+    missing = float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())
+    return Start(path, judge.objective(path), missing, drive, clear)
+
+
+def motion_task(problem: Problem, ground: Ground, shape: MotionShape, drive: Drive) -> MotionTask:
+    """What a polish from a drive needs."""
+    last = drive.states[-1]
+    points = shape.dynamics.stop_points(tuple(last), problem.planner.step_s)
+    end = np.array([points[-1] if points else last[:2]], dtype=np.float64)
+    lines = separating_lines(
+        ground.pieces, last[None, :2], end, shape.lines, LINE_REACH_STEPS * problem.step_length_m
+    )
+    return MotionTask(shape, drive, lines)
+
+
+def polished_drive(
+    problem: Problem, state: NDArray[np.float64], inputs: NDArray[np.float64] | None
+) -> Drive | None:
+    """Where the inputs that a solver returned lead; None of a single integrator."""
+    if inputs is None:
+        return None
+    return rolled_out(dynamics_of(problem), state, inputs, problem.planner.step_s)
+
+
+def without_start(judge: Judge, warm: Plan | None) -> Candidate:
+    """Take the last verified plan, one step later and checked again; else stop.
+
+    It stops straight away where that is clear, and else at the end of the last plan, which was
+    clear whatever is believed of the channel now.
+    """
+    problem = judge.problem
+    dynamics, step_s, horizon = (
+        dynamics_of(problem),
+        problem.planner.step_s,
+        problem.planner.horizon,
+    )
+    shifted = shifted_drive(problem, warm)
+    rest: Candidate | None = None
+    if shifted is not None and warm is not None and len(shifted.inputs) == horizon:
+        rest = judge.judged(_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
+        if rest.verdict is Verdict.VERIFIED and warm.verdict is Verdict.VERIFIED:
+            return rest
+    inputs = dynamics.braking(judge.state, step_s, horizon)
+    braked = rolled_out(dynamics, judge.state, inputs, step_s)
+    stop = judge.judged(_candidate(judge, braked, Rung.STOP, Termination.NO_PATH))
+    if not stop.sound and rest is not None and rest.sound:
+        return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH)
+    return stop
+
+
+def _candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
+    return judge.candidate(drive.positions_m[1:], rung, termination, drive)

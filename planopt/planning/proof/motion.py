@@ -1,0 +1,154 @@
+"""What the verifier says of a robot's motion: where it sweeps, and whether it can move like that.
+
+For the single integrator the way is straight from place to place. Any other robot says by states
+and inputs how it drives: from them every step is computed again by the robot's dynamics, and the
+way of stopping after the last step counts as swept, so that no next step is without a way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
+from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Dynamics
+from planopt.robots.single_integrator import dynamics_defect_m
+from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
+from planopt.world.ways import Way
+
+
+@dataclass(frozen=True)
+class MotionJudgement:
+    """What is found.
+
+    Attributes
+    ----------
+    clearance_m
+        Least distance of the swept way to an obstacle.
+    defect_m
+        Largest violation of the motion model and the input set.
+    reasons
+        What is violated; empty if all is kept.
+    """
+
+    clearance_m: float
+    defect_m: float
+    reasons: tuple[str, ...]
+
+
+def judge_motion(
+    problem: Problem,
+    index: ObstacleIndex,
+    start: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    drive: Drive | None,
+) -> MotionJudgement:
+    """Judge the motion of the problem's first robot along a finite path.
+
+    Parameters
+    ----------
+    problem, index
+        The problem and the index of its obstacles.
+    start
+        ``(s,)`` the robot's state, its place first.
+    positions_m
+        ``(N + 1, 2)`` the path.
+    drive
+        How the robot drives along it; None for the single integrator.
+    """
+    dynamics = problem.robots[0].dynamics
+    if dynamics is None:
+        return _straight(problem, index, start, positions_m)
+    states, inputs = len(dynamics.state_names), len(dynamics.input_names)
+    if (
+        drive is None
+        or drive.states.shape != (len(positions_m), states)
+        or drive.inputs.shape != (len(positions_m) - 1, inputs)
+    ):
+        return MotionJudgement(0.0, np.inf, ("the states and inputs of the robot are missing",))
+    if not (np.isfinite(drive.states).all() and np.isfinite(drive.inputs).all()):
+        return MotionJudgement(0.0, np.inf, ("not finite",))
+    return _driven(problem, index, start, positions_m, drive, dynamics)
+
+
+def _straight(
+    problem: Problem,
+    index: ObstacleIndex,
+    start_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+) -> MotionJudgement:
+    swept = swept_clearance_m(index, positions_m)
+    clearance = float(np.min(swept, initial=np.inf))
+    reasons = _clearance_reasons(problem, swept, "the swept path")
+    if not inside_bounds(problem.workspace, positions_m).all():
+        reasons.append("the path leaves world.bounds_m")
+    defect = dynamics_defect_m(positions_m, start_m, problem.step_length_m)
+    if defect > DYNAMICS_TOLERANCE_M:
+        reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
+    return MotionJudgement(clearance, defect, tuple(reasons))
+
+
+def _driven(
+    problem: Problem,
+    index: ObstacleIndex,
+    start: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    drive: Drive,
+    dynamics: Dynamics,
+) -> MotionJudgement:
+    step_s = problem.planner.step_s
+    states = drive.states
+    unit_m = np.array(dynamics.unit_m(step_s))
+    ways = dynamics.ways(states[:-1], drive.inputs, step_s)
+    each = np.array([way.clearance_m(index) for way in ways])
+    clearance = float(np.min(each, initial=np.inf))
+    reasons = _clearance_reasons(problem, each, "the swept path")
+    if not all(_within(problem, way) for way in ways):
+        reasons.append("the path leaves world.bounds_m")
+    stop = dynamics.stop_way(states[-1], step_s)
+    if stop is not None:
+        after = np.array([stop.clearance_m(index)])
+        clearance = min(clearance, float(after[0]))
+        reasons += _clearance_reasons(problem, after, "the way of stopping after the last step")
+        if not _within(problem, stop):
+            reasons.append("the way of stopping after the last step leaves world.bounds_m")
+
+    reached = np.column_stack(dynamics.step(tuple(states[:-1].T), tuple(drive.inputs.T), step_s))
+    jump = float(np.max(np.abs(states[0] - start) * unit_m))
+    jump = max(jump, float(np.max(np.abs(states[:, :2] - positions_m))))
+    off = float(np.max(np.abs(reached - states[1:]) * unit_m, initial=0.0))
+    over = max(0.0, dynamics.excess_m(states, drive.inputs, step_s))
+    moving = np.abs(np.array(dynamics.stop_rows(tuple(states[-1]), step_s), dtype=np.float64))
+    still = float(np.max(moving * unit_m, initial=0.0) if moving.size else 0.0)
+    for defect, words in (
+        (jump, "the states do not begin where the robot is, or are not those of the path"),
+        (off, "the inputs do not lead from state to state"),
+        (over, "an input or a speed is over its limit"),
+        (still, "the robot cannot stop after the last step"),
+    ):
+        if not defect <= DYNAMICS_TOLERANCE_M:
+            reasons.append(f"{words}, by {defect:.3g} m a step")
+    return MotionJudgement(clearance, max(jump, off, over, still), tuple(reasons))
+
+
+def _clearance_reasons(problem: Problem, swept: NDArray[np.float64], what: str) -> list[str]:
+    constraints = problem.constraints
+    if is_clear(swept, constraints.clearance_m, CLEARANCE_TOLERANCE_M).all():
+        return []
+    return [
+        f"{what} comes within {swept.min():.3f} m of an obstacle, "
+        f"constraints.clearance_m is {constraints.clearance_m:g}"
+    ]
+
+
+def _within(problem: Problem, way: Way) -> bool:
+    """Whether all of a way is in the workspace, to round-off."""
+    places, within = way.points_m()
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    low = places.min(axis=0) - within + 2.0 * CLEARANCE_TOLERANCE_M
+    high = places.max(axis=0) + within - 2.0 * CLEARANCE_TOLERANCE_M
+    return bool(low[0] >= x_min and low[1] >= y_min and high[0] <= x_max and high[1] <= y_max)

@@ -1,0 +1,36 @@
+"""A robot that is moving at the start must be able to stop: then there is always a clear plan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planopt.errors import InputError
+from planopt.problems.problem import Problem
+from planopt.world.clearance import ObstacleIndex
+
+
+def check_stopping(problem: Problem, index: ObstacleIndex, number: int) -> None:
+    """Raise an error if robot number `number` cannot brake in time from its start.
+
+    Raises
+    ------
+    InputError
+        The way of braking comes too near to an obstacle or leaves the bounds.
+    """
+    robot = problem.robots[number]
+    if robot.dynamics is None:
+        return
+    way = robot.dynamics.stop_way(robot.start_state, problem.planner.step_s)
+    if way is None:
+        return
+    places, within = way.points_m()
+    bounds = np.array(problem.workspace.bounds_m)
+    outside = (places - within < bounds[:2]).any() or (places + within > bounds[2:]).any()
+    if outside or way.clearance_m(index) < problem.constraints.clearance_m:
+        raise InputError(
+            f"is {list(robot.start_rest)}, too fast to stop "
+            + ("within world.bounds_m" if outside else "clear of the obstacles ahead"),
+            file=problem.file,
+            key=f"robots[{number}].start_velocity_m_s",
+            remedy="lessen it, or start elsewhere",
+        )

@@ -1,0 +1,248 @@
+# pyright: basic
+"""Any dynamics that CasADi can write: a discrete map, or a continuous one by Runge-Kutta.
+
+From Python only: a problem file cannot hold a function. Of the way within a step nothing is known
+but samples and the largest speed: between two samples that are d metres and t seconds apart the
+robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse of all ways that are
+not too long. A plan must end in a state in which the robot can rest.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.robots.carrot import Carrot
+from planopt.robots.dynamics import Components
+from planopt.robots.runge_kutta import runge_kutta
+from planopt.world.ways import PointWay, Way
+
+DENSER = 8
+"""How many times as many samples a way is proven from as planned with."""
+
+TRIED = 5
+"""Values of each input that following a path looks at."""
+
+HELD_STEPS = 2
+"""For how many steps it looks ahead with each."""
+
+
+@dataclass(frozen=True, eq=False)
+class CasadiMap:
+    """Dynamics given by a CasADi function.
+
+    Attributes
+    ----------
+    function
+        A ``casadi.Function`` of (state, input), both column vectors, to the next state, or to the
+        derivative of the state where `continuous`.
+    state_names, input_names
+        Names with units. The first two states are the place in metres and must be called ``x_m``
+        and ``y_m``.
+    speed_max_m_s
+        The robot is never faster: what is proven of its way rests on it.
+    state_bounds, input_bounds
+        Least and largest value of each component, infinite where there is no bound.
+    rest_input
+        The input with which it can stay where it is.
+    continuous
+        Whether `function` is a derivative.
+    substeps
+        Parts that a step is integrated in; 1 for a discrete map.
+    """
+
+    function: Any
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    speed_max_m_s: float
+    state_bounds: tuple[tuple[float, float], ...]
+    input_bounds: tuple[tuple[float, float], ...]
+    rest_input: tuple[float, ...]
+    continuous: bool = False
+    substeps: int = 1
+    _directional: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        states, inputs = len(self.state_names), len(self.input_names)
+        sizes = [self.function.size1_in(i) for i in range(self.function.n_in())]
+        if sizes != [states, inputs] or self.function.size1_out(0) != states:
+            raise InputError(
+                f"takes {sizes} and gives {self.function.size1_out(0)} numbers, should take "
+                f"[{states}, {inputs}] and give {states}",
+                key="function",
+                remedy="one number for each of state_names and input_names",
+            )
+        if self.state_names[:2] != ("x_m", "y_m"):
+            raise InputError(
+                f"begin with {', '.join(self.state_names[:2])}, should begin with x_m, y_m",
+                key="state_names",
+                remedy="put the place first",
+            )
+        for key, bounds, count in (
+            ("state_bounds", self.state_bounds, states),
+            ("input_bounds", self.input_bounds, inputs),
+        ):
+            if len(bounds) != count or not all(low <= high for low, high in bounds):
+                raise InputError(
+                    f"should be {count} pairs, the lower bound first", key=key, remedy="see names"
+                )
+        if len(self.rest_input) != inputs:
+            raise InputError(f"should be {inputs} numbers", key="rest_input", remedy="see names")
+        if not (self.speed_max_m_s > 0.0 and math.isfinite(self.speed_max_m_s)):
+            raise InputError("should be above 0", key="speed_max_m_s", remedy="a bound of speed")
+        if self.substeps < 1 or (self.substeps > 1 and not self.continuous):
+            raise InputError(
+                f"is {self.substeps}, should be at least 1, and 1 of a discrete map",
+                key="substeps",
+                remedy="set continuous = True for a derivative",
+            )
+        x, u = ca.SX.sym("x", states), ca.SX.sym("u", inputs)
+        dx, du = ca.SX.sym("dx", states), ca.SX.sym("du", inputs)
+        slope = ca.jtimes(self.function(x, u), ca.vertcat(x, u), ca.vertcat(dx, du))
+        directional = ca.Function("directional", [x, u, dx, du], [slope])
+        object.__setattr__(self, "_directional", directional)
+
+    @property
+    def kind(self) -> str:
+        """What messages call it."""
+        return "casadi_map"
+
+    def step(self, state: Components, control: Components, step_s: float) -> Components:
+        """The state after a step."""
+        return self._samples(state, control, step_s, self.substeps)[-1]
+
+    def limits(self, control: Components, after: Components) -> Components:
+        """Components over their finite bounds, scaled."""
+        rows = []
+        for values, bounds in ((control, self.input_bounds), (after, self.state_bounds)):
+            for value, (low, high) in zip(values, bounds, strict=True):
+                width = max(1.0, high - low) if math.isfinite(high - low) else 1.0
+                rows += [(value - high) / width] if math.isfinite(high) else []
+                rows += [(low - value) / width] if math.isfinite(low) else []
+        return tuple(rows)
+
+    def control_points(
+        self, state: Components, control: Components, step_s: float
+    ) -> tuple[tuple[Any, Any], ...]:
+        """Places between the parts of a step."""
+        samples = self._samples(state, control, step_s, self.substeps)
+        return tuple((sample[0], sample[1]) for sample in samples[:-1])
+
+    def way_pad_m(self, step_s: float) -> float:
+        """Half of what it drives in a part of a step at most."""
+        return 0.5 * self.speed_max_m_s * step_s / self.substeps
+
+    def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
+        """None: a plan ends at rest."""
+        return ()
+
+    def stop_way(self, state: NDArray[np.float64], step_s: float) -> None:
+        """None."""
+
+    def stop_rows(self, state: Components, step_s: float) -> Components:
+        """What the rest input changes."""
+        after = self.step(state, self.rest_input, step_s)
+        return tuple(there - here for there, here in zip(after, state, strict=True))
+
+    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+        """The rest input."""
+        return np.tile(np.array(self.rest_input), (steps, 1))
+
+    def following(
+        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Of some inputs, each held for two steps, the one that leads nearest to the path ahead."""
+        carrot = Carrot(np.vstack([state[:2], path_m]))
+        ranges = [
+            np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), TRIED)
+            if not (math.isfinite(low) and math.isfinite(high))
+            else np.linspace(low, high, TRIED)
+            for (low, high), rest in zip(self.input_bounds, self.rest_input, strict=True)
+        ]
+        tried = np.array([self.rest_input, *itertools.product(*ranges)])
+        inputs = np.zeros((len(path_m), len(self.input_names)))
+        here = tuple(state)
+        for k in range(len(path_m)):
+            reach = HELD_STEPS * self.speed_max_m_s * step_s
+            target, _ = carrot.ahead_m(np.array(here[:2], dtype=float), reach)
+            after = tuple(np.full(len(tried), value) for value in here)
+            for _ in range(HELD_STEPS):
+                after = self.step(after, tuple(tried.T), step_s)
+            away = np.hypot(after[0] - target[0], after[1] - target[1])
+            inputs[k] = tried[int(np.argmin(away))]
+            here = self.step(here, tuple(inputs[k]), step_s)
+        return inputs
+
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """Nothing but the largest speed is known."""
+        return np.ones(len(places_m), dtype=np.bool_)
+
+    def ways(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[Way]:
+        """Samples of each step, and how far from the lines between them the robot can be."""
+        count = self.substeps * DENSER if self.continuous else 1
+        before, control = tuple(states.T), tuple(inputs.T)
+        samples = [before, *self._samples(before, control, step_s, count)]
+        places = np.array([[sample[0], sample[1]] for sample in samples]).transpose(2, 0, 1)
+        end = np.column_stack(self.step(before, control, step_s)[:2])
+        longest = self.speed_max_m_s * step_s / count
+        found: list[Way] = []
+        for way, planned in zip(places, end, strict=True):
+            apart = np.linalg.norm(np.diff(way, axis=0), axis=1)
+            within = 0.5 * math.sqrt(max(0.0, longest**2 - float(apart.min()) ** 2))
+            # That the plan's integration is coarser counts as not knowing where the robot is.
+            found.append(PointWay(way, within + float(np.linalg.norm(planned - way[-1]))))
+        return found
+
+    def excess_m(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> float:
+        """Of components over their bounds, and of steps longer than the speed allows."""
+        unit = self.speed_max_m_s * step_s
+        lengths = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1)
+        over = [float(np.max(lengths, initial=0.0)) - unit]
+        for table, bounds in ((inputs, self.input_bounds), (states[1:], self.state_bounds)):
+            for column, (low, high) in zip(table.T, bounds, strict=True):
+                over.append(unit * float(np.max(np.maximum(column - high, low - column))))
+        return max(over)
+
+    def unit_m(self, step_s: float) -> tuple[float, ...]:
+        """Any other component counts as what is driven in a step at most."""
+        other = self.speed_max_m_s * step_s
+        return (1.0, 1.0, *(other for _ in self.state_names[2:]))
+
+    def _samples(
+        self, state: Components, control: Components, step_s: float, count: int
+    ) -> list[Components]:
+        if self.continuous:
+            return runge_kutta(self._evaluated, state, control, step_s, count)
+        return [self._evaluated(state, control)]
+
+    def _evaluated(self, state: Components, control: Components) -> Components:
+        """The function of expressions, of numbers, or of arrays of them, real or complex."""
+        if any(isinstance(value, ca.SX | ca.MX) for value in (*state, *control)):
+            return tuple(ca.vertsplit(self.function(ca.vertcat(*state), ca.vertcat(*control))))
+        both = np.broadcast_arrays(*(np.asarray(value) for value in (*state, *control)))
+        shape, table = both[0].shape, np.array([value.ravel() for value in both])
+        split = len(self.state_names)
+        real = np.ascontiguousarray(np.real(table))
+        value = np.array(self.function(real[:split], real[split:]))
+        if np.iscomplexobj(table):
+            step = np.ascontiguousarray(np.imag(table))
+            slope = self._directional(real[:split], real[split:], step[:split], step[split:])
+            value = value + 1j * np.array(slope)
+        return tuple(row.reshape(shape) for row in value)

@@ -1,0 +1,109 @@
+"""What planners and the verifier ask of a robot's dynamics, whatever they are.
+
+States and inputs are tuples of components, so that NumPy numbers, NumPy arrays (of any shape, real
+or complex) and CasADi expressions pass through the same formula. Inputs are constant over a step.
+The single integrator needs none of this: its steps are the differences of its positions.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.world.ways import Way
+
+Components = tuple[Any, ...]
+"""One number, array or expression for each component of a state or an input."""
+
+
+class Dynamics(Protocol):
+    """How a robot moves that cannot turn or stop at will."""
+
+    @property
+    def kind(self) -> str:
+        """What problem files call it."""
+        ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names with units; the first two are ``x_m`` and ``y_m``."""
+        ...
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names with units."""
+        ...
+
+    def step(self, state: Components, control: Components, step_s: float) -> Components:
+        """The state after a step."""
+        ...
+
+    def limits(self, control: Components, after: Components) -> Components:
+        """What must be at most 0, for a solver: input of a step and state after it, scaled."""
+        ...
+
+    def control_points(
+        self, state: Components, control: Components, step_s: float
+    ) -> tuple[tuple[Any, Any], ...]:
+        """Points that with both ends have the whole way of a step in their convex hull."""
+        ...
+
+    def way_pad_m(self, step_s: float) -> float:
+        """How far outside that hull the way of a step may be, in metres."""
+        ...
+
+    def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
+        """Points that with the place have the way of stopping from a state in their hull."""
+        ...
+
+    def stop_way(self, state: NDArray[np.float64], step_s: float) -> Way | None:
+        """The way of stopping from a state; None where it stands at once."""
+        ...
+
+    def stop_rows(self, state: Components, step_s: float) -> Components:
+        """What must be 0 so that the robot can stop from a state; none where it always can.
+
+        Differences of the components of the state.
+        """
+        ...
+
+    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+        """Inputs (steps, m) that stop as soon as they can and then rest."""
+        ...
+
+    def following(
+        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Inputs (N, m) that lead about along a path (N, 2) of straight steps."""
+        ...
+
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """Whether it may be at places (n, 2) after a while, or `slack_m` from there.
+
+        Obstacles and the largest speed are left out; it is never False where the robot can be.
+        """
+        ...
+
+    def ways(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[Way]:
+        """The ways of steps from states (n, s) with inputs (n, m), for clearance."""
+        ...
+
+    def excess_m(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> float:
+        """By how much inputs or speeds are over their limits, as metres that this makes a step."""
+        ...
+
+    def unit_m(self, step_s: float) -> tuple[float, ...]:
+        """How many metres a unit of each component of the state makes, in about a step."""
+        ...

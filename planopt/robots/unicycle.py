@@ -1,0 +1,192 @@
+"""The unicycle: forward speed and turn rate as inputs, constant over a step.
+
+x' = v cos(heading), y' = v sin(heading), heading' = w. The way of a step is straight or a circular
+arc, exactly: with the half turn z = w h / 2 its chord is v h sin(z)/z long, in the direction
+heading + z. It lies in the triangle of its ends and the point where the tangents at them meet,
+v h tan(z) / (2 z) ahead; a step that may turn far is cut into arcs of which each turns little.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.robots.carrot import Carrot
+from planopt.robots.dynamics import Components
+from planopt.robots.elementary import cosine, sinc, sine
+from planopt.world.ways import Arc, Way
+
+PIECE_TURN_RAD = math.pi / 4.0
+"""A step is cut into arcs that turn no more than this: its hull is then near to the arc."""
+
+
+@dataclass(frozen=True)
+class Unicycle:
+    """A robot that drives where it faces, such as one with two driven wheels.
+
+    Attributes
+    ----------
+    speed_max_m_s, speed_min_m_s
+        Largest and least forward speed; a negative one is backward. The least is at most 0, so that
+        the robot can stop.
+    turn_rate_max_rad_s
+        Largest turn rate, to either side.
+    """
+
+    speed_max_m_s: float
+    turn_rate_max_rad_s: float
+    speed_min_m_s: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """What problem files call it."""
+        return "unicycle"
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names with units."""
+        return ("x_m", "y_m", "heading_rad")
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names with units."""
+        return ("speed_m_s", "turn_rate_rad_s")
+
+    def step(self, state: Components, control: Components, step_s: float) -> Components:
+        """The state after a step, exact."""
+        (x, y, heading), (speed, rate) = state, control
+        half = 0.5 * step_s * rate
+        chord = step_s * speed * sinc(half)
+        return (
+            x + chord * cosine(heading + half),
+            y + chord * sine(heading + half),
+            heading + step_s * rate,
+        )
+
+    def limits(self, control: Components, after: Components) -> Components:
+        """Both inputs within their intervals, scaled."""
+        speed, rate = control
+        return (
+            (speed - self.speed_max_m_s) / self.speed_max_m_s,
+            (self.speed_min_m_s - speed) / self.speed_max_m_s,
+            (rate - self.turn_rate_max_rad_s) / self.turn_rate_max_rad_s,
+            (-rate - self.turn_rate_max_rad_s) / self.turn_rate_max_rad_s,
+        )
+
+    def control_points(
+        self, state: Components, control: Components, step_s: float
+    ) -> tuple[tuple[Any, Any], ...]:
+        """Where the tangents of each piece of the arc meet, and where pieces meet."""
+        pieces = max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
+        piece_s = step_s / pieces
+        speed, rate = control
+        half = 0.5 * piece_s * rate
+        ahead = 0.5 * piece_s * speed * sinc(half) / cosine(half)
+        points: list[tuple[Any, Any]] = []
+        for piece in range(pieces):
+            x, y, heading = state
+            points.append((x + ahead * cosine(heading), y + ahead * sine(heading)))
+            state = self.step(state, control, piece_s)
+            if piece + 1 < pieces:
+                points.append((state[0], state[1]))
+        return tuple(points)
+
+    def way_pad_m(self, step_s: float) -> float:
+        """None: the hull is exact."""
+        return 0.0
+
+    def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
+        """None: it stops at once."""
+        return ()
+
+    def stop_way(self, state: NDArray[np.float64], step_s: float) -> None:
+        """None: it stops at once."""
+
+    def stop_rows(self, state: Components, step_s: float) -> Components:
+        """None."""
+        return ()
+
+    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+        """Nothing moves."""
+        return np.zeros((steps, 2))
+
+    def following(
+        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Drive on the arc to a point a little ahead on the path; turn first if it is behind."""
+        carrot = Carrot(np.vstack([state[:2], path_m]))
+        here = tuple(state)
+        inputs = np.zeros((len(path_m), 2))
+        for k in range(len(path_m)):
+            place = np.array(here[:2])
+            target, left_m = carrot.ahead_m(place, self.speed_max_m_s * step_s)
+            inputs[k] = self._towards(target - place, float(here[2]), left_m, step_s)
+            here = self.step(here, tuple(inputs[k]), step_s)
+        return inputs
+
+    def _towards(
+        self, offset_m: NDArray[np.float64], heading: float, left_m: float, step_s: float
+    ) -> tuple[float, float]:
+        """Inputs towards a point: the arc that is tangent to the heading and goes through it."""
+        distance = float(np.hypot(*offset_m))
+        if distance <= 1e-9 or left_m <= 0.0:
+            return 0.0, 0.0
+        bearing = math.atan2(offset_m[1], offset_m[0]) - heading
+        bearing = math.remainder(bearing, 2.0 * math.pi)
+        if abs(bearing) > math.pi / 3.0:
+            limit = self.turn_rate_max_rad_s
+            return 0.0, min(max(bearing / step_s, -limit), limit)
+        curvature = 2.0 * math.sin(bearing) / distance
+        speed = min(self.speed_max_m_s, left_m / step_s)
+        if abs(curvature) * speed > self.turn_rate_max_rad_s:
+            speed = self.turn_rate_max_rad_s / abs(curvature)
+        return speed, speed * curvature
+
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """No farther to the side than turning allows: v (1 - cos w t) / w up to a quarter turn.
+
+        Until then nothing behind it, if it cannot drive backward.
+        """
+        rate = self.turn_rate_max_rad_s
+        turning_s = min(duration_s, 0.5 * math.pi / rate)
+        speed = max(self.speed_max_m_s, -self.speed_min_m_s)
+        sideways = speed * ((1.0 - math.cos(rate * turning_s)) / rate + duration_s - turning_s)
+        ahead = np.array([math.cos(state[2]), math.sin(state[2])])
+        offset = places_m - state[:2]
+        across = np.abs(offset @ np.array([-ahead[1], ahead[0]]))
+        reached = across <= sideways + slack_m
+        if self.speed_min_m_s == 0.0 and turning_s == duration_s:
+            reached &= offset @ ahead >= -slack_m
+        return reached
+
+    def ways(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[Way]:
+        """The arc of each step."""
+        return [
+            Arc(state[:2], float(state[2]), step_s * float(speed), step_s * float(rate))
+            for state, (speed, rate) in zip(states, inputs, strict=True)
+        ]
+
+    def excess_m(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> float:
+        """Of speed and of turn rate, at full speed, in metres a step; NaN where one is."""
+        speed = np.maximum(inputs[:, 0] - self.speed_max_m_s, self.speed_min_m_s - inputs[:, 0])
+        rate = np.abs(inputs[:, 1]) - self.turn_rate_max_rad_s
+        sideways = 0.5 * step_s * step_s * self.speed_max_m_s * rate
+        return float(np.max(np.concatenate([step_s * speed, sideways])))
+
+    def unit_m(self, step_s: float) -> tuple[float, ...]:
+        """A heading makes what full speed is off by after a step."""
+        return (1.0, 1.0, self.speed_max_m_s * step_s)

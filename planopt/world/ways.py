@@ -1,0 +1,167 @@
+"""Curved ways of one step: their distance to the obstacles, and how far they reach.
+
+Straight ways and arcs are exact; a parabola's distance is a bound from below that is less than a
+micrometre off; any other way is given by points that it is within a known distance of.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.world.arc_distance import arc_segment_distances_m
+from planopt.world.clearance import ObstacleIndex, clearance_m, containing_obstacle
+
+SAG_M = 5e-7
+"""Curves are given by points so near to each other that straight lines between them are off by no
+more than this, where that is not exact."""
+
+
+class Way(Protocol):
+    """The way of one step."""
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Points (k, 2) of the way in order, and how far it is from the lines between them."""
+        ...
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """Distance to the nearest obstacle, or a bound below; infinite without obstacles."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PointWay:
+    """A way of which only points are known.
+
+    Attributes
+    ----------
+    places_m
+        ``(k, 2)``, k at least 1.
+    within_m
+        The way is nowhere farther than this from the straight lines between them.
+    """
+
+    places_m: NDArray[np.float64]
+    within_m: float
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Its points."""
+        return self.places_m, self.within_m
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """A bound below."""
+        return max(0.0, _polyline_m(index, self.places_m) - self.within_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Parabola:
+    """p(t) = start + t along + t^2 bend for t from 0 to 1.
+
+    Attributes
+    ----------
+    start_m, along_m, bend_m
+        ``(2,)`` each.
+    """
+
+    start_m: NDArray[np.float64]
+    along_m: NDArray[np.float64]
+    bend_m: NDArray[np.float64]
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Points whose lines are off by at most |bend| / (4 n^2)."""
+        bend = float(np.hypot(*self.bend_m))
+        count = max(1, math.ceil(math.sqrt(bend / (4.0 * SAG_M))))
+        t = np.linspace(0.0, 1.0, count + 1)[:, None]
+        places = self.start_m + t * self.along_m + t * t * self.bend_m
+        return places, bend / (4.0 * count * count)
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """A bound below, less than a micrometre off."""
+        places, within = self.points_m()
+        return max(0.0, _polyline_m(index, places) - within)
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """A circular arc, a straight line where it does not turn.
+
+    Attributes
+    ----------
+    start_m
+        ``(2,)``.
+    heading_rad
+        Direction of the tangent at the start.
+    length_m
+        Negative where it is driven backward.
+    turn_rad
+        By how much the tangent turns from start to end.
+    """
+
+    start_m: NDArray[np.float64]
+    heading_rad: float
+    length_m: float
+    turn_rad: float
+
+    @property
+    def bulge_m(self) -> float:
+        """About how far the middle is from the chord, a bound above."""
+        return abs(self.length_m * self.turn_rad) / 8.0
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Points whose lines are off by at most length turn / (8 n^2)."""
+        count = max(1, math.ceil(math.sqrt(self.bulge_m / SAG_M)))
+        return self._at(np.linspace(0.0, 1.0, count + 1)), self.bulge_m / (count * count)
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """Exact, but for arcs as straight as round-off."""
+        ends = self._at(np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
+        if self.bulge_m <= 1e-9:
+            return max(0.0, _polyline_m(index, ends[[0, -1]]) - self.bulge_m)
+        if not index.obstacles:
+            return math.inf
+        if containing_obstacle(index, self.start_m) is not None:
+            return 0.0
+        at_most = float(clearance_m(index, ends).min())
+        # The nearest obstacle is no farther from the lines between these than this.
+        reach = at_most + 2.0 * self.bulge_m
+        near = index.tree.query(shapely.LineString(ends), predicate="dwithin", distance=reach)
+        edges = [_edges(polygon) for polygon in index.polygons[near]]
+        starts, stops = (np.concatenate([edge[end] for edge in edges]) for end in (0, 1))
+        distances = arc_segment_distances_m(
+            self.start_m, self.heading_rad, self.length_m, self.turn_rad, starts, stops
+        )
+        return float(distances.min())
+
+    def _at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Places (k, 2) at shares (k,) of the arc."""
+        half = 0.5 * share * self.turn_rad
+        # NumPy's sinc is that of pi times its argument.
+        chord = share * self.length_m * np.sinc(half / math.pi)
+        direction = self.heading_rad + half
+        offsets = np.column_stack([chord * np.cos(direction), chord * np.sin(direction)])
+        return self.start_m + offsets
+
+
+def _polyline_m(index: ObstacleIndex, places_m: NDArray[np.float64]) -> float:
+    """Distance of the lines through places (k, 2) to the nearest obstacle."""
+    if not index.obstacles:
+        return math.inf
+    moved = np.concatenate([[True], (np.diff(places_m, axis=0) ** 2).sum(axis=1) > 0.0])
+    places = places_m[moved]
+    shape = shapely.Point(places[0]) if len(places) == 1 else shapely.LineString(places)
+    _, distance = index.tree.query_nearest(shape, return_distance=True, all_matches=False)
+    return float(distance.min())
+
+
+def _edges(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Starts and ends of all edges, those of holes included."""
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon)]
+    return (
+        np.concatenate([ring[:-1] for ring in rings]),
+        np.concatenate([ring[1:] for ring in rings]),
+    )

@@ -1,0 +1,50 @@
+"""The small problem of terms with a robot that cannot turn or stop at will."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from terms_scene import judge_of, situation_of, terms_problem
+
+from planopt.planning.candidate import Judge
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.problems.problem import Problem
+from planopt.robots.double_integrator import DoubleIntegrator
+from planopt.robots.dynamics import Dynamics
+from planopt.robots.unicycle import Unicycle
+
+DOUBLE = DoubleIntegrator(2.0, 0.8)
+WHEELS = Unicycle(2.0, 0.9)
+
+
+def with_dynamics(problem: Problem, dynamics: Dynamics, *rest: float) -> Problem:
+    """`problem` with these dynamics for each robot; `rest` is of the state at the start."""
+    beyond = rest or (0.0,) * (len(dynamics.state_names) - 2)
+    robots = tuple(
+        replace(robot, dynamics=dynamics, start_rest=beyond, speed_max_m_s=dynamics.speed_max_m_s)
+        for robot in problem.robots
+    )
+    return replace(problem, robots=robots)
+
+
+def planned(problem: Problem, warm: Any = None, state: Any = None, seed: int = 0):
+    """A plan from the problem's start, or from `state`, with its situation, judge and planner."""
+    situation, belief = situation_of(problem, seed)
+    here = problem.robots[0].start_state if state is None else np.asarray(state)
+    situation = replace(situation, position_m=here[:2])
+    judge, ground = judge_of(situation, belief)
+    judge = at_state(judge, here)
+    planner = HorizonPlanner(problem, ground)
+    return planner.plan(situation, judge, warm), situation, judge, planner
+
+
+def at_state(judge: Judge, state: np.ndarray) -> Judge:
+    """A judge of a robot in another state."""
+    return replace(judge, position_m=state[:2], rest=state[2:])
+
+
+def driven_problem(dynamics: Dynamics, *terms: dict[str, Any], **planner: Any) -> Problem:
+    """The small problem of these terms with these dynamics."""
+    return with_dynamics(terms_problem(*terms, **planner), dynamics)

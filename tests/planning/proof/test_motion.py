@@ -1,0 +1,165 @@
+"""What the verifier says of a motion: every edit of a good drive is rejected, with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from motion_scene import DOUBLE, WHEELS, driven_problem
+from terms_scene import LEARNING
+
+from planopt.planning.proof.motion import judge_motion
+from planopt.robots.drive import Drive, rolled_out
+from planopt.world.clearance import index_obstacles
+
+STEPS = 4
+
+
+def scene(dynamics):
+    """A problem, its obstacles, a start, and a gentle drive from there that is clear."""
+    problem = driven_problem(dynamics, LEARNING, horizon=STEPS)
+    state = problem.robots[0].start_state
+    inputs = np.tile([0.35, 0.3], (STEPS, 1))
+    drive = rolled_out(dynamics, state, inputs, problem.planner.step_s)
+    return problem, index_obstacles(problem.workspace), state, drive
+
+
+def judged(problem, index, state, drive):
+    """Reasons of a drive."""
+    return judge_motion(problem, index, state, drive.positions_m, drive)
+
+
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
+def test_a_good_drive_is_sound(dynamics) -> None:
+    """No reason, no defect, the clearance of dense samples."""
+    problem, index, state, drive = scene(dynamics)
+    found = judged(problem, index, state, drive)
+    assert found.reasons == ()
+    assert found.defect_m <= 1e-12
+    assert found.clearance_m > problem.constraints.clearance_m
+
+
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
+@pytest.mark.parametrize("row", range(STEPS))
+@pytest.mark.parametrize("column", [0, 1])
+def test_an_edited_input_is_rejected(dynamics, row: int, column: int) -> None:
+    """By a thousandth of it: it leads elsewhere."""
+    problem, index, state, drive = scene(dynamics)
+    inputs = drive.inputs.copy()
+    inputs[row, column] += 1e-3
+    found = judged(problem, index, state, replace(drive, inputs=inputs))
+    assert any("do not lead from state to state" in reason for reason in found.reasons)
+    assert found.defect_m > 1e-5
+
+
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
+@pytest.mark.parametrize("row", range(STEPS + 1))
+def test_an_edited_state_is_rejected(dynamics, row: int) -> None:
+    """Every component of every state, headings and velocities included."""
+    problem, index, state, drive = scene(dynamics)
+    for column in range(drive.states.shape[1]):
+        states = drive.states.copy()
+        states[row, column] += 1e-3
+        edited = Drive(dynamics, states, drive.inputs)
+        assert judged(problem, index, state, edited).reasons
+        # The path says something else than the states.
+        assert judge_motion(problem, index, state, drive.positions_m, edited).reasons
+
+
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
+def test_another_start_is_rejected(dynamics) -> None:
+    """A drive from another state than the robot's, be it only its heading or velocity."""
+    problem, index, state, drive = scene(dynamics)
+    for column in range(len(state)):
+        moved = state.copy()
+        moved[column] += 1e-3
+        found = judge_motion(problem, index, moved, drive.positions_m, drive)
+        assert any("do not begin where the robot is" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "inputs"),
+    [
+        (DOUBLE, [0.81, 0.0]),  # acceleration
+        (DOUBLE, [0.6, 0.6]),  # both of it
+        (WHEELS, [2.01, 0.0]),
+        (WHEELS, [-0.01, 0.0]),
+        (WHEELS, [0.5, 0.91]),
+        (WHEELS, [0.5, -0.91]),
+    ],
+)
+def test_what_is_over_its_limit_is_rejected(dynamics, inputs) -> None:
+    """Consistent states do not help."""
+    problem, index, state, _ = scene(dynamics)
+    drive = rolled_out(dynamics, state, np.tile(inputs, (1, 1)), problem.planner.step_s)
+    found = judged(problem, index, state, drive)
+    assert any("over its limit" in reason for reason in found.reasons)
+
+
+def test_speed_of_a_double_integrator_is_limited() -> None:
+    """Allowed accelerations that add up to too much speed."""
+    problem, index, state, _ = scene(DOUBLE)
+    drive = rolled_out(DOUBLE, state, np.tile([0.0, -0.79], (3, 1)), problem.planner.step_s)
+    assert np.abs(drive.states[:, 2:]).max() > 2.0
+    assert any("over its limit" in r for r in judged(problem, index, state, drive).reasons)
+
+
+def test_the_way_of_stopping_must_be_clear() -> None:
+    """A plan that ends in front of a wall, too fast to stop, is rejected."""
+    problem, index, state, _ = scene(DOUBLE)
+    # The block's west side is at x = 18; the clearance is 0.5 m.
+    state = np.array([14.6, 20.0, 1.9, 0.0])
+    drive = rolled_out(DOUBLE, state, np.zeros((1, 2)), problem.planner.step_s)
+    assert drive.positions_m[-1, 0] < 17.5
+    reasons = judged(problem, index, state, drive).reasons
+    assert len(reasons) == 1
+    assert "the way of stopping" in reasons[0]
+    slow = rolled_out(DOUBLE, state, np.array([[-0.8, 0.0]]), problem.planner.step_s)
+    assert judged(problem, index, state, slow).reasons == ()
+
+
+def test_an_arc_into_a_corner_is_rejected_though_its_chord_is_clear() -> None:
+    """The swept arc counts, not the places."""
+    problem, index, _, _ = scene(WHEELS)
+    state = np.array([16.6, 13.0, -0.45])
+    drive = rolled_out(WHEELS, state, np.array([[2.0, 0.9]] * 2), problem.planner.step_s)
+    arc = judged(problem, index, state, drive).clearance_m
+    middle = np.array(WHEELS.step(tuple(state), (2.0, 0.9), 0.5)[:2])
+    assert arc < np.abs(18.0 - drive.positions_m[:, 0]).min()
+    assert arc <= 18.0 - middle[0]
+
+
+def test_missing_or_broken_drives_are_rejected() -> None:
+    """None, the wrong shape, or not finite: a reason, no exception."""
+    problem, index, state, drive = scene(DOUBLE)
+    path = drive.positions_m
+    states = drive.states.copy()
+    states[2, 3] = np.nan
+    for broken in (
+        None,
+        Drive(DOUBLE, drive.states[:-1], drive.inputs[:-1]),
+        Drive(DOUBLE, drive.states[:, :3], drive.inputs),
+        Drive(DOUBLE, drive.states, drive.inputs[:-1]),
+        Drive(DOUBLE, drive.states, drive.inputs[:, :1]),
+        Drive(DOUBLE, states, drive.inputs),
+    ):
+        found = judge_motion(problem, index, state, path, broken)
+        assert found.reasons
+        assert found.defect_m == np.inf
+
+
+def test_ways_outside_the_workspace_are_rejected() -> None:
+    """A way that leaves between two places that are inside, and one of stopping."""
+    problem, index, _, _ = scene(DOUBLE)
+    state = np.array([30.0, 39.6, 0.0, 0.8])
+    drive = rolled_out(DOUBLE, state, np.array([[0.0, -0.8]] * 2), problem.planner.step_s)
+    assert drive.positions_m[:, 1].max() <= 40.0 + 1e-9
+    edge = replace(problem, workspace=replace(problem.workspace, bounds_m=(0.0, 0.0, 40.0, 39.9)))
+    assert judged(problem, index, state, drive).reasons == ()
+    bow = rolled_out(DOUBLE, state - [0, 0.2, 0, 0.3], np.array([[0.0, -0.8]]), 1.0)
+    assert bow.positions_m[:, 1].max() < 39.51
+    low = replace(problem, workspace=replace(problem.workspace, bounds_m=(0.0, 0.0, 40.0, 39.51)))
+    reasons = judged(low, index, bow.states[0], bow).reasons
+    assert any("leaves world.bounds_m" in reason for reason in reasons)
+    assert any("leaves" in r for r in judged(edge, index, state, drive).reasons)

@@ -14,6 +14,7 @@ from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan
+from planopt.planning.programme.methods import METHODS
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
@@ -54,7 +55,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
         The planner is not for the robot's dynamics.
     """
     robot = problem.robots[0]
-    if robot.dynamics is not None and problem.planner.name not in ("auto", "lattice"):
+    if robot.dynamics is not None and problem.planner.name not in (*METHODS, "lattice"):
         raise InputError(
             f"is {problem.planner.name}, which plans for single integrators only; "
             f"{robot.name} is a {robot.dynamics.kind}",

@@ -187,7 +187,7 @@ def test_every_key_is_judged(folder: Path) -> None:
         changed = json.loads(json.dumps(data))
         set_at(changed, way, edited(get_at(data, way), key))
         file.write_text(json.dumps(changed))
-        result = check(folder)
+        result = judged(folder)
         if result.verdict is not Verdict.VIOLATED or not names_it(result.reasons, key):
             missed.append(f"{key}: {result.verdict}, {result.reasons[:3]}")
     assert missed == []

@@ -10,13 +10,14 @@ import shapely
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 import planopt.planning.horizon_planner as planner_module
-import planopt.planning.programme.path_polish as polish_module
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.programme.ipopt import OPTIONS, NlpPoint
+from planopt.planning.programme import ipopt
+from planopt.planning.programme.ipopt import OPTIONS
+from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.world.workspace import Obstacle
 
-CALL = polish_module.call_nlp
+CALL = ipopt.call_nlp
 PROBLEM = terms_problem(TRACKING, LEARNING, ENERGY, p_min=0.6)
 
 
@@ -25,7 +26,7 @@ def with_status(status, change):
 
     def call(*arguments):
         point = CALL(*arguments)
-        return replace(point, positions_m=change(point.positions_m), status=status)
+        return replace(point, positions_m=change(point.positions_m), termination=status)
 
     return call
 
@@ -33,27 +34,27 @@ def with_status(status, change):
 def no_numbers(_solver, n, start, _parameters, _variable_bounds, row_bounds):
     """What a solver leaves after an evaluation error."""
     slacks = np.full(len(start) - 2 * n, np.nan)
-    rows = np.full(len(row_bounds[0]), np.nan)
+    rows = np.full(len(row_bounds.lower), np.nan)
     lost = np.full(len(start), np.nan)
-    return NlpPoint(np.full((n, 2), np.nan), slacks, rows, lost, "Invalid_Number_Detected", 3)
+    return NlpPoint(np.full((n, 2), np.nan), slacks, rows, lost, Termination.NUMERICAL_FAILURE, 3)
 
 
 FAILURES = {
     "no numbers": (no_numbers, Termination.NUMERICAL_FAILURE),
     "infeasible": (
-        with_status("Infeasible_Problem_Detected", lambda q: 0.0 * q),
+        with_status(Termination.INFEASIBLE, lambda q: 0.0 * q),
         Termination.INFEASIBLE,
     ),
     "out of time": (
-        with_status("Maximum_WallTime_Exceeded", lambda q: q + 3.0),
+        with_status(Termination.TIME_LIMIT, lambda q: q + 3.0),
         Termination.TIME_LIMIT,
     ),
     "out of iterations": (
-        with_status("Maximum_Iterations_Exceeded", lambda q: q[::-1]),
+        with_status(Termination.ITERATION_LIMIT, lambda q: q[::-1]),
         Termination.ITERATION_LIMIT,
     ),
     "through the obstacle": (
-        with_status("Solve_Succeeded", lambda q: 0.0 * q + (20.0, 20.0)),
+        with_status(Termination.CONVERGED, lambda q: 0.0 * q + (20.0, 20.0)),
         Termination.CONVERGED,
     ),
 }
@@ -96,7 +97,7 @@ def test_a_failed_solve_touches_nothing(name, monkeypatch):
     solver, termination = FAILURES[name]
     used, expected = fresh(), planned(fresh())
     assert expected.rung is Rung.PLAN
-    monkeypatch.setattr(polish_module, "call_nlp", solver)
+    monkeypatch.setattr(ipopt, "call_nlp", solver)
     plan = planned(used)
     assert_sound(plan)
     assert plan.rung is Rung.LATTICE

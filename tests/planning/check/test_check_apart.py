@@ -73,7 +73,7 @@ def test_what_was_saved_is_verified(made: Path, name: str) -> None:
         ),
         (
             "run",
-            ("problem_file", "world", "moving", 0, "start_m"),
+            ("problem_file", "world", "moving", 0, "positions_m", 0),
             [8.0, 18.0],
             "of the moving obstacle cart, constraints.clearance_m is 0.5",
         ),

@@ -12,6 +12,7 @@ from terms_scene import LEARNING, judge_of, situation_of, terms_problem
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.programme import path_nlp
 from planopt.planning.proof.verify import Verdict
 from planopt.planning.search.coupled_starts import CoupledStarts
 from planopt.planning.search.local_ranking import LocalRanking
@@ -89,8 +90,9 @@ def test_a_redundant_obstacle_changes_nothing(terms):
 
 
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
-def test_kilometres_for_metres_give_the_scaled_plan(terms):
-    """All lengths a thousand times as long, path loss adapted."""
+def test_kilometres_for_metres_give_the_scaled_plan(terms, monkeypatch):
+    """All lengths a thousand times as long, path loss adapted; polished to the optimum."""
+    monkeypatch.setattr(path_nlp, "SETTLED", {})
     situation, belief = situation_of(terms_problem(*terms))
     plan = plan_for(situation, belief)
     problem, parameters = situation.problem, situation.posterior.parameters

@@ -36,11 +36,15 @@ def ways_of(situation, count=7):
 )
 @pytest.mark.parametrize("horizon", [1, 6])
 def test_values_are_the_exact_worths(terms, horizon):
-    """All 40 measurements are near: nothing but rounding is between the two."""
+    """All 40 measurements are near: nothing but rounding is between the two.
+
+    But for the average, which is ranked by every k-th place of the region only.
+    """
     situation, _ = situation_of(terms_problem(*terms, horizon=horizon))
     ways, worth = ways_of(situation), PathWorth(situation)
     exact = [worth(way) for way in ways]
-    np.testing.assert_allclose(LocalRanking(situation, ways)(ways), exact, rtol=2e-4, atol=2e-4)
+    near = 3e-2 if terms[0].get("form") == "average" else 2e-4
+    np.testing.assert_allclose(LocalRanking(situation, ways)(ways), exact, rtol=near, atol=2e-4)
 
 
 def test_without_a_place_to_steer_to_two_layer_is_worth_nothing():

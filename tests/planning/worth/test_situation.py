@@ -17,7 +17,7 @@ def test_power_is_the_search_prediction_made_once(monkeypatch):
     places = np.random.default_rng(0).uniform(1.0, 39.0, (7, 2))
     asked = []
 
-    def counted(posterior, new):
+    def counted(posterior, new, _broad):
         asked.append(len(new))
         return search_prediction(posterior, new)
 

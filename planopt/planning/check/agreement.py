@@ -9,11 +9,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import cast
 
+from planopt.planning.proof.predictions import KEPT_ERROR_DB
+
 EXACT = 1e-6
 """Numbers that are computed again from what the files say (m, s) agree to this."""
 
-PREDICTION = 1e-4
-"""Predictions computed again (dB, probability) agree to this: another machine rounds otherwise."""
+PREDICTION = KEPT_ERROR_DB
+"""Predictions computed again (dB, probability) agree to this: another machine rounds otherwise, and
+beyond the exact limit a run keeps groups of neighbours from step to step."""
 
 FIT = 1e-3
 """Fitted parameters agree to this share of themselves: they come from an iteration."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.history import BEGINNING, History
@@ -24,7 +24,7 @@ from planopt.planning.plan import Certificate, Verdict
 from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.motion import judge_motion
-from planopt.planning.proof.predictions import certified_prediction
+from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
 from planopt.problems.problem import Problem
@@ -117,12 +117,17 @@ def judge(
     apart = judge_apart(obstacles_ahead(problem, 0) if moving is None else moving, positions_m)
     reasons += apart.reasons
 
-    power, kind = certified_prediction(posterior, positions_m, broad)
+    power, kind = certified_prediction(posterior, positions_m, broad, keep=constraints.rule.by_step)
+    if _on_the_edge(problem, power):
+        # What was kept from earlier steps must not decide: whoever judges again has not kept it.
+        power, kind = certified_prediction(posterior, positions_m, broad, keep=False)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None
     if constraints.rule.by_step:
-        steps = judge_single_steps(problem, history, index, posterior, start_m, positions_m, power)
+        steps = judge_single_steps(
+            problem, history, index, posterior, start_m, positions_m, power, broad
+        )
         result = steps.result
         reasons += steps.reasons
     else:
@@ -147,3 +152,14 @@ def judge(
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     sound = not motion.reasons and not apart.reasons
     return Judgement(certificate, verdict, power, sound)
+
+
+def _on_the_edge(problem: Problem, power: Prediction) -> bool:
+    """Whether an error of `KEPT_ERROR_DB` could turn the bound at a step."""
+    margins = bound_margin_db(
+        power.mean_db,
+        power.deviation_db,
+        problem.stations[0].threshold_dbm,
+        problem.constraints.p_min,
+    )
+    return bool((np.abs(margins) < KEPT_ERROR_DB).any())

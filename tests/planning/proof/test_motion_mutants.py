@@ -25,12 +25,15 @@ MUTANTS = {
         "ways(states[:-1], drive.inputs,",
         "ways(states[:-2], drive.inputs[:-1],",
     ),
-    "largest clearance": ("min((way.clearance_m", "max((way.clearance_m"),
+    "largest clearance": (
+        "np.min(each, initial=np.inf)",
+        "np.max(each, initial=0.0)",
+    ),
     "any way within": ("if not all(_within", "if not any(_within"),
     "bounds not looked at": ("if not all(_within(problem, way) for way in ways)", "if False"),
     "stopping not looked at": ("if stop is not None", "if False"),
     "stopping out of bounds": ("if not _within(problem, stop)", "if False"),
-    "clearance of stopping lost": ("clearance = min(clearance, after)", "pass"),
+    "clearance of stopping lost": ("clearance = min(clearance, float(after[0]))", "pass"),
     "start not looked at": ("np.abs(states[0] - start)", "np.abs(states[0] - states[0])"),
     "path not looked at": (
         "np.abs(states[:, :2] - positions_m)",

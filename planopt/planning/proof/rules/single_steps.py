@@ -20,6 +20,7 @@ from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reachability import (
+    MayReach,
     best_margins_by_step,
     connected_way_exists,
     least_outage_m,
@@ -78,7 +79,7 @@ def judge_single_steps(
     posterior
         What is believed of the channel.
     start_m
-        Where the robot is.
+        Where the robot is, or its state, its place first.
     positions_m, power
         The path and the prediction along it, its first place included.
     broad
@@ -168,18 +169,19 @@ def _what_is_possible(
     problem: Problem,
     index: ObstacleIndex,
     margin_db: MarginAt,
-    start_m: NDArray[np.float64],
+    start: NDArray[np.float64],
     missed: NDArray[np.intp],
     starts_within: bool,
 ) -> tuple[tuple[float, ...], bool]:
     """Best margin within reach at each missed step; whether no way to the goal keeps the bound.
 
     The second is only searched for where there is a goal and some missed step could have been met.
-    Ways begin at the
-    start if that keeps the bound, else at the places nearest to it that do: those within reach by
-    the first step that meets the bound or could.
+    Ways begin at the start (the robot's state, its place first) if that keeps the bound, else at
+    the places nearest to it that do: those within reach by the first step that meets the bound or
+    could.
     """
     constraints, length = problem.constraints, problem.step_length_m
+    start_m = start[:2]
     if missed.size == 0:
         return (), False
     best = best_margins_by_step(
@@ -190,6 +192,7 @@ def _what_is_possible(
         length,
         missed,
         constraints.clearance_m,
+        _may_reach(problem, start),
     )
     if best[-1] < 0.0 or problem.task != "reach":
         return best, False
@@ -206,6 +209,18 @@ def _what_is_possible(
         length,
         within_m=0.0 if starts_within else first * length,
     )
+
+
+def _may_reach(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
+    """Where a robot may be that cannot turn or stop at will; None for any other."""
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if dynamics is None:
+        return None
+
+    def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
+        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
+
+    return may_reach
 
 
 def _needless_outage(

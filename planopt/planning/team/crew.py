@@ -15,6 +15,7 @@ from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Plan
 from planopt.planning.planners import Planner, planner_for
 from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_seeds import TeamSeeds
 from planopt.planning.worth.aim import Aim
@@ -111,8 +112,22 @@ class Member:
             broad,
             state[2:],
         )
-        plan = self.planner.plan(situation, judge, warm)
+        plan = _valued_alone(self.planner.plan(situation, judge, warm), situation)
         return plan, replace(watched, steering_m=situation.steering_m)
+
+
+def _valued_alone(plan: Plan, situation: Situation) -> Plan:
+    """The plan with the worth that its path has for who looks at it alone.
+
+    Beyond `SEARCH_EXACT_LIMIT` measurements, places are predicted in groups, and those of a search
+    are others than the path's own.
+    """
+    if len(situation.posterior.measurements) <= SEARCH_EXACT_LIMIT:
+        return plan
+    worth = PathWorth(replace(situation))(plan.positions_m[1:])
+    unpolished = plan.lattice_objective == plan.objective
+    start = worth if unpolished else plan.lattice_objective
+    return replace(plan, objective=worth, lattice_objective=start)
 
 
 def build_crew(problem: Problem, seeds: TeamSeeds) -> tuple[Member, ...]:

@@ -20,7 +20,7 @@ from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import build_scene
 from planopt.planning.solution import Solution
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import moving_for
+from planopt.planning.team.reservations import beside
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
 from planopt.problems.problem import Problem
@@ -116,7 +116,5 @@ def _planned(problem: Problem, solution: TeamSolution, number: int) -> Verdict:
         for other, plan in enumerate(solution.plans)
         if other != number
     }
-    plan, _ = member.plan(
-        solution.belief, member.start, watched, None, moving_for(problem, 0, others)
-    )
+    plan, _ = member.plan(solution.belief, member.start, watched, None, beside(problem, 0, others))
     return plan.verdict

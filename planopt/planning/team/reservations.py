@@ -42,7 +42,7 @@ def reserved_path(
     return np.vstack([last_path_m[1:], last_path_m[-1:]])
 
 
-def moving_for(
+def beside(
     problem: Problem, driven: int, others_m: Mapping[int, NDArray[np.float64]]
 ) -> MovingDiscs:
     """What a robot must keep from while it plans: moving obstacles, and robots where that is asked.
@@ -56,17 +56,8 @@ def moving_for(
     others_m
         ``(N + 1, 2)`` plan or reservation of other robots, by number.
     """
-    if problem.constraints.separation_m == 0.0:
-        return obstacles_ahead(problem, driven)
-    return beside(problem, driven, others_m)
-
-
-def beside(
-    problem: Problem, driven: int, others_m: Mapping[int, NDArray[np.float64]]
-) -> MovingDiscs:
-    """Moving obstacles, and other robots on these paths; parameters as :func:`moving_for`."""
     obstacles = obstacles_ahead(problem, driven)
-    if not others_m:
+    if not others_m or problem.constraints.separation_m == 0.0:
         return obstacles
     paths = np.array(list(others_m.values()))
     count, places = len(others_m), int(paths.shape[1])

@@ -122,7 +122,7 @@ def team_metrics(
     found |= rule_metrics(problem, [run.log for run in runs])
     found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
     tracks = [run.log.positions_m for run in runs]
-    if len(tracks) > 1:
+    if len(tracks) > 1 and problem.constraints.separation_m > 0.0:
         found["min_separation_m"] = float(least_separations_m(tracks).min())
     if problem.workspace.moving:
         clearances = least_moving_clearances_m(problem, tracks)

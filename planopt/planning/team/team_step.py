@@ -20,8 +20,8 @@ from planopt.planning.history import History
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.team.crew import Member
 from planopt.planning.team.reservations import (
+    beside,
     beside_each_other,
-    moving_for,
     reserved_path,
 )
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
@@ -102,7 +102,7 @@ def _in_order(
             moment.states[number],
             moment.watched[number],
             moment.warm[number],
-            moving_for(problem, moment.driven, others),
+            beside(problem, moment.driven, others),
             reserved[number],
             moment.histories[number],
         )

@@ -115,9 +115,8 @@ def test_far_things_change_nothing():
             np.testing.assert_allclose(one.positions_m, two.positions_m, atol=2e-3)
             assert two.objective == pytest.approx(one.objective, rel=1e-5)
     assert beside.plans[0].certificate.min_moving_clearance_m > 4900.0
-    assert plain.plans[0].certificate.min_separation_m == pytest.approx(
-        apart.plans[0].certificate.min_separation_m, abs=5e-3
-    )
+    assert plain.plans[0].certificate.min_separation_m is None
+    assert apart.plans[0].certificate.min_separation_m > 20.0
 
 
 def test_the_same_seed_is_the_same_run():

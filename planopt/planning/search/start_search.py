@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts
+from planopt.planning.search.ends_apart import best_ends
 from planopt.planning.search.guide import Guide, find_guided
+from planopt.planning.search.move_table import move_table
 from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
-from planopt.planning.search.reward_lattice import (
-    RewardSearch,
-    best_ends,
-    move_table,
-    path_to,
-)
+from planopt.planning.search.path_back import path_to
+from planopt.planning.search.reward_lattice import RewardSearch
 from planopt.planning.search.stage_rewards import StageRewards, move_values
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.worth.path_worth import PathWorth

@@ -28,6 +28,7 @@ from planopt.planning.programme.offenders import (
 )
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
+from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
 from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.shifted import shifted_path
@@ -106,16 +107,17 @@ class HorizonPlanner:
         if settings.name not in METHODS:
             return
         if moving not in self._built:
-            self._built[moving] = build_path_nlp(
+            lines = LINES_PER_SEGMENT + moving
+            shape = PathShape(
                 settings.horizon,
-                LINES_PER_SEGMENT + moving,
+                lines,
                 structure_of(self.problem),
                 has_step_rows(self.problem),
                 has_sum_row(self.problem),
-                METHODS[settings.name],
-                settings.budget_s,
-                motion=motion_shape(self.problem, LINES_PER_SEGMENT + moving),
-                until_settled=True,
+                motion_shape(self.problem, lines),
+            )
+            self._built[moving] = build_path_nlp(
+                shape, METHODS[settings.name], settings.budget_s, until_settled=True
             )
         self._nlp = self._built[moving]
 
@@ -224,7 +226,7 @@ class HorizonPlanner:
                 self.ground.pieces,
                 situation.moving,
                 ends,
-                nlp.lines,
+                nlp.shape.lines,
                 problem.constraints.clearance_m,
                 problem.step_length_m,
             ),
@@ -234,8 +236,8 @@ class HorizonPlanner:
             evaluate=evaluate,
             scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
         )
-        if nlp.motion is not None and start.drive is not None:
-            motion = motion_task(problem, self.ground, nlp.motion, start.drive)
+        if nlp.shape.motion is not None and start.drive is not None:
+            motion = motion_task(problem, self.ground, nlp.shape.motion, start.drive)
             task = replace(task, motion=motion)
         task = with_bounds(task, situation, rows)
         allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0

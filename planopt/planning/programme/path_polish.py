@@ -70,15 +70,16 @@ class PathTask:
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     """Solve the programme from the task's start path."""
-    n = nlp.horizon
+    shape = nlp.shape
+    n = shape.horizon
     bound = np.zeros(0) if task.bound_db is None else task.bound_db
     if task.total_bound is not None:
         bound = np.append(bound, task.total_bound)
     slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
-    pad = 0.0 if nlp.motion is None else nlp.motion.dynamics.way_pad_m(nlp.motion.step_s)
+    pad = 0.0 if shape.motion is None else shape.motion.dynamics.way_pad_m(shape.motion.step_s)
     kept = task.clearance_m + pad + CLEARANCE_PAD_M
     line = task.lines.rows(kept)
-    stop = np.zeros((0, nlp.lines, 4))
+    stop = np.zeros((0, shape.lines, 4))
     if task.motion is not None:
         stop = task.motion.stop_lines.rows(kept)
     motion = motion_numbers(task.motion, line, stop, task.bounds_m)
@@ -89,8 +90,8 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound)), -free]),
         np.concatenate([np.tile([x_max, y_max], n), slack_limit, free]),
     )
-    plain = n * (2 * nlp.lines) - nlp.lines
-    longest = task.step_length_m - STEP_PAD_M if nlp.motion is None else np.inf
+    plain = n * (2 * shape.lines) - shape.lines
+    longest = task.step_length_m - STEP_PAD_M if shape.motion is None else np.inf
     rows = Bounds(
         np.concatenate([np.full(n, -np.inf), np.zeros(plain), motion.rows.lower, bound]),
         np.concatenate(
@@ -113,13 +114,13 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     driven = point.slack_db[len(bound) :]
     point = replace(point, slack_db=point.slack_db[: len(bound)])
     lam = point.row_multipliers
-    ends = n * nlp.lines
+    ends = n * shape.lines
     multipliers = {
         "speed": lam[:n],
-        "line_end": lam[n : n + ends].reshape(n, nlp.lines),
-        "line_start": lam[n + ends : n + plain].reshape(n - 1, nlp.lines),
+        "line_end": lam[n : n + ends].reshape(n, shape.lines),
+        "line_start": lam[n + ends : n + plain].reshape(n - 1, shape.lines),
     }
-    if nlp.bounded or nlp.summed:
+    if shape.slacks:
         multipliers["connectivity"] = lam[len(lam) - len(bound) :]
     return Polished(
         path_m=point.positions_m,

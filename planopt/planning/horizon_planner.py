@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from planopt.planning.budget import Budget, budget_from
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
 from planopt.planning.driven import (
     driven_starts,
     motion_shape,
@@ -17,6 +17,7 @@ from planopt.planning.driven import (
     without_start,
 )
 from planopt.planning.ground import Ground
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import (

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.planning.budget import Budget, budget_from
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.judge import Judge
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS

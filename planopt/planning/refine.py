@@ -14,7 +14,8 @@ from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
 from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
 from planopt.planning.check.check_explanation import explanation_faults
@@ -20,7 +21,7 @@ from planopt.planning.files.solution_json import PlanRecord, plan_json
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
-from planopt.planning.plan import Certificate, Plan, Termination
+from planopt.planning.plan import Plan, Termination
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem

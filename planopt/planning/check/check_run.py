@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.fields.truth import true_power_dbm
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import EXACT, disagreements, in_words
 from planopt.planning.check.check_belief import Taken, belief_reasons, taken_on_the_way
 from planopt.planning.check.check_steps import steps_reasons
@@ -32,7 +33,7 @@ from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.step_log import step_log
 from planopt.planning.moving import obstacles_ahead
-from planopt.planning.plan import Certificate, Plan
+from planopt.planning.plan import Plan
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem

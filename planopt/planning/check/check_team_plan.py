@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
 from planopt.planning.check.check_explanation import explanation_faults
@@ -21,7 +22,7 @@ from planopt.planning.files.team_solution_json import TeamPlanRecord, team_plan_
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.loop.target_watch import aim_of, watch_target
-from planopt.planning.plan import Certificate, Plan
+from planopt.planning.plan import Plan
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot

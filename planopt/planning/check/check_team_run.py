@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.mapping import Region
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import EXACT, disagreements, in_words
 from planopt.planning.check.check_belief import belief_reasons, taken_on_the_way
 from planopt.planning.check.check_run import plan_reasons, step_time_faults
@@ -31,7 +32,7 @@ from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
-from planopt.planning.plan import Certificate, Plan
+from planopt.planning.plan import Plan
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.certificate import Certificate
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
-from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.plan import Verdict
 from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.motion import judge_motion

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.objectives.mapping import Region
-from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.planners import Planner, planner_for
 from planopt.planning.proof.broad_prediction import broad_prediction

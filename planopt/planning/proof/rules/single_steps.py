@@ -41,7 +41,7 @@ class StepsFinding:
     Attributes
     ----------
     relaxed_steps, relaxation_db, best_margin_db, no_connected_way, reasons
-        As in :class:`planopt.planning.plan.Certificate`.
+        As in :class:`planopt.planning.certificate.Certificate`.
     result
         None for the plain rule: at each step where possible.
     """

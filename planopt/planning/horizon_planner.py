@@ -93,7 +93,7 @@ class HorizonPlanner:
             The plan that led here, one step old; only used if it was verified.
         """
         begun = perf_counter()
-        self._fit_lines(moving_count(situation.moving))
+        self._fit_lines(moving_count(situation.circumstances.moving))
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
         starts = self._search.find_starts(situation, shifted)
         if self._driven:
@@ -225,7 +225,7 @@ class HorizonPlanner:
             path_m=start.path_m,
             lines=lines_about(
                 self.ground.pieces,
-                situation.moving,
+                situation.circumstances.moving,
                 ends,
                 nlp.shape.lines,
                 problem.constraints.clearance_m,
@@ -299,7 +299,7 @@ class HorizonPlanner:
             np.vstack([task.start_m, candidate.path_m]),
             task.clearance_m,
             task.step_length_m,
-            situation.moving,
+            situation.circumstances.moving,
         )
         return None if lines is None else replace(task, lines=lines)
 

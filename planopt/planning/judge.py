@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.connectivity import connection_probability
 from planopt.channel.prediction import Prediction
+from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.candidate import Candidate
-from planopt.planning.history import BEGINNING, History
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Plan, Rung, Termination
-from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
 @dataclass(frozen=True)
@@ -35,14 +34,10 @@ class Judge:
         ``(2,)`` where the robot is.
     objective
         What a path (N, 2) from there is worth.
-    moving
-        What moves during the steps.
+    circumstances
+        What else is known at the step.
     reserved_m
         ``(N, 2)`` the rest of the last plan, which the other robots keep clear of; None without.
-    history
-        What has happened on the run before.
-    broad
-        What the bound rests on where all parameters are to count as uncertain.
     rest
         What the robot's state has beyond its place; nothing of a single integrator.
     """
@@ -52,10 +47,8 @@ class Judge:
     belief: Belief
     position_m: NDArray[np.float64]
     objective: Callable[[NDArray[np.float64]], float]
-    moving: MovingDiscs = NOTHING_MOVES
+    circumstances: Circumstances = NOTHING_ELSE
     reserved_m: NDArray[np.float64] | None = None
-    history: History = BEGINNING
-    broad: BroadPrediction | None = None
     rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -65,12 +58,7 @@ class Judge:
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
-        return bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            self.problem.stations[0].threshold_dbm,
-            self.problem.constraints.p_min,
-        )
+        return margins_asked_db(self.problem, power)
 
     def candidate(
         self,
@@ -95,9 +83,7 @@ class Judge:
             self.state,
             path,
             candidate.kkt_residual,
-            self.moving,
-            self.history,
-            self.broad,
+            self.circumstances,
             candidate.drive,
         )
         return replace(

@@ -71,7 +71,7 @@ class RandomPlanner:
             ends = here + (self._problem.step_length_m - STEP_PAD_M) * offsets
             free = free_ends(self._problem, self._ground, here, ends)
             begins = np.broadcast_to(here, ends.shape)
-            free &= steps_apart(situation.moving, len(path), begins, ends)
+            free &= steps_apart(situation.circumstances.moving, len(path), begins, ends)
             if not free.any():
                 break
             first = int(free.argmax())

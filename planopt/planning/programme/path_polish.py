@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.programme.kkt import Bounds, kkt_residual
 from planopt.planning.programme.motion_task import MotionNumbers, MotionTask, motion_numbers
+from planopt.planning.programme.named_multipliers import named_multipliers
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_nlp import PathNlp
 from planopt.planning.programme.path_row_values import path_row_values
@@ -113,22 +114,13 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     )
     driven = point.slack_db[len(bound) :]
     point = replace(point, slack_db=point.slack_db[: len(bound)])
-    lam = point.row_multipliers
-    ends = n * shape.lines
-    multipliers = {
-        "speed": lam[:n],
-        "line_end": lam[n : n + ends].reshape(n, shape.lines),
-        "line_start": lam[n + ends : n + plain].reshape(n - 1, shape.lines),
-    }
-    if shape.slacks:
-        multipliers["connectivity"] = lam[len(lam) - len(bound) :]
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
         termination=point.termination,
         iterations=point.iterations,
         kkt_residual=_residual(task, point, line, rows, variables, motion, driven),
-        multipliers=multipliers,
+        multipliers=named_multipliers(point.row_multipliers, n, shape.lines, len(bound)),
         inputs=None if task.motion is None else task.motion.shape.inputs_of(driven),
     )
 

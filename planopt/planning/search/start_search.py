@@ -138,12 +138,13 @@ class StartSearch:
         self, situation: Situation, paths: list[NDArray[np.float64]]
     ) -> list[NDArray[np.float64]]:
         """The paths that keep from all that moves; all of them where none does."""
-        if not len(situation.moving):
+        moving = situation.circumstances.moving
+        if not len(moving):
             return paths
         kept = [
             path
             for path in paths
-            if ways_gap_m(situation.moving, np.vstack([situation.position_m, path])[None])[0]
+            if ways_gap_m(moving, np.vstack([situation.position_m, path])[None])[0]
             >= -CLEARANCE_TOLERANCE_M
         ]
         return kept or paths
@@ -160,7 +161,7 @@ class StartSearch:
         """The best paths under a guide; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
         road_map = self._ground.road_map
-        moving = situation.moving
+        moving = situation.circumstances.moving
         kept = first_steps_apart(moving, situation.position_m, road_map.nodes_m[nodes])
         nodes, lengths = nodes[kept], lengths[kept]
         if not len(nodes):

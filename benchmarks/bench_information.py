@@ -20,8 +20,8 @@ import pytest
 from information_scene import WORTHS, Worth, information_step
 
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.candidate import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.planning.search.start_search import Start

@@ -21,10 +21,10 @@ from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
 from planopt.objectives.mapping import Region
-from planopt.planning.candidate import Judge
 from planopt.planning.given import draw_truth, free_places
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.judge import Judge
 from planopt.planning.loop.learn import learn
 from planopt.planning.plan import Plan
 from planopt.planning.proof.predictions import search_prediction

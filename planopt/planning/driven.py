@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
 from planopt.planning.ground import Ground
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.programme.motion_task import MotionTask

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from planopt.planning.budget import Budget, budget_from
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
 from planopt.planning.driven import (
     driven_starts,
     motion_shape,
@@ -17,6 +17,7 @@ from planopt.planning.driven import (
     without_start,
 )
 from planopt.planning.ground import Ground
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import (
@@ -28,6 +29,7 @@ from planopt.planning.programme.offenders import (
 )
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
+from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
 from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.shifted import shifted_path
@@ -91,7 +93,7 @@ class HorizonPlanner:
             The plan that led here, one step old; only used if it was verified.
         """
         begun = perf_counter()
-        self._fit_lines(moving_count(situation.moving))
+        self._fit_lines(moving_count(situation.circumstances.moving))
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
         starts = self._search.find_starts(situation, shifted)
         if self._driven:
@@ -106,16 +108,17 @@ class HorizonPlanner:
         if settings.name not in METHODS:
             return
         if moving not in self._built:
-            self._built[moving] = build_path_nlp(
+            lines = LINES_PER_SEGMENT + moving
+            shape = PathShape(
                 settings.horizon,
-                LINES_PER_SEGMENT + moving,
+                lines,
                 structure_of(self.problem),
                 has_step_rows(self.problem),
                 has_sum_row(self.problem),
-                METHODS[settings.name],
-                settings.budget_s,
-                motion=motion_shape(self.problem, LINES_PER_SEGMENT + moving),
-                until_settled=True,
+                motion_shape(self.problem, lines),
+            )
+            self._built[moving] = build_path_nlp(
+                shape, METHODS[settings.name], settings.budget_s, until_settled=True
             )
         self._nlp = self._built[moving]
 
@@ -222,9 +225,9 @@ class HorizonPlanner:
             path_m=start.path_m,
             lines=lines_about(
                 self.ground.pieces,
-                situation.moving,
+                situation.circumstances.moving,
                 ends,
-                nlp.lines,
+                nlp.shape.lines,
                 problem.constraints.clearance_m,
                 problem.step_length_m,
             ),
@@ -234,8 +237,8 @@ class HorizonPlanner:
             evaluate=evaluate,
             scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
         )
-        if nlp.motion is not None and start.drive is not None:
-            motion = motion_task(problem, self.ground, nlp.motion, start.drive)
+        if nlp.shape.motion is not None and start.drive is not None:
+            motion = motion_task(problem, self.ground, nlp.shape.motion, start.drive)
             task = replace(task, motion=motion)
         task = with_bounds(task, situation, rows)
         allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
@@ -296,7 +299,7 @@ class HorizonPlanner:
             np.vstack([task.start_m, candidate.path_m]),
             task.clearance_m,
             task.step_length_m,
-            situation.moving,
+            situation.circumstances.moving,
         )
         return None if lines is None else replace(task, lines=lines)
 

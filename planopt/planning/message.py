@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.plan import Certificate
+from planopt.planning.certificate import Certificate
 from planopt.planning.tolerances import STANDSTILL_M
 
 

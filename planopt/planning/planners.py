@@ -10,9 +10,9 @@ from planopt.errors import InputError
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
 from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.baselines.random_walk import RandomPlanner
-from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.worth.situation import Situation

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.planning.budget import Budget, budget_from
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
 from planopt.planning.history import BEGINNING, History
-from planopt.planning.moving import obstacles_ahead
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import MOVING_LINES
 from planopt.planning.programme.pivot import find_pivot
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
-from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
@@ -93,9 +93,9 @@ class ReachPlanner:
         """
         begun = perf_counter()
         problem, scene = self.problem, self.scene
-        broad = broad_prediction(problem, belief.posterior)
-        self._margins.refresh(belief.posterior, broad)
-        moving = obstacles_ahead(problem, history.steps)
+        circumstances = circumstances_of(problem, belief.posterior, history)
+        self._margins.refresh(belief.posterior, circumstances.broad)
+        moving = circumstances.moving
         rows_of = None
         if self._rule_search is None:
             start = self._search.find_start(
@@ -108,9 +108,7 @@ class ReachPlanner:
                 position_m,
                 None,
                 self._region,
-                moving=moving,
-                history=history,
-                broad=broad,
+                circumstances=circumstances,
             )
             start = self._rule_search.find_start(situation, self._margins.margin_db)
             rows_of = partial(step_rows, situation)
@@ -118,9 +116,7 @@ class ReachPlanner:
         reserved = None
         if len(moving) and warm is not None:
             reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
-        judge = Judge(
-            problem, scene.index, belief, position_m, cost, moving, reserved, history, broad
-        )
+        judge = Judge(problem, scene.index, belief, position_m, cost, circumstances, reserved)
         if start is None:
             chosen = self._without_start(judge, warm)
         else:

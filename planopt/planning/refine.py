@@ -14,7 +14,8 @@ from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
 from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
@@ -197,7 +198,7 @@ class Refiner:
                     np.vstack([task.start_m, polished.path_m]),
                     task.clearance_m,
                     task.step_length_m,
-                    self._judge.moving,
+                    self._judge.circumstances.moving,
                 )
                 if lines is None:
                     return
@@ -238,7 +239,7 @@ class Refiner:
         ends = np.vstack([judge.position_m, path_m])
         lines = lines_about(
             self._scene.pieces,
-            judge.moving,
+            judge.circumstances.moving,
             ends,
             self._nlp.lines,
             problem.constraints.clearance_m,
@@ -290,7 +291,9 @@ class Refiner:
 
     def _power(self, path_m: NDArray[np.float64]) -> Prediction:
         """Prediction along a path, as the proof will see it."""
-        return search_prediction(self._judge.belief.posterior, path_m, self._judge.broad)
+        return search_prediction(
+            self._judge.belief.posterior, path_m, self._judge.circumstances.broad
+        )
 
     def _look_at(self, path_m: NDArray[np.float64]) -> None:
         """Take the rule's rows about a path."""

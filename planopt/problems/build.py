@@ -17,7 +17,7 @@ from planopt.problems.channel_setup import (
 from planopt.problems.objective import ReachObjective, TermsObjective
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
-from planopt.problems.schema import ObstacleTable, ProblemFile
+from planopt.problems.schema import ProblemFile
 from planopt.problems.schema_channel import (
     ChannelTable,
     ColumnsTable,
@@ -25,6 +25,7 @@ from planopt.problems.schema_channel import (
     ModelTruthTable,
     RasterTruthTable,
 )
+from planopt.problems.schema_world import ObstacleTable
 from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.world.footprints import footprint
 from planopt.world.readers import obstacle_from_wkt, read_obstacles

@@ -8,7 +8,8 @@ from pydantic import ValidationError
 
 from planopt.errors import InputError
 from planopt.problems.build import build
-from planopt.problems.checks import check, check_files
+from planopt.problems.check_files import check_files
+from planopt.problems.checks import check
 from planopt.problems.library import find_problem
 from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem

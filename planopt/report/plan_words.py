@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from planopt.planning.plan import Certificate, Plan, Verdict
+from planopt.planning.certificate import Certificate
+from planopt.planning.plan import Plan, Verdict
 from planopt.problems.constraints import Constraints
 from planopt.report.style import spaced
 

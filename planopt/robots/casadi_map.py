@@ -14,12 +14,12 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
 from planopt.robots.carrot import Carrot
+from planopt.robots.check_casadi_map import check_casadi_map
+from planopt.robots.component_function import ComponentFunction
 from planopt.robots.dynamics import Components
 from planopt.robots.runge_kutta import runge_kutta
 from planopt.world.ways import PointWay, Way
@@ -67,47 +67,11 @@ class CasadiMap:
     rest_input: tuple[float, ...]
     continuous: bool = False
     substeps: int = 1
-    _directional: Any = field(init=False, repr=False)
+    _evaluated: ComponentFunction = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        states, inputs = len(self.state_names), len(self.input_names)
-        sizes = [self.function.size1_in(i) for i in range(self.function.n_in())]
-        if sizes != [states, inputs] or self.function.size1_out(0) != states:
-            raise InputError(
-                f"takes {sizes} and gives {self.function.size1_out(0)} numbers, should take "
-                f"[{states}, {inputs}] and give {states}",
-                key="function",
-                remedy="one number for each of state_names and input_names",
-            )
-        if self.state_names[:2] != ("x_m", "y_m"):
-            raise InputError(
-                f"begin with {', '.join(self.state_names[:2])}, should begin with x_m, y_m",
-                key="state_names",
-                remedy="put the place first",
-            )
-        for key, bounds, count in (
-            ("state_bounds", self.state_bounds, states),
-            ("input_bounds", self.input_bounds, inputs),
-        ):
-            if len(bounds) != count or not all(low <= high for low, high in bounds):
-                raise InputError(
-                    f"should be {count} pairs, the lower bound first", key=key, remedy="see names"
-                )
-        if len(self.rest_input) != inputs:
-            raise InputError(f"should be {inputs} numbers", key="rest_input", remedy="see names")
-        if not (self.speed_max_m_s > 0.0 and math.isfinite(self.speed_max_m_s)):
-            raise InputError("should be above 0", key="speed_max_m_s", remedy="a bound of speed")
-        if self.substeps < 1 or (self.substeps > 1 and not self.continuous):
-            raise InputError(
-                f"is {self.substeps}, should be at least 1, and 1 of a discrete map",
-                key="substeps",
-                remedy="set continuous = True for a derivative",
-            )
-        x, u = ca.SX.sym("x", states), ca.SX.sym("u", inputs)
-        dx, du = ca.SX.sym("dx", states), ca.SX.sym("du", inputs)
-        slope = ca.jtimes(self.function(x, u), ca.vertcat(x, u), ca.vertcat(dx, du))
-        directional = ca.Function("directional", [x, u, dx, du], [slope])
-        object.__setattr__(self, "_directional", directional)
+        check_casadi_map(self)
+        object.__setattr__(self, "_evaluated", ComponentFunction(self.function))
 
     @property
     def kind(self) -> str:
@@ -231,18 +195,3 @@ class CasadiMap:
         if self.continuous:
             return runge_kutta(self._evaluated, state, control, step_s, count)
         return [self._evaluated(state, control)]
-
-    def _evaluated(self, state: Components, control: Components) -> Components:
-        """The function of expressions, of numbers, or of arrays of them, real or complex."""
-        if any(isinstance(value, ca.SX | ca.MX) for value in (*state, *control)):
-            return tuple(ca.vertsplit(self.function(ca.vertcat(*state), ca.vertcat(*control))))
-        both = np.broadcast_arrays(*(np.asarray(value) for value in (*state, *control)))
-        shape, table = both[0].shape, np.array([value.ravel() for value in both])
-        split = len(self.state_names)
-        real = np.ascontiguousarray(np.real(table))
-        value = np.array(self.function(real[:split], real[split:]))
-        if np.iscomplexobj(table):
-            step = np.ascontiguousarray(np.imag(table))
-            slope = self._directional(real[:split], real[split:], step[:split], step[split:])
-            value = value + 1j * np.array(slope)
-        return tuple(row.reshape(shape) for row in value)

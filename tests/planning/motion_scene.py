@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from terms_scene import judge_of, situation_of, terms_problem
 
-from planopt.planning.candidate import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.judge import Judge
 from planopt.problems.problem import Problem
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.dynamics import Dynamics

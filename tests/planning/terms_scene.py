@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground, build_ground
+from planopt.planning.judge import Judge
 from planopt.planning.prepare import prepare
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.region import workspace_region

@@ -15,7 +15,8 @@ from scenes import (
     straight_path,
 )
 
-from planopt.planning.candidate import Candidate, Judge
+from planopt.planning.candidate import Candidate
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme.pivot import Pivot
 from planopt.planning.scene import build_scene

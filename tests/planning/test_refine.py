@@ -10,7 +10,7 @@ from scenes import CUP, WALL, bad_disc, belief_of, good_everywhere, search_of, s
 
 import planopt.planning.refine as refine
 from planopt.planning.budget import Budget
-from planopt.planning.candidate import Judge
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.pivot import find_pivot
 from planopt.planning.programme.reach_nlp import build_reach_nlp

@@ -1,9 +1,9 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
-Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `reachability.py` or
-`motion.py`. Good and bad plans are judged by the source as it is, which must say what stands beside
-each plan, and by each mutant, which must say something else of at least one of them. A mutant that
-survives is a hole here.
+Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `reachability.py`,
+`ways_to_goal.py`, `grid.py` or `motion.py`. Good and bad plans are judged by the source as it is,
+which must say what stands beside each plan, and by each mutant, which must say something else of at
+least one of them. A mutant that survives is a hole here.
 """
 
 from __future__ import annotations
@@ -265,9 +265,10 @@ CASES: dict[str, Case] = {
 }
 
 VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
+GRID, WAYS = "planopt.planning.proof.grid", "planopt.planning.proof.ways_to_goal"
 STEPS = "planopt.planning.proof.rules.single_steps"
 MOTION = "planopt.planning.proof.motion"
-MODULES = (VERIFY, STEPS, REACHABILITY, MOTION)
+MODULES = (VERIFY, STEPS, REACHABILITY, WAYS, GRID, MOTION)
 
 
 def source_of(module: str) -> str:
@@ -288,16 +289,18 @@ def module_of(name: str, source: str) -> ModuleType:
 
 def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
     """The verifier of the texts, by module."""
-    searches, bound = (
-        module_of(REACHABILITY, sources[REACHABILITY]),
-        module_of(STEPS, sources[STEPS]),
-    )
-    judging = module_of(VERIFY, sources[VERIFY])
-    judging.__dict__["judge_motion"] = module_of(MOTION, sources[MOTION]).judge_motion
-    for name in ("best_margins_by_step", "connected_way_exists", "least_outage_m"):
-        setattr(bound, name, getattr(searches, name))
-    judging.__dict__["judge_single_steps"] = bound.judge_single_steps
-    return judging.verify
+    modules = {module: module_of(module, sources[module]) for module in MODULES}
+    for user, used, names in (
+        (REACHABILITY, GRID, ("grid_of", "parts_of")),
+        (WAYS, GRID, ("grid_of", "parts_of")),
+        (STEPS, REACHABILITY, ("best_margins_by_step",)),
+        (STEPS, WAYS, ("connected_way_exists", "least_outage_m")),
+        (VERIFY, MOTION, ("judge_motion",)),
+        (VERIFY, STEPS, ("judge_single_steps",)),
+    ):
+        for name in names:
+            setattr(modules[user], name, getattr(modules[used], name))
+    return modules[VERIFY].verify
 
 
 def expected(case: Case) -> Said:
@@ -522,7 +525,7 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "outage turned round": (STEPS, "saved = float(here - end)", "saved = float(end - here)"),
     "outage of the wrong steps": (STEPS, "axis=1)[missed - 1].sum()", "axis=1).sum()"),
     "outage without the bound": (
-        REACHABILITY,
+        WAYS,
         "margin_db(nodes) < 0.0",
         "margin_db(nodes) < -1e9",
     ),
@@ -537,33 +540,33 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "        start_m,\n        start_m,",
     ),
     "flood through obstacles": (
-        REACHABILITY,
+        WAYS,
         "through an obstacle.\n    open_ = (away > 0.0) & (away >=",
         "through an obstacle.\n    open_ = (away > -1.0) | (away >=",
     ),
     "flood without the bound": (
-        REACHABILITY,
+        WAYS,
         "open_[open_] = margin_db(grid[open_]) >= 0.0",
         "pass",
     ),
     "flood below the bound": (
-        REACHABILITY,
+        WAYS,
         "open_[open_] = margin_db(grid[open_]) >= 0.0",
         "open_[open_] = margin_db(grid[open_]) < 0.0",
     ),
     "flood with the start closed": (
-        REACHABILITY,
+        WAYS,
         "open_[from_start < 0.5 * spacing] = True",
         "open_[from_start < 0.5 * spacing] = False",
     ),
-    "flood that comes to all": (REACHABILITY, "parts[at_goal & open_]", "parts[open_]"),
-    "flood that comes elsewhere": (REACHABILITY, "open_], begins)", "open_], begins, invert=True)"),
+    "flood that comes to all": (WAYS, "parts[at_goal & open_]", "parts[open_]"),
+    "flood that comes elsewhere": (WAYS, "open_], begins)", "open_], begins, invert=True)"),
     "flood from all but here": (
-        REACHABILITY,
+        WAYS,
         "(from_start <= max(within_m,",
         "(from_start > max(within_m,",
     ),
-    "flood from the start alone": (REACHABILITY, "max(within_m, 0.5", "max(0.0, 0.5"),
+    "flood from the start alone": (WAYS, "max(within_m, 0.5", "max(0.0, 0.5"),
     "start within the bound turned round": (
         STEPS,
         "bool(here[0] >= 0.0)",
@@ -573,9 +576,9 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "start never within the bound": (STEPS, "bool(here[0] >= 0.0)", "False"),
     "ways begin a step from the start": (STEPS, "else first * length", "else 1e-3 * length"),
     "ways begin anywhere": (STEPS, "else first * length", "else 1e3 * length"),
-    "flood that does not turn corners": (REACHABILITY, "np.ones((3, 3)", "np.eye(3"),
+    "flood that does not turn corners": (GRID, "np.ones((3, 3)", "np.eye(3"),
     "grid mirrored": (
-        REACHABILITY,
+        GRID,
         "grid[..., 1] = anchor_m[1] + rows[:, None]",
         "grid[..., 1] = anchor_m[1] - rows[:, None]",
     ),

@@ -13,9 +13,10 @@ from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.planning.certificate import Certificate
 from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
 from planopt.planning.loop.simulation import Simulation
-from planopt.planning.plan import Certificate, Plan, Rung, Termination, Verdict
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.problems.channel_setup import ChannelSetup, SampledMeasurements
 from planopt.problems.constraints import Constraints

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.baselines.baseline import held, released
-from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground, first_moves
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.search.road_map import RoadMap, shortest_ways, way_from
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.baselines.baseline import free_ends, held, released
-from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.moving_moves import steps_apart
@@ -71,7 +71,7 @@ class OneStepPlanner:
         ends = here + self._offsets_m
         allowed = free_ends(self._problem, self._ground, here, ends)
         begins = np.broadcast_to(here, ends.shape)
-        allowed &= steps_apart(situation.moving, len(path), begins, ends)
+        allowed &= steps_apart(situation.circumstances.moving, len(path), begins, ends)
         if self._measures:
             spacing = self._problem.channel.measure_spacing_m
             allowed &= nearest_measured_m(situation.posterior, ends) >= spacing

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.baselines.baseline import free_ends, held, released
-from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
@@ -71,7 +71,7 @@ class RandomPlanner:
             ends = here + (self._problem.step_length_m - STEP_PAD_M) * offsets
             free = free_ends(self._problem, self._ground, here, ends)
             begins = np.broadcast_to(here, ends.shape)
-            free &= steps_apart(situation.moving, len(path), begins, ends)
+            free &= steps_apart(situation.circumstances.moving, len(path), begins, ends)
             if not free.any():
                 break
             first = int(free.argmax())

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import given_again
 from planopt.planning.check.check_explanation import no_way_faults
@@ -29,7 +30,7 @@ from planopt.planning.files.read_team import SavedTeam, is_team, read_team
 from planopt.planning.files.run_json import no_run_json
 from planopt.planning.files.saved import PLAN_FILE
 from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_plan_json
-from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
 from planopt.planning.check.check_explanation import explanation_faults
@@ -20,8 +21,8 @@ from planopt.planning.files.solution_json import PlanRecord, plan_json
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
-from planopt.planning.plan import Certificate, Plan, Termination
-from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.plan import Plan, Termination
+from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
@@ -55,15 +56,9 @@ def check_plan(
     index = index_obstacles(problem.workspace)
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
     start = np.asarray(problem.robots[0].start_m)
-    judgement = judge(
-        problem,
-        index,
-        posterior,
-        start,
-        path,
-        record.certificate.kkt_residual,
-        broad=broad_prediction(problem, posterior),
-    )
+    circumstances = circumstances_of(problem, posterior)
+    residual = record.certificate.kkt_residual
+    judgement = judge(problem, index, posterior, start, path, residual, circumstances)
     plan = rebuilt_reach_plan(
         problem,
         path,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.fields.truth import true_power_dbm
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import EXACT, disagreements, in_words
 from planopt.planning.check.check_belief import Taken, belief_reasons, taken_on_the_way
 from planopt.planning.check.check_steps import steps_reasons
@@ -31,9 +32,8 @@ from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.step_log import step_log
-from planopt.planning.moving import obstacles_ahead
-from planopt.planning.plan import Certificate, Plan
-from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.plan import Plan
+from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles
@@ -74,18 +74,9 @@ def check_run(
         posterior = grown_posterior(belief, posterior, count)
         path = np.stack([released.x_m, released.y_m], axis=1)
         history = history_of(problem, track[:step], connected[: step - 1])
-        broad = broad_prediction(problem, posterior)
-        judgement = judge(
-            problem,
-            index,
-            posterior,
-            track[step - 1],
-            path,
-            released.kkt_residual,
-            obstacles_ahead(problem, history.steps),
-            history,
-            broad,
-        )
+        circumstances = circumstances_of(problem, posterior, history)
+        here, residual = track[step - 1], released.kkt_residual
+        judgement = judge(problem, index, posterior, here, path, residual, circumstances)
         plan = rebuilt_reach_plan(problem, path, judgement, released, Effort())
         where = f"{RUN_FILE}, key plans[{step - 1}]"
         reasons += plan_reasons(problem, index, where, step, plan, plans[-1] if plans else None)

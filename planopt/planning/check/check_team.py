@@ -6,12 +6,12 @@ problem and the seed, the target's way and what every filter knew of it included
 
 from __future__ import annotations
 
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.check_team_plan import check_team_plan
 from planopt.planning.check.check_team_run import check_team_run
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.team_run_json import TeamRunRecord
 from planopt.planning.given import Given
-from planopt.planning.plan import Certificate
 
 
 def check_team(saved: SavedTeam, given: Given | None) -> tuple[list[Certificate], list[str]]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
 from planopt.planning.check.check_explanation import explanation_faults
@@ -21,8 +24,8 @@ from planopt.planning.files.team_solution_json import TeamPlanRecord, team_plan_
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.loop.target_watch import aim_of, watch_target
-from planopt.planning.plan import Certificate, Plan
-from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.plan import Plan
+from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.reservations import beside, others_of
@@ -55,7 +58,7 @@ def check_team_plan(
             ]
     index, region = index_obstacles(problem.workspace), workspace_region(problem)
     posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
-    broad = broad_prediction(problem, posterior)
+    alone = circumstances_of(problem, posterior)
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
     explanation = explanation_again(record.explanation)
     names = {robot.name for robot in problem.robots}
@@ -73,20 +76,14 @@ def check_team_plan(
         drive = drive_of(
             one.dynamics, path, steps.motion, saved.file.parent / STEPS_FILE, f"robot {one.name}"
         )
+        circumstances = replace(alone, moving=beside(problem, 0, others_of(paths, number)))
+        residual = robot.certificate.kkt_residual
         judgement = judge(
-            own,
-            index,
-            posterior,
-            one.start_state,
-            path,
-            robot.certificate.kkt_residual,
-            beside(problem, 0, others_of(paths, number)),
-            broad=broad,
-            drive=drive,
+            own, index, posterior, one.start_state, path, residual, circumstances, drive
         )
         aim = aim_again(robot.aim, aim_of(watch, number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
-        worth = worth_again(own, posterior, path, aim, region, broad=broad)
+        worth = worth_again(own, posterior, path, aim, region, circumstances)
         plan = rebuilt_plan(own, path, judgement, robot, effort, worth, drive=drive)
         where = f"robots[{number}]."
         if drive is None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.mapping import Region
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import EXACT, disagreements, in_words
 from planopt.planning.check.check_belief import belief_reasons, taken_on_the_way
 from planopt.planning.check.check_run import plan_reasons, step_time_faults
@@ -31,8 +32,8 @@ from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
-from planopt.planning.plan import Certificate, Plan
-from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.plan import Plan
+from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.reservations import beside, others_of
@@ -174,22 +175,13 @@ def _driven(
         path = paths[number][step - 1]
         drive = drive_of(dynamics, path, released.drive, saved.file, f"{place}[{step - 1}].drive")
         history = history_of(own, track[:step], connected[: step - 1])
-        broad = broad_prediction(own, posterior)
         others = others_of([made[step - 1] for made in paths], number)
-        judgement = judge(
-            own,
-            index,
-            posterior,
-            states[step - 1],
-            path,
-            released.kkt_residual,
-            beside(saved.problem, history.steps, others),
-            history,
-            broad,
-            drive,
-        )
+        moving = beside(saved.problem, history.steps, others)
+        circumstances = circumstances_of(own, posterior, history, moving)
+        here, residual = states[step - 1], released.kkt_residual
+        judgement = judge(own, index, posterior, here, path, residual, circumstances, drive)
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
-        worth = worth_again(own, posterior, path, aim, region, history, broad)
+        worth = worth_again(own, posterior, path, aim, region, circumstances)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth, drive=drive)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)

@@ -11,6 +11,7 @@ import numpy as np
 from planopt.planning.check.agreement import EXACT
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.problems.problem import Problem
+from planopt.problems.settings import BASELINES
 
 UNSOLVED = {
     Termination.LATTICE_ONLY: (Rung.PLAN, Rung.LATTICE, Rung.RELAXED),
@@ -19,11 +20,8 @@ UNSOLVED = {
 }
 """Terminations of plans for which no solver ran, and the rungs that these come from."""
 
-UNPOLISHED_PLANNERS = ("lattice", "one_step", "random", "lawnmower")
+UNPOLISHED_PLANNERS = ("lattice", *BASELINES)
 """Planners that no solver helps."""
-
-BASELINES = ("one_step", "random", "lawnmower")
-"""Planners that compare a plan with no lattice path."""
 
 WITHOUT_SEARCH = (Rung.SHIFTED, Rung.RESERVED, Rung.STOP)
 """Rungs whose paths no search found."""

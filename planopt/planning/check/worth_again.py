@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.mapping import Region
-from planopt.planning.history import BEGINNING, History
-from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
@@ -21,8 +20,7 @@ def worth_again(
     path_m: NDArray[np.float64],
     aim: Aim,
     region: Region,
-    history: History = BEGINNING,
-    broad: BroadPrediction | None = None,
+    circumstances: Circumstances,
 ) -> float:
     """The weighted sum of the terms.
 
@@ -38,10 +36,8 @@ def worth_again(
         What it was made for.
     region
         Where the map is wanted.
-    history
-        What had happened on the run before.
-    broad
-        What predictions rest on where all parameters are to count as uncertain.
+    circumstances
+        What else was known then.
     """
     at = Situation(
         problem,
@@ -51,7 +47,6 @@ def worth_again(
         region,
         aim.steering_m,
         aim.information,
-        history=history,
-        broad=broad,
+        circumstances=circumstances,
     )
     return PathWorth(at)(path_m[1:])

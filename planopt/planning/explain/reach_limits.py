@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reachability import COARSE_NODES, best_margins_by_step
 from planopt.problems.problem import Problem
@@ -42,7 +44,7 @@ def best_margin_db(
     problem: Problem, posterior: ChannelPosterior, start_m: NDArray[np.float64]
 ) -> float:
     """Largest margin in dB at a place that the horizon's steps come to."""
-    margin = _margin_of(problem)
+    margin = partial(margins_asked_db, problem)
     return _best(problem, posterior, start_m, margin, [problem.planner.horizon])[0]
 
 
@@ -58,22 +60,8 @@ def least_horizon(
     if last <= problem.planner.horizon or places > MOST_PLACES:
         return None
     steps = list(range(problem.planner.horizon + 1, last + 1))
-    margins = _best(problem, posterior, start_m, _margin_of(problem), steps)
+    margins = _best(problem, posterior, start_m, partial(margins_asked_db, problem), steps)
     return next((n for n, margin in zip(steps, margins, strict=True) if margin >= 0.0), None)
-
-
-def _margin_of(problem: Problem) -> Callable[[Prediction], NDArray[np.float64]]:
-    """Connectivity margin of predictions."""
-
-    def margin_db(power: Prediction) -> NDArray[np.float64]:
-        return bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            problem.stations[0].threshold_dbm,
-            problem.constraints.p_min,
-        )
-
-    return margin_db
 
 
 def _best(

@@ -14,10 +14,11 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from planopt.planning.certificate import Certificate
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.explanation_json import RelaxationRecord, explanation_json
-from planopt.planning.plan import Certificate, Pivot, Plan, Termination, Verdict
+from planopt.planning.plan import Pivot, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
 

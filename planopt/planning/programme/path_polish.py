@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.programme.kkt import Bounds, kkt_residual
 from planopt.planning.programme.motion_task import MotionNumbers, MotionTask, motion_numbers
+from planopt.planning.programme.named_multipliers import named_multipliers
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_nlp import PathNlp
 from planopt.planning.programme.path_row_values import path_row_values
@@ -70,15 +71,16 @@ class PathTask:
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     """Solve the programme from the task's start path."""
-    n = nlp.horizon
+    shape = nlp.shape
+    n = shape.horizon
     bound = np.zeros(0) if task.bound_db is None else task.bound_db
     if task.total_bound is not None:
         bound = np.append(bound, task.total_bound)
     slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
-    pad = 0.0 if nlp.motion is None else nlp.motion.dynamics.way_pad_m(nlp.motion.step_s)
+    pad = 0.0 if shape.motion is None else shape.motion.dynamics.way_pad_m(shape.motion.step_s)
     kept = task.clearance_m + pad + CLEARANCE_PAD_M
     line = task.lines.rows(kept)
-    stop = np.zeros((0, nlp.lines, 4))
+    stop = np.zeros((0, shape.lines, 4))
     if task.motion is not None:
         stop = task.motion.stop_lines.rows(kept)
     motion = motion_numbers(task.motion, line, stop, task.bounds_m)
@@ -89,8 +91,8 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound)), -free]),
         np.concatenate([np.tile([x_max, y_max], n), slack_limit, free]),
     )
-    plain = n * (2 * nlp.lines) - nlp.lines
-    longest = task.step_length_m - STEP_PAD_M if nlp.motion is None else np.inf
+    plain = n * (2 * shape.lines) - shape.lines
+    longest = task.step_length_m - STEP_PAD_M if shape.motion is None else np.inf
     rows = Bounds(
         np.concatenate([np.full(n, -np.inf), np.zeros(plain), motion.rows.lower, bound]),
         np.concatenate(
@@ -112,22 +114,13 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     )
     driven = point.slack_db[len(bound) :]
     point = replace(point, slack_db=point.slack_db[: len(bound)])
-    lam = point.row_multipliers
-    ends = n * nlp.lines
-    multipliers = {
-        "speed": lam[:n],
-        "line_end": lam[n : n + ends].reshape(n, nlp.lines),
-        "line_start": lam[n + ends : n + plain].reshape(n - 1, nlp.lines),
-    }
-    if nlp.bounded or nlp.summed:
-        multipliers["connectivity"] = lam[len(lam) - len(bound) :]
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
         termination=point.termination,
         iterations=point.iterations,
         kkt_residual=_residual(task, point, line, rows, variables, motion, driven),
-        multipliers=multipliers,
+        multipliers=named_multipliers(point.row_multipliers, n, shape.lines, len(bound)),
         inputs=None if task.motion is None else task.motion.shape.inputs_of(driven),
     )
 

@@ -1,5 +1,5 @@
 # pyright: basic
-"""Rows that every programme over a path has, and NumPy functions as CasADi callbacks.
+"""Rows that every programme over a path has.
 
 With L the longest step and (n, b, a) separating lines, fixed from the start path and applied to
 both ends of a segment, so that the whole segment is clear (design 4.3)::
@@ -14,67 +14,9 @@ has one offset at the step's end and another at its begin.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
-
-
-class PathCallback(ca.Callback):
-    """A NumPy function of the flattened positions (2 N,) as a CasADi function.
-
-    Parameters
-    ----------
-    name
-        What CasADi calls it.
-    stages
-        N.
-    size
-        How many numbers it gives.
-    evaluate
-        From positions (2 N,) to these numbers, in any shape.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        stages: int,
-        size: int,
-        evaluate: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    ) -> None:
-        ca.Callback.__init__(self)
-        self._stages = stages
-        self._size = size
-        self._evaluate = evaluate
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        """One input."""
-        return 1
-
-    def get_n_out(self) -> int:
-        """One output."""
-        return 1
-
-    def get_sparsity_in(self, _index: int) -> Any:
-        """The positions, dense."""
-        return ca.Sparsity.dense(2 * self._stages, 1)
-
-    def get_sparsity_out(self, _index: int) -> Any:
-        """The numbers, dense."""
-        return ca.Sparsity.dense(self._size, 1)
-
-    def has_eval_buffer(self) -> bool:
-        """Numbers are read and written in place: ten times faster than as CasADi matrices."""
-        return True
-
-    def eval_buffer(self, arguments: Any, results: Any) -> int:
-        """Ask the NumPy function."""
-        numbers = np.frombuffer(results[0])
-        numbers[:] = self._evaluate(np.frombuffer(arguments[0])).ravel()
-        return 0
 
 
 def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:

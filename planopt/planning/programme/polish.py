@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.programme.kkt import Bounds, kkt_residual
 from planopt.planning.programme.margin_source import MarginFunction
+from planopt.planning.programme.named_multipliers import named_multipliers
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_row_values import path_row_values
 from planopt.planning.programme.polished import Polished
@@ -99,20 +100,13 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
         rows,
     )
     residual = _residual(nlp, task, point, head, line, rows, variables)
-    ends = n * nlp.lines
-    lam = point.row_multipliers
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
         termination=point.termination,
         iterations=point.iterations,
         kkt_residual=residual,
-        multipliers={
-            "speed": lam[:n],
-            "line_end": lam[n : n + ends].reshape(n, nlp.lines),
-            "line_start": lam[n + ends : n + plain].reshape(n - 1, nlp.lines),
-            "connectivity": lam[n + plain :],
-        },
+        multipliers=named_multipliers(point.row_multipliers, n, nlp.lines, n),
     )
 
 

@@ -25,10 +25,13 @@ from typing import Any
 import casadi as ca
 
 from planopt.planning.programme import ipopt
+from planopt.planning.programme.curvature import stage_rows, weighted_blocks
+from planopt.planning.programme.exact_solver import ExactNlp, exact_solver
 from planopt.planning.programme.margin_source import MarginSource
 from planopt.planning.programme.methods import Method, solve_by
 from planopt.planning.programme.nlp_point import SolveNlp
-from planopt.planning.programme.path_rows import PathCallback, path_rows
+from planopt.planning.programme.path_callback import PathCallbacks, path_callbacks
+from planopt.planning.programme.path_rows import path_rows
 
 PIVOT_ROUNDING_M = 1e-2
 """Rounding of the distance to the pivot, so that its gradient exists at the pivot."""
@@ -61,7 +64,7 @@ class ReachNlp:
     source: MarginSource
     solver: Any
     solve: SolveNlp
-    callbacks: tuple[Any, ...]
+    callbacks: PathCallbacks
 
 
 def _objective(n: int, q: Any, s: Any, p: Any) -> Any:
@@ -81,58 +84,40 @@ def build_reach_nlp(
     """
     n = horizon
     source = MarginSource(n)
-    value = PathCallback("margin", n, n, lambda at: source.at(at).value)
-    gradient = PathCallback("margin_gradient", n, 2 * n, lambda at: source.at(at).gradient)
-    hessian = PathCallback("margin_hessian", n, 3 * n, lambda at: source.at(at).hessian)
-
+    margins = path_callbacks("margin", n, n, 3 * n, source.at)
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", n)
     head, line = ca.SX.sym("head", 8), ca.SX.sym("line", 4 * n * lines)
     x_sx, p_sx = ca.vertcat(q, s), ca.vertcat(head, line)
     f_sx = _objective(n, q, s, head)
     g_sx = path_rows(n, lines, q, head[0:2], line)
     plain = g_sx.numel()
-    m_sx, dm, hm = ca.SX.sym("m", n), ca.SX.sym("dm", 2 * n), ca.SX.sym("hm", 3 * n)
-    lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + n)
-    margin_rows = ca.horzcat(ca.diagcat(*[dm[2 * k : 2 * k + 2].T for k in range(n)]), ca.SX.eye(n))
-    blocks = [
-        lam[plain + k]
-        * ca.vertcat(ca.horzcat(hm[3 * k], hm[3 * k + 1]), ca.horzcat(hm[3 * k + 1], hm[3 * k + 2]))
-        for k in range(n)
-    ]
-    lagrangian = lam_f * f_sx + ca.dot(lam[:plain], g_sx)
-    curvature = ca.hessian(lagrangian, x_sx)[0] + ca.diagcat(*blocks, ca.SX(n, n))
+    m_sx, dm_sx, hm_sx = (ca.SX.sym(f"m{width}", width * n) for width in (1, 2, 3))
+    lam_f_sx, lam_sx = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + n)
+    lagrangian = lam_f_sx * f_sx + ca.dot(lam_sx[:plain], g_sx)
+    curved = ca.diagcat(weighted_blocks(lam_sx[plain:], hm_sx, n), ca.SX(n, n))
+    hessian_sx = ca.triu(ca.hessian(lagrangian, x_sx)[0] + curved)
+    margin_rows = ca.horzcat(stage_rows(dm_sx, n), ca.SX.eye(n))
     objective = ca.Function("f", [x_sx, p_sx], [f_sx])
-    objective_gradient = ca.Function("df", [x_sx, p_sx], [ca.gradient(f_sx, x_sx)])
+    gradient = ca.Function("df", [x_sx, p_sx], [ca.gradient(f_sx, x_sx)])
     rows = ca.Function("g", [x_sx, p_sx, m_sx], [ca.vertcat(g_sx, m_sx + s)])
     jacobian = ca.Function(
-        "dg", [x_sx, p_sx, dm], [ca.vertcat(ca.jacobian(g_sx, x_sx), margin_rows)]
+        "dg", [x_sx, p_sx, dm_sx], [ca.vertcat(ca.jacobian(g_sx, x_sx), margin_rows)]
     )
-    full_hessian = ca.Function("h", [x_sx, p_sx, lam_f, lam, hm], [ca.triu(curvature)])
+    hessian = ca.Function("h", [x_sx, p_sx, lam_f_sx, lam_sx, hm_sx], [hessian_sx])
 
     x, p = ca.MX.sym("x", 3 * n), ca.MX.sym("p", p_sx.numel())
-    lam_f_mx, lam_mx = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + n)
-    at = x[: 2 * n]
-    f, g = objective(x, p), rows(x, p, value(at))
-    options = IPOPT_OPTIONS | ipopt.time_limit(budget_s)
-    options["grad_f"] = ca.Function(
-        "nlp_grad_f", [x, p], [f, objective_gradient(x, p)], ["x", "p"], ["f", "grad_f_x"]
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + n)
+    m, dm, hm = margins(x[: 2 * n])
+    nlp = ExactNlp(
+        x,
+        p,
+        lam_f,
+        lam_g,
+        f=objective(x, p),
+        g=rows(x, p, m),
+        gradient=gradient(x, p),
+        jacobian=jacobian(x, p, dm),
+        hessian=hessian(x, p, lam_f, lam_g, hm),
     )
-    options["jac_g"] = ca.Function(
-        "nlp_jac_g", [x, p], [g, jacobian(x, p, gradient(at))], ["x", "p"], ["g", "jac_g_x"]
-    )
-    options["hess_lag"] = ca.Function(
-        "nlp_hess_l",
-        [x, p, lam_f_mx, lam_mx],
-        [full_hessian(x, p, lam_f_mx, lam_mx, hessian(at))],
-        ["x", "p", "lam_f", "lam_g"],
-        ["triu_hess_gamma_x_x"],
-    )
-    solver = ca.nlpsol("reach", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-    return ReachNlp(
-        n,
-        lines,
-        source,
-        solver,
-        solve_by(method, solver, n, n, budget_s),
-        (value, gradient, hessian),
-    )
+    solver = exact_solver("reach", nlp, IPOPT_OPTIONS | ipopt.time_limit(budget_s))
+    return ReachNlp(n, lines, source, solver, solve_by(method, solver, n, n, budget_s), margins)

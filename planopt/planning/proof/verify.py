@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.planning.history import BEGINNING, History
+from planopt.planning.certificate import Certificate
 from planopt.planning.moving import obstacles_ahead
-from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.plan import Verdict
 from planopt.planning.proof.apart import judge_apart
-from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.motion import judge_motion
 from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
 from planopt.planning.proof.rules.single_steps import judge_single_steps
@@ -30,7 +30,6 @@ from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_res
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
-from planopt.world.moving_discs import MovingDiscs
 
 
 @dataclass(frozen=True)
@@ -61,14 +60,12 @@ def verify(
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
-    moving: MovingDiscs | None = None,
-    history: History = BEGINNING,
-    broad: BroadPrediction | None = None,
+    circumstances: Circumstances | None = None,
     drive: Drive | None = None,
 ) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path: see :func:`judge`."""
     judgement = judge(
-        problem, index, posterior, start_m, positions_m, kkt_residual, moving, history, broad, drive
+        problem, index, posterior, start_m, positions_m, kkt_residual, circumstances, drive
     )
     return judgement.certificate, judgement.verdict
 
@@ -80,9 +77,7 @@ def judge(
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
-    moving: MovingDiscs | None = None,
-    history: History = BEGINNING,
-    broad: BroadPrediction | None = None,
+    circumstances: Circumstances | None = None,
     drive: Drive | None = None,
 ) -> Judgement:
     """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
@@ -98,12 +93,8 @@ def judge(
         from there.
     kkt_residual
         Passed on into the certificate.
-    moving
-        What moves during the steps; None for the problem's moving obstacles, from time 0 on.
-    history
-        What has happened on the run before: rules over the whole run count it.
-    broad
-        What the bound rests on where all parameters are to count as uncertain.
+    circumstances
+        What it is judged under; None for the problem's moving obstacles from time 0 on alone.
     drive
         How the robot drives along the path; None for the single integrator.
     """
@@ -112,27 +103,30 @@ def judge(
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
         return Judgement(broken, Verdict.VIOLATED, None)
+    under = circumstances or Circumstances(obstacles_ahead(problem, 0))
     motion = judge_motion(problem, index, start_m, positions_m, drive)
     reasons = list(motion.reasons)
-    apart = judge_apart(obstacles_ahead(problem, 0) if moving is None else moving, positions_m)
+    apart = judge_apart(under.moving, positions_m)
     reasons += apart.reasons
 
-    power, kind = certified_prediction(posterior, positions_m, broad, keep=constraints.rule.by_step)
+    power, kind = certified_prediction(
+        posterior, positions_m, under.broad, keep=constraints.rule.by_step
+    )
     if _on_the_edge(problem, power):
         # What was kept from earlier steps must not decide: whoever judges again has not kept it.
-        power, kind = certified_prediction(posterior, positions_m, broad, keep=False)
+        power, kind = certified_prediction(posterior, positions_m, under.broad, keep=False)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None
     if constraints.rule.by_step:
         steps = judge_single_steps(
-            problem, history, index, posterior, start_m, positions_m, power, broad
+            problem, under.history, index, posterior, start_m, positions_m, power, under.broad
         )
         result = steps.result
         reasons += steps.reasons
     else:
         planned = Prediction(mean, deviation)
-        result = whole_plan_result(problem, history, posterior, positions_m, planned)
+        result = whole_plan_result(problem, under.history, posterior, positions_m, planned)
         reasons += rule_reasons(problem, result)
     certificate = Certificate(
         min_clearance_m=motion.clearance_m,

@@ -60,7 +60,8 @@ class CoupledStarts:
 
         def value(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
             begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
-            gap = ways_gap_m(situation.moving, np.concatenate([begin, ways_m], axis=1))
+            whole = np.concatenate([begin, ways_m], axis=1)
+            gap = ways_gap_m(situation.circumstances.moving, whole)
             return np.where(gap >= -CLEARANCE_TOLERANCE_M, ranking(ways_m), -np.inf)
 
         found, _ = search_ways(

@@ -70,7 +70,7 @@ def find_guided(
 
 def _by_steps(situation: Situation) -> list[Guide]:
     """Guides that bound single steps."""
-    problem, history = situation.problem, situation.history
+    problem, history = situation.problem, situation.circumstances.history
     constraints, count = problem.constraints, problem.planner.horizon
     p_min, no_credit = constraints.p_min, np.zeros(count)
     every = np.ones(count, dtype=bool)
@@ -119,7 +119,7 @@ def _by_credit(
     problem, count = situation.problem, situation.problem.planner.horizon
     weight = np.ones(count)
     if problem.constraints.rule.connectivity == "data":
-        weight, _ = data_asked_mbit(problem, situation.history, count)
+        weight, _ = data_asked_mbit(problem, situation.circumstances.history, count)
         weight = weight / max(float(weight.max()), 1e-9)
     none = Guide(0.0, np.zeros(count, dtype=bool), np.zeros(count))
     found = search(none)

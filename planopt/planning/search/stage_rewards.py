@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.objectives.energy import expected_transmit_power_w
 from planopt.planning.search.guide import Guide
+from planopt.planning.search.lattice_window import Window
 from planopt.planning.search.node_field import NodeField
-from planopt.planning.search.reward_lattice import Window
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import shares_measurements

@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts
+from planopt.planning.search.ends_apart import best_ends
 from planopt.planning.search.guide import Guide, find_guided
+from planopt.planning.search.move_table import move_table
 from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
-from planopt.planning.search.reward_lattice import (
-    RewardSearch,
-    best_ends,
-    move_table,
-    path_to,
-)
+from planopt.planning.search.path_back import path_to
+from planopt.planning.search.reward_lattice import RewardSearch
 from planopt.planning.search.stage_rewards import StageRewards, move_values
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.worth.path_worth import PathWorth
@@ -140,12 +138,13 @@ class StartSearch:
         self, situation: Situation, paths: list[NDArray[np.float64]]
     ) -> list[NDArray[np.float64]]:
         """The paths that keep from all that moves; all of them where none does."""
-        if not len(situation.moving):
+        moving = situation.circumstances.moving
+        if not len(moving):
             return paths
         kept = [
             path
             for path in paths
-            if ways_gap_m(situation.moving, np.vstack([situation.position_m, path])[None])[0]
+            if ways_gap_m(moving, np.vstack([situation.position_m, path])[None])[0]
             >= -CLEARANCE_TOLERANCE_M
         ]
         return kept or paths
@@ -162,7 +161,7 @@ class StartSearch:
         """The best paths under a guide; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
         road_map = self._ground.road_map
-        moving = situation.moving
+        moving = situation.circumstances.moving
         kept = first_steps_apart(moving, situation.position_m, road_map.nodes_m[nodes])
         nodes, lengths = nodes[kept], lengths[kept]
         if not len(nodes):

@@ -96,7 +96,7 @@ def driven_ways(
         ways[:, k + 1] = ways[:, k] + ahead
         places = ways[:, k, None] + ahead[:, None] * shares
         ahead_free = rough.is_free(places, clear).all(axis=1)
-        ahead_free &= steps_apart(situation.moving, k, ways[:, k], ways[:, k + 1])
+        ahead_free &= steps_apart(situation.circumstances.moving, k, ways[:, k], ways[:, k + 1])
         blocked = np.flatnonzero(~ahead_free)
         if not len(blocked):
             continue
@@ -105,7 +105,7 @@ def driven_ways(
         places = ways[blocked, k][:, None, None] + moves[:, :, None] * shares
         free = rough.is_free(places, clear).all(axis=2)
         begins = np.broadcast_to(ways[blocked, k][:, None], moves.shape)
-        free &= steps_apart(situation.moving, k, begins, begins + moves)
+        free &= steps_apart(situation.circumstances.moving, k, begins, begins + moves)
         chosen = free.argmax(axis=1)
         rows = np.arange(len(blocked))
         heading[blocked] = angles[rows, chosen]

@@ -32,7 +32,7 @@ def ways_missing(
     power
         Prediction at all places, those of a way together; ``(c N,)``.
     """
-    problem, history = at.problem, at.history
+    problem, history = at.problem, at.circumstances.history
     constraints, count = problem.constraints, legs_m.shape[1]
     threshold, p_min = problem.stations[0].threshold_dbm, constraints.p_min
     rule = constraints.rule

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.objectives.mapping import Region
-from planopt.planning.candidate import Judge
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.planners import Planner, planner_for
-from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_seeds import TeamSeeds
@@ -85,7 +85,7 @@ class Member:
             What has happened on the run before.
         """
         position_m = state[:2]
-        broad = broad_prediction(self.problem, belief.posterior)
+        circumstances = circumstances_of(self.problem, belief.posterior, history, moving)
         situation = Situation(
             self.problem,
             belief.posterior,
@@ -93,9 +93,7 @@ class Member:
             watched.target_m,
             self.region,
             information=watched.information,
-            moving=moving,
-            history=history,
-            broad=broad,
+            circumstances=circumstances,
         )
         if self.steering is not None:
             place = self.steering.find_place(belief.posterior, position_m)
@@ -106,10 +104,8 @@ class Member:
             belief,
             position_m,
             PathWorth(situation),
-            moving,
+            circumstances,
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
-            history,
-            broad,
             state[2:],
         )
         plan = _valued_alone(self.planner.plan(situation, judge, warm), situation)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from planopt.planning.plan import Certificate
+from planopt.planning.certificate import Certificate
 from planopt.planning.rule_result import worst_result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db
+from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.worth.situation import Situation
 
 ROUNDING = 1e-9
@@ -18,18 +18,9 @@ def held_steps(situation: Situation, path_m: NDArray[np.float64]) -> NDArray[np.
     As few as possible of the steps at which the path keeps it, each the last before an outage would
     be too long. Where it keeps too few, steps at which it does not are held besides.
     """
-    problem, history = situation.problem, situation.history
+    problem, history = situation.problem, situation.circumstances.history
     rule, step_s = problem.constraints.rule, problem.planner.step_s
-    power = situation.power(path_m)
-    keeps = (
-        bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            problem.stations[0].threshold_dbm,
-            problem.constraints.p_min,
-        )
-        >= 0.0
-    )
+    keeps = margins_asked_db(problem, situation.power(path_m)) >= 0.0
     if rule.outage_max_m is not None:
         ends = np.vstack([situation.position_m, path_m])
         sizes = np.linalg.norm(np.diff(ends, axis=0), axis=1)

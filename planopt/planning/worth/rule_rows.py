@@ -90,7 +90,7 @@ def has_sum_row(problem: Problem) -> bool:
 
 def rule_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
     """The rows for a polish that starts from `path_m` (N, 2)."""
-    problem, history = situation.problem, situation.history
+    problem, history = situation.problem, situation.circumstances.history
     constraints, count = problem.constraints, len(path_m)
     threshold = problem.stations[0].threshold_dbm
     none = np.zeros(count, dtype=bool)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db
+from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.proof.rules.asked import asked_steps
 from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
@@ -50,20 +50,16 @@ def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
 def _missed_db(at: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """By how much each step that is asked for misses the bound; (N,)."""
     power, problem = at.power(path_m), at.problem
-    margins = bound_margin_db(
-        power.mean_db,
-        power.deviation_db,
-        problem.stations[0].threshold_dbm,
-        problem.constraints.p_min,
-    )
+    margins = margins_asked_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
-    return np.where(missed & asked_steps(problem, at.history, len(path_m)), -margins, 0.0)
+    asked = asked_steps(problem, at.circumstances.history, len(path_m))
+    return np.where(missed & asked, -margins, 0.0)
 
 
 def _result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
     return whole_plan_result(
         at.problem,
-        at.history,
+        at.circumstances.history,
         at.posterior,
         np.vstack([at.position_m, path_m]),
         at.power(path_m),

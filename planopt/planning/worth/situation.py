@@ -18,8 +18,7 @@ from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.objectives.until_connected import Search
-from planopt.planning.history import BEGINNING, History
-from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.worth.region import region_near
 from planopt.planning.worth.target_model import target_model
@@ -32,7 +31,6 @@ from planopt.problems.objective import (
 )
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import Sensor
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +54,8 @@ class Situation:
         none above the threshold, or nothing steers.
     information
         ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
-    moving
-        What moves during the steps.
-    history
-        What has happened on the run before: rules over the whole run count it.
-    broad
-        What predictions rest on where all parameters are to count as uncertain.
+    circumstances
+        What else is known at the step.
     """
 
     problem: Problem
@@ -71,9 +65,7 @@ class Situation:
     region: Region
     steering_m: NDArray[np.float64] | None = None
     information: NDArray[np.float64] | None = None
-    moving: MovingDiscs = NOTHING_MOVES
-    history: History = BEGINNING
-    broad: BroadPrediction | None = None
+    circumstances: Circumstances = NOTHING_ELSE
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -86,7 +78,7 @@ class Situation:
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
         new = [row for row, key in enumerate(keys) if key not in self._power]
         if new:
-            found = search_prediction(self.posterior, places_m[new], self.broad)
+            found = search_prediction(self.posterior, places_m[new], self.circumstances.broad)
             values = zip(found.mean_db.tolist(), found.deviation_db.tolist(), strict=True)
             self._power.update(zip([keys[row] for row in new], values, strict=True))
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)

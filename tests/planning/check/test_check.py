@@ -12,12 +12,13 @@ import pytest
 
 from planopt import load
 from planopt.errors import InputError
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.check import CheckResult, check
 from planopt.planning.files.saved import save_record, save_simulation, save_solution
 from planopt.planning.files.solution_json import no_plan_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.simulation import Simulation
-from planopt.planning.plan import Certificate, Rung, Verdict
+from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve

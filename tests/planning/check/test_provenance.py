@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scenes import small_problem
 
+from planopt.planning.certificate import Certificate
 from planopt.planning.check.provenance import provenance_faults
-from planopt.planning.plan import Certificate, Pivot, Plan, Rung, Termination, Verdict
+from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 
 PROBLEM = small_problem()
 NOWHERE = np.zeros(3)

@@ -12,6 +12,7 @@ from planopt.planning.plan import Termination
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
+from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.programme.path_value import Evaluation, PathValue, ValueSource
 from planopt.planning.programme.stage_kernel import StageMargins
 from planopt.world.separation import SeparatingLines
@@ -137,7 +138,7 @@ def summed_task(weights, bound, structure="stagewise", **changes):
 def test_bounded_sum_is_that_of_scipy(structure, bound):
     """Loose, tight and tighter bounds of one row over all stages."""
     weights = np.array([1.0, 0.5, 2.0, 1.0])
-    nlp = build_path_nlp(N, 1, structure, False, summed=True)
+    nlp = build_path_nlp(PathShape(N, 1, structure, False, summed=True))
     found = polish_path(nlp, summed_task(weights, bound, structure))
     start = np.array([0.0, 0.6])
     limits = [
@@ -170,7 +171,7 @@ def test_bounded_sum_is_that_of_scipy(structure, bound):
 def test_slack_of_a_sum_is_bounded_and_priced():
     """As much as is allowed where it is cheap, none where it is dear."""
     weights = np.array([1.0, 0.5, 2.0, 1.0])
-    nlp = build_path_nlp(N, 1, "stagewise", False, summed=True)
+    nlp = build_path_nlp(PathShape(N, 1, "stagewise", False, summed=True))
     for price, slack_db in ((1e-3, 0.4), (1e3, 0.0)):
         soft = {"slack_limit_db": np.array([0.4]), "slack_weight": price}
         found = polish_path(nlp, summed_task(weights, 3.5, **soft))
@@ -213,7 +214,7 @@ def test_optimum_is_that_of_scipy(structure, bounded, floor):
     """With and without bound, line and block structure: one optimum, no residual."""
     weights = np.array([1.0, 0.5, 2.0, 1.0])
     lines = no_lines() if floor is None else one_line()
-    nlp = build_path_nlp(N, 1, structure, bounded)
+    nlp = build_path_nlp(PathShape(N, 1, structure, bounded))
     found = polish_path(nlp, task(weights, structure, bounded, lines))
     path, value = by_scipy(weights, structure, bounded, floor)
     assert found.termination is Termination.CONVERGED
@@ -228,7 +229,7 @@ def test_optimum_is_that_of_scipy(structure, bounded, floor):
 def test_a_bound_out_of_reach_is_missed_by_the_least():
     """With slack the missing dB are paid for, and told."""
     weights = np.ones(N)
-    nlp = build_path_nlp(N, 1, "stagewise", True)
+    nlp = build_path_nlp(PathShape(N, 1, "stagewise", True))
     far = task(
         weights,
         "stagewise",
@@ -247,7 +248,7 @@ def test_a_bound_out_of_reach_is_missed_by_the_least():
 def test_a_moved_point_shows_in_the_residual(monkeypatch):
     """The residual is computed at the point that is returned."""
     weights = np.ones(N)
-    nlp = build_path_nlp(N, 1, "stagewise", False)
+    nlp = build_path_nlp(PathShape(N, 1, "stagewise", False))
     call = ipopt.call_nlp
 
     def moved(*arguments):
@@ -261,7 +262,7 @@ def test_a_moved_point_shows_in_the_residual(monkeypatch):
 def test_a_failed_call_leaves_nothing_behind():
     """A value that is no number ends one solve and does not touch the next."""
     weights = np.ones(N)
-    nlp = build_path_nlp(N, 1, "stagewise", False)
+    nlp = build_path_nlp(PathShape(N, 1, "stagewise", False))
     before = polish_path(nlp, task(weights, "stagewise", False, no_lines()))
 
     def broken(positions):

@@ -8,11 +8,8 @@ import scipy.ndimage
 import shapely
 from scenes import RING, WALL, bad_band, small_problem
 
-from planopt.planning.proof.reachability import (
-    best_margins_by_step,
-    connected_way_exists,
-    least_outage_m,
-)
+from planopt.planning.proof.reachability import best_margins_by_step
+from planopt.planning.proof.ways_to_goal import connected_way_exists, least_outage_m
 from planopt.world.clearance import index_obstacles
 
 START, GOAL = np.array([5.0, 15.0]), np.array([35.0, 15.0])

@@ -15,6 +15,7 @@ from planopt.channel.connection.joint_connectivity import joint_connectivity
 from planopt.channel.joint import sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.rules.asked import asked_steps
 from planopt.planning.proof.rules.joint import ACCURACY, SEED, joint_result, path_prediction
 from planopt.planning.proof.rules.outage import longest_run
@@ -36,8 +37,8 @@ def judged(problem, power_at, path_m=ALONG, **history):
     """The judgement of a path, and the channel."""
     posterior = belief_of(problem, power_at).posterior
     index = index_obstacles(problem.workspace)
-    past = History(**history)
-    return judge(problem, index, posterior, path_m[0], path_m, history=past), posterior
+    past = Circumstances(history=History(**history))
+    return judge(problem, index, posterior, path_m[0], path_m, circumstances=past), posterior
 
 
 def chances(posterior, path_m=ALONG):

@@ -30,7 +30,8 @@ import planopt.planning.proof.predictions as predictions
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
-from planopt.planning.plan import Certificate, Verdict
+from planopt.planning.certificate import Certificate
+from planopt.planning.plan import Verdict
 from planopt.planning.proof.verify import judge, verify
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles

@@ -19,13 +19,9 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.proof.reachability import (
-    MayReach,
-    best_margins_by_step,
-    connected_way_exists,
-    least_outage_m,
-)
+from planopt.planning.proof.reachability import MayReach, best_margins_by_step
 from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.ways_to_goal import connected_way_exists, least_outage_m
 from planopt.planning.rule_result import RuleResult
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
@@ -45,7 +41,7 @@ class StepsFinding:
     Attributes
     ----------
     relaxed_steps, relaxation_db, best_margin_db, no_connected_way, reasons
-        As in :class:`planopt.planning.plan.Certificate`.
+        As in :class:`planopt.planning.certificate.Certificate`.
     result
         None for the plain rule: at each step where possible.
     """

@@ -1,0 +1,61 @@
+"""What the verifier computed of a plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from planopt.planning.rule_result import RuleResult
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What the verifier computed, by code that shares nothing with the solver.
+
+    Attributes
+    ----------
+    min_clearance_m
+        Least distance between the swept path and any obstacle, exact; infinite without obstacles.
+    min_connectivity
+        Least probability of connection over the planned steps, from the posterior named below.
+    dynamics_defect
+        Largest violation of the motion model and the input set, in metres.
+    kkt_residual
+        Unscaled KKT residual of the polished point; None where nothing was polished.
+    posterior
+        ``exact`` or ``neighbours:512``.
+    relaxed_steps
+        Steps (1 is the first) at which the bound is not met.
+    relaxation_db
+        By how many dB at each of them the bound is missed.
+    best_margin_db
+        At each of them, the best margin (dB, negative) found over every place that the robot
+        could reach by then: negative is the proof that the bound could not be met.
+    no_connected_way
+        True if the bound was missed at a step although it could be met there, and a search showed
+        that no way to the goal keeps it; False if that was not needed, or not so.
+    reasons
+        Why the verdict is not ``verified``; empty if it is.
+    min_separation_m
+        Least distance from any other robot at equal times, all the way; None where no separation
+        is asked or there is no other robot. Those that have not planned yet are where their last
+        plans lead.
+    min_moving_clearance_m
+        Least distance from any moving obstacle at equal times, all the way, negative inside one;
+        None without one.
+    rule
+        What is achieved of a rule of connectivity other than p_min at each step where possible.
+    """
+
+    min_clearance_m: float
+    min_connectivity: float
+    dynamics_defect: float
+    kkt_residual: float | None
+    posterior: str
+    relaxed_steps: tuple[int, ...] = ()
+    relaxation_db: tuple[float, ...] = ()
+    best_margin_db: tuple[float, ...] = ()
+    no_connected_way: bool = False
+    reasons: tuple[str, ...] = ()
+    min_separation_m: float | None = None
+    min_moving_clearance_m: float | None = None
+    rule: RuleResult | None = None

@@ -1,0 +1,138 @@
+"""The judge of one step's candidates: worth by the objective, verdict by the verifier."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import Prediction
+from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.candidate import Candidate
+from planopt.planning.message import plan_message
+from planopt.planning.plan import Plan, Rung, Termination
+from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
+from planopt.planning.proof.verify import judge
+from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Everything a candidate of one step is judged by.
+
+    Attributes
+    ----------
+    problem, index, belief
+        The problem, its obstacles, and what is believed of the channel.
+    position_m
+        ``(2,)`` where the robot is.
+    objective
+        What a path (N, 2) from there is worth.
+    circumstances
+        What else is known at the step.
+    reserved_m
+        ``(N, 2)`` the rest of the last plan, which the other robots keep clear of; None without.
+    rest
+        What the robot's state has beyond its place; nothing of a single integrator.
+    """
+
+    problem: Problem
+    index: ObstacleIndex
+    belief: Belief
+    position_m: NDArray[np.float64]
+    objective: Callable[[NDArray[np.float64]], float]
+    circumstances: Circumstances = NOTHING_ELSE
+    reserved_m: NDArray[np.float64] | None = None
+    rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """``(s,)`` the robot's state, its place first."""
+        return np.concatenate([self.position_m, self.rest])
+
+    def margins_db(self, power: Prediction) -> NDArray[np.float64]:
+        """Connectivity margins of the step's problem."""
+        return margins_asked_db(self.problem, power)
+
+    def candidate(
+        self,
+        path_m: NDArray[np.float64],
+        rung: Rung,
+        termination: Termination,
+        drive: Drive | None = None,
+    ) -> Candidate:
+        """Make a candidate of a path, not yet verified; `drive` says how it is driven."""
+        # A solver may give back places that are no numbers.
+        nothing = np.inf if self.problem.sense == "min" else -np.inf
+        worth = self.objective(path_m) if np.isfinite(path_m).all() else nothing
+        return Candidate(path_m, worth, worth, rung, termination, drive=drive)
+
+    def judged(self, candidate: Candidate) -> Candidate:
+        """Ask the verifier."""
+        path = np.vstack([self.position_m, candidate.path_m])
+        judgement = judge(
+            self.problem,
+            self.index,
+            self.belief.posterior,
+            self.state,
+            path,
+            candidate.kkt_residual,
+            self.circumstances,
+            candidate.drive,
+        )
+        return replace(
+            candidate,
+            certificate=judgement.certificate,
+            verdict=judgement.verdict,
+            sound=judgement.sound,
+            power=judgement.power,
+        )
+
+    def standing(self, horizon: int) -> Candidate:
+        """Stand still for N = `horizon` steps, or go on as reserved where that is not sound.
+
+        Every robot's plan keeps clear of what the others have reserved, so that this is the last
+        resort that no other robot is in the way of.
+        """
+        place = np.tile(self.position_m, (horizon, 1))
+        standing = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
+        if standing.sound or self.reserved_m is None:
+            return standing
+        return self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
+
+    def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
+        """Write a judged candidate out as a plan."""
+        if chosen.certificate is None or chosen.power is None:
+            raise AssertionError("only judged candidates are released")
+        power = chosen.power
+        positions = np.vstack([self.position_m, chosen.path_m])
+        radio = self.problem.stations[0]
+        return Plan(
+            robot=self.problem.robots[0].name,
+            t_s=self.problem.planner.step_s * np.arange(len(positions), dtype=np.float64),
+            positions_m=positions,
+            mean_dbm=power.mean_db,
+            deviation_db=power.deviation_db,
+            connectivity=connection_probability(
+                power.mean_db, power.deviation_db, radio.threshold_dbm
+            ),
+            objective=chosen.objective,
+            lattice_objective=chosen.lattice_objective,
+            termination=chosen.termination,
+            verdict=chosen.verdict,
+            rung=chosen.rung,
+            certificate=chosen.certificate,
+            wall_s=wall_s,
+            solve_s=chosen.solve_s,
+            iterations=chosen.iterations,
+            multipliers=chosen.multipliers,
+            message=plan_message(chosen.certificate, positions),
+            sense=self.problem.sense,
+            drive=chosen.drive,
+        )

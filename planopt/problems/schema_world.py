@@ -1,0 +1,59 @@
+"""``[world]``: where robots may be, and what stands or moves there."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from planopt.problems.schema_moving import MovingTable
+from planopt.problems.tables import FileName, Pair, Quad, Table
+
+
+class ObstacleTable(Table):
+    """One entry of ``obstacles``: exactly one of ``file``, ``polygon`` and ``wkt``."""
+
+    name: str | None = Field(
+        default=None,
+        description="What messages call it, for polygon and wkt; a file's obstacles have names.",
+    )
+    file: FileName | None = Field(
+        default=None,
+        description="GeoJSON (.geojson), WKT (.wkt) or building file (.json), in metres, "
+        "relative to the problem file.",
+    )
+    polygon: list[Pair] | None = Field(
+        default=None, min_length=3, description="Outer ring, a list of [x, y] in metres."
+    )
+    holes: list[Annotated[list[Pair], Field(min_length=3)]] = Field(
+        default=[], description="Rings of holes in polygon, each a list of [x, y] in metres."
+    )
+    wkt: str | None = Field(default=None, min_length=1, description="A POLYGON in metres.")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> ObstacleTable:
+        given = [key for key in ("file", "polygon", "wkt") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise PydanticCustomError(
+                "one_of",
+                "needs exactly one of file, polygon and wkt, has {given}",
+                {"given": " and ".join(given) or "none"},
+            )
+        if self.holes and self.polygon is None:
+            raise PydanticCustomError("one_of", "has holes, which go only with polygon")
+        if self.name is not None and self.file is not None:
+            raise PydanticCustomError(
+                "one_of", "has a name, which goes only with polygon and wkt, beside file"
+            )
+        return self
+
+
+class WorldTable(Table):
+    """``[world]``: where robots may be."""
+
+    bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
+    obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
+    moving: list[MovingTable] = Field(
+        default=[], max_length=50, description="Obstacles that move as predicted."
+    )

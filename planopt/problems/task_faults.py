@@ -1,0 +1,106 @@
+"""What a task asks of the tables of a problem file: several of them at once, no geometry."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, get_args
+
+from planopt.problems.schema_objective import LearningTable, MappingTable, TrackingTable
+from planopt.problems.schema_terms import (
+    CasadiTable,
+    TransmissionEnergyTable,
+    UntilConnectedTable,
+)
+from planopt.problems.settings import BASELINES
+from planopt.problems.tables import Table
+
+if TYPE_CHECKING:
+    from planopt.problems.schema import ProblemFile
+
+MOST_TURN_RAD = 2.0 * math.pi
+"""What a robot may turn in a step: more than a circle of the same input is nothing to plan."""
+
+TASK_TERMS: dict[str, tuple[type[Table], ...]] = {
+    "track": (TrackingTable,),
+    "learn": (LearningTable,),
+    "map": (MappingTable,),
+    "connect": (UntilConnectedTable,),
+    "custom": (CasadiTable, TransmissionEnergyTable),
+}
+"""The terms that each task's objective may begin with."""
+
+
+def task_fault(tables: ProblemFile) -> str | None:
+    """What keeps tables from being a problem of its task, in words; None if nothing does."""
+    fault = _reach_fault(tables) if tables.problem.task == "reach" else _terms_fault(tables)
+    return fault or _moving_fault(tables)
+
+
+def _reach_fault(tables: ProblemFile) -> str | None:
+    """What keeps tables from being a problem that is to reach a goal."""
+    if len(tables.robots) > 1:
+        return "task reach is for exactly one robot"
+    if tables.robots[0].goal_m is None:
+        return "task reach needs robots[0].goal_m"
+    if tables.objective.terms:
+        return "task reach has no objective.terms"
+    if tables.targets:
+        return "task reach has no targets"
+    if tables.constraints.p_min == 0.0 and tables.constraints.connectivity != "data":
+        return "task reach needs constraints.p_min above 0"
+    if tables.planner.name in BASELINES:
+        return (
+            f"planner.name {tables.planner.name} is not for task reach: use auto, nlp, scp or "
+            "lattice"
+        )
+    if tables.robots[0].dynamics != "single_integrator":
+        dynamics = tables.robots[0].dynamics
+        return f"task reach is for robots of dynamics single_integrator, not {dynamics}"
+    return None
+
+
+def _terms_fault(tables: ProblemFile) -> str | None:
+    """What keeps tables from being a problem whose objective is a sum of terms."""
+    task, terms = tables.problem.task, tables.objective.terms
+    if not terms or not isinstance(terms[0], TASK_TERMS[task]):
+        kinds = [get_args(each.model_fields["kind"].annotation)[0] for each in TASK_TERMS[task]]
+        return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
+    if any(robot.goal_m is not None for robot in tables.robots):
+        return f"task {task} has no robots.goal_m"
+    for key in ("effort_weight_s2_m2", "cost_to_go"):
+        if key in tables.objective.model_fields_set:
+            return f"objective.{key} is for task reach, not for {task}"
+    tracked = any(isinstance(term, TrackingTable) for term in terms)
+    if tracked != bool(tables.targets):
+        return "a term of kind tracking and an entry of targets go together"
+    names = [robot.name for robot in tables.robots]
+    if len(set(names)) < len(names):
+        return "two robots have one name"
+    return _dynamics_fault(tables)
+
+
+def _dynamics_fault(tables: ProblemFile) -> str | None:
+    """What keeps robots that cannot turn or stop at will from being planned for."""
+    for number, robot in enumerate(tables.robots):
+        if robot.dynamics == "single_integrator":
+            continue
+        if tables.planner.name in BASELINES:
+            return (
+                f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
+                f"robots[{number}] has {robot.dynamics}: use auto, nlp, scp or lattice"
+            )
+        turn_rad = (robot.turn_rate_max_rad_s or 0.0) * tables.planner.step_s
+        if turn_rad > MOST_TURN_RAD:
+            return (
+                f"robots[{number}].turn_rate_max_rad_s lets it turn by {turn_rad:.3g} rad in a "
+                f"step, which should be at most a full circle: lessen it or planner.step_s"
+            )
+    return None
+
+
+def _moving_fault(tables: ProblemFile) -> str | None:
+    """What keeps moving things from being told apart."""
+    names = [moving.name for moving in tables.world.moving]
+    if len(set(names)) < len(names):
+        return "two of world.moving have one name"
+    return None

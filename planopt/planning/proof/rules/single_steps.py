@@ -20,6 +20,7 @@ from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reachability import (
+    MayReach,
     best_margins_by_step,
     connected_way_exists,
     least_outage_m,
@@ -62,7 +63,7 @@ def judge_single_steps(
     history: History,
     index: ObstacleIndex,
     posterior: ChannelPosterior,
-    start_m: NDArray[np.float64],
+    state: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     power: Prediction,
     broad: BroadPrediction | None = None,
@@ -77,8 +78,8 @@ def judge_single_steps(
         Of its obstacles.
     posterior
         What is believed of the channel.
-    start_m
-        Where the robot is.
+    state
+        ``(s,)`` the robot's state, its place first.
     positions_m, power
         The path and the prediction along it, its first place included.
     broad
@@ -103,7 +104,7 @@ def judge_single_steps(
         problem,
         index,
         margin_db,
-        start_m,
+        state,
         missed,
         starts_within=bool(here[0] >= 0.0),
     )
@@ -168,7 +169,7 @@ def _what_is_possible(
     problem: Problem,
     index: ObstacleIndex,
     margin_db: MarginAt,
-    start_m: NDArray[np.float64],
+    state: NDArray[np.float64],
     missed: NDArray[np.intp],
     starts_within: bool,
 ) -> tuple[tuple[float, ...], bool]:
@@ -180,6 +181,7 @@ def _what_is_possible(
     the first step that meets the bound or could.
     """
     constraints, length = problem.constraints, problem.step_length_m
+    start_m = state[:2]
     if missed.size == 0:
         return (), False
     best = best_margins_by_step(
@@ -190,6 +192,7 @@ def _what_is_possible(
         length,
         missed,
         constraints.clearance_m,
+        _may_reach(problem, state),
     )
     if best[-1] < 0.0 or problem.task != "reach":
         return best, False
@@ -206,6 +209,18 @@ def _what_is_possible(
         length,
         within_m=0.0 if starts_within else first * length,
     )
+
+
+def _may_reach(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
+    """Where a robot may be that cannot turn or stop at will; None for any other."""
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if dynamics is None:
+        return None
+
+    def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
+        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
+
+    return may_reach
 
 
 def _needless_outage(

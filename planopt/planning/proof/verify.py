@@ -114,7 +114,8 @@ def judge(
         return Judgement(broken, Verdict.VIOLATED, None)
     motion = judge_motion(problem, index, start_m, positions_m, drive)
     reasons = list(motion.reasons)
-    apart = judge_apart(obstacles_ahead(problem, 0) if moving is None else moving, positions_m)
+    discs = obstacles_ahead(problem, 0) if moving is None else moving
+    apart = judge_apart(discs, positions_m, straight=problem.robots[0].dynamics is None)
     reasons += apart.reasons
 
     power, kind = certified_prediction(posterior, positions_m, broad)

@@ -16,7 +16,7 @@ from planopt.problems.problem import Problem
 from planopt.problems.schema import PlannerTable
 from planopt.problems.schema_constraints import ConstraintsTable, constraints_table
 from planopt.problems.schema_objective import ObjectiveTable
-from planopt.problems.settings import PlannerSettings
+from planopt.problems.settings import BASELINES, PlannerSettings
 from planopt.problems.tables import Table
 
 AnyTable = TypeVar("AnyTable", bound=Table)
@@ -65,6 +65,13 @@ def with_overrides(
                 remedy="leave it out",
             )
         return changed
+    if changed.planner.name in BASELINES:
+        raise InputError(
+            f"is {changed.planner.name}, which has no way to a goal",
+            file=problem.file,
+            key="planner.name",
+            remedy="use auto, nlp, scp or lattice for the task reach",
+        )
     objective_table = _changed(
         ObjectiveTable, "objective", asdict(problem.objective), {"cost_to_go": cost_to_go}
     )

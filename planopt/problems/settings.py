@@ -7,8 +7,11 @@ from typing import Literal
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
 
-
 PlannerName = Literal["auto", "nlp", "scp", "lattice", "one_step", "random", "lawnmower"]
+
+BASELINES: tuple[PlannerName, ...] = ("one_step", "random", "lawnmower")
+"""Planners to compare with: no goal, no lattice path, and only robots that can turn and stop at
+will."""
 
 
 @dataclass(frozen=True)

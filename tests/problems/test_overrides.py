@@ -87,3 +87,11 @@ def test_dynamics_given_in_python_are_held_to_the_same(name: str, rest, key: str
     with pytest.raises(InputError) as caught:
         with_overrides(replace(problem, robots=robots))
     assert caught.value.key == key
+
+
+@pytest.mark.parametrize("planner", ["one_step", "random", "lawnmower"])
+def test_planners_without_a_goal_are_not_for_reach(planner: str) -> None:
+    """Neither in a file nor in its place."""
+    with pytest.raises(InputError) as caught:
+        with_overrides(load("open_field"), planner=planner)
+    assert caught.value.key == "planner.name"

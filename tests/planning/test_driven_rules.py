@@ -11,6 +11,7 @@ from rules_scene import RULES, ruled_problem
 from terms_scene import TRACKING
 
 from planopt.planning.check.check import check
+from planopt.planning.explain.explain import explain
 from planopt.planning.files.team_saved import save_team_run
 from planopt.planning.plan import Verdict
 from planopt.planning.team.team_loop import simulate_team
@@ -50,3 +51,19 @@ def test_missed_steps_are_excused_by_where_it_can_be(dynamics, horizon: int, tmp
     run = simulate_team(problem, seed=SEED)
     save_team_run(run, tmp_path)
     assert not [text for text in check(tmp_path).reasons if "is met at none of" not in text]
+
+
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
+@pytest.mark.parametrize("uncertain", ["path_loss", "all"])
+def test_what_would_help_is_measured_where_it_can_be(dynamics, uncertain: str) -> None:
+    """The shortfall is what the verifier misses, and both proposals are verified."""
+    problem = driven_problem(dynamics, TRACKING, p_min=0.9, horizon=1)
+    robot = replace(problem.robots[0], start_m=(37.0, 37.0))
+    rule = replace(problem.constraints.rule, parameter_uncertainty=uncertain)
+    constraints = replace(problem.constraints, rule=rule)
+    solution = solve_team(replace(problem, robots=(robot,), constraints=constraints), seed=SEED)
+    certificate = solution.plans[0].certificate
+    found = {one.constraint: one for one in explain(solution)}
+    for key in ("constraints.p_min", "stations[0].threshold_dbm"):
+        assert found[key].shortfall == pytest.approx(-certificate.best_margin_db[0], abs=1e-9)
+        assert found[key].verified

@@ -19,8 +19,8 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.reach_of_dynamics import may_reach_from
 from planopt.planning.proof.reachability import (
-    MayReach,
     best_margins_by_step,
     connected_way_exists,
     least_outage_m,
@@ -192,7 +192,7 @@ def _what_is_possible(
         length,
         missed,
         constraints.clearance_m,
-        _may_reach(problem, state),
+        may_reach_from(problem, state),
     )
     if best[-1] < 0.0 or problem.task != "reach":
         return best, False
@@ -209,18 +209,6 @@ def _what_is_possible(
         length,
         within_m=0.0 if starts_within else first * length,
     )
-
-
-def _may_reach(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
-    """Where a robot may be that cannot turn or stop at will; None for any other."""
-    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
-    if dynamics is None:
-        return None
-
-    def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
-        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
-
-    return may_reach
 
 
 def _needless_outage(

@@ -1,4 +1,7 @@
-"""A robot that is moving at the start must be able to stop: then there is always a clear plan."""
+"""A robot that cannot turn or stop at will: its task and its start.
+
+If it is moving at the start it must be able to stop: then there is always a clear plan.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,36 @@ import numpy as np
 from planopt.errors import InputError
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
+
+
+def check_dynamics(problem: Problem) -> None:
+    """Raise an error if some robot cannot be planned for as it moves.
+
+    Raises
+    ------
+    InputError
+        Its task is for single integrators, or its start is no state of its dynamics.
+    """
+    for number, robot in enumerate(problem.robots):
+        dynamics = robot.dynamics
+        if dynamics is None:
+            continue
+        if problem.task == "reach":
+            raise InputError(
+                f"is {dynamics.kind}, and task reach plans for single_integrator only",
+                file=problem.file,
+                key=f"robots[{number}].dynamics",
+                remedy="leave it out, or choose another task",
+            )
+        rest = dynamics.state_names[2:]
+        if len(robot.start_rest) != len(rest) or not np.isfinite(robot.start_rest).all():
+            raise InputError(
+                f"has the start_rest {list(robot.start_rest)}, should have finite numbers for "
+                f"{', '.join(rest)}",
+                file=problem.file,
+                key=f"robots[{number}]",
+                remedy=f"start_rest is the state of a {dynamics.kind} beyond its place",
+            )
 
 
 def check_stopping(problem: Problem, index: ObstacleIndex, number: int) -> None:

@@ -77,7 +77,8 @@ def input_error(
         case "union_tag_not_found" | "union_tag_invalid":
             path = (*path, "kind")
             message = _kind_message(fault)
-        case "one_of":
+        case "one_of" | "task":
+            # Of several keys: what stands there is no single value.
             message = fault["msg"]
         case _:
             message = f"is {shown(fault['input'])}, {_allowed(fault, field)}"
@@ -156,7 +157,7 @@ def _resolve(
     field: FieldInfo | None = None
     tables: list[type[BaseModel]] = [model]
     for part in location:
-        if len(tables) > 1:
+        if len(tables) > 1 and isinstance(part, str):
             tables = [table for table in tables if part in _kinds(table)]
         else:
             path.append(part)

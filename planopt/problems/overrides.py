@@ -8,12 +8,15 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from planopt.errors import InputError
+from planopt.problems.check_motion import check_dynamics
+from planopt.problems.checks import check
 from planopt.problems.messages import input_error
 from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
 from planopt.problems.schema import PlannerTable
+from planopt.problems.schema_constraints import ConstraintsTable, constraints_table
 from planopt.problems.schema_objective import ObjectiveTable
-from planopt.problems.settings import PlannerSettings
+from planopt.problems.settings import BASELINES, PlannerSettings
 from planopt.problems.tables import Table
 
 AnyTable = TypeVar("AnyTable", bound=Table)
@@ -26,7 +29,9 @@ def with_overrides(
     planner: str | None = None,
     cost_to_go: str | None = None,
 ) -> Problem:
-    """`problem` with the given settings in place of its own; None keeps them.
+    """`problem` with the given settings in place of its own, checked; None keeps them.
+
+    A problem made in Python, which no schema has seen, is held to what one from a file is.
 
     Parameters
     ----------
@@ -42,12 +47,16 @@ def with_overrides(
     Raises
     ------
     InputError
-        A value is not allowed by the schema; the key is the one of the problem file.
+        A value is not allowed by the schema, or does not fit the rest of the problem; the key is
+        the one of the problem file.
     """
     planner_table = _changed(
         PlannerTable, "planner", asdict(problem.planner), {"horizon": horizon, "name": planner}
     )
     changed = replace(problem, planner=PlannerSettings(**planner_table.model_dump()))
+    _changed(ConstraintsTable, "constraints", constraints_table(problem.constraints), {})
+    check_dynamics(changed)
+    check(changed)
     if not isinstance(problem.objective, ReachObjective):
         if cost_to_go is not None:
             raise InputError(
@@ -56,6 +65,13 @@ def with_overrides(
                 remedy="leave it out",
             )
         return changed
+    if changed.planner.name in BASELINES:
+        raise InputError(
+            f"is {changed.planner.name}, which has no way to a goal",
+            file=problem.file,
+            key="planner.name",
+            remedy="use auto, nlp, scp or lattice for the task reach",
+        )
     objective_table = _changed(
         ObjectiveTable, "objective", asdict(problem.objective), {"cost_to_go": cost_to_go}
     )

@@ -9,15 +9,22 @@ WHOLE_STEPS = 1e-6
 """A time is a multiple of the step if it is off by no more than this share of a step."""
 
 
+MOST_PROBABLE_DATA = 0.9995
+"""Greatest probability of data that the verifier's drawn channels can show."""
+
+
 def check_rule(problem: Problem) -> None:
     """Raise what keeps a problem's rule of connectivity from being planned with.
 
     Raises
     ------
     InputError
-        The task has no price for slack, or a time is none at which a step ends.
+        The task has no price for slack, a time is none at which a step ends, or more data are asked
+        for than the link could deliver, or more surely than can be shown.
     """
     rule, planner = problem.constraints.rule, problem.planner
+    if rule.connectivity == "data":
+        _check_data(problem)
     if problem.task == "reach" and rule.slack_price > 0.0:
         raise InputError(
             f"is {rule.slack_price:g}, but the objective of task reach has no price for slack",
@@ -34,3 +41,26 @@ def check_rule(problem: Problem) -> None:
                 key=f"constraints.connected_times_s[{number}]",
                 remedy="state times at which a step ends",
             )
+
+
+def _check_data(problem: Problem) -> None:
+    """Data that no plan could be shown to deliver."""
+    rule, p_min = problem.constraints.rule, problem.constraints.p_min
+    if p_min > MOST_PROBABLE_DATA:
+        raise InputError(
+            f"is {p_min:g}, and more than {MOST_PROBABLE_DATA:g} cannot be shown for data",
+            file=problem.file,
+            key="constraints.p_min",
+            remedy="ask for less, or leave it out to ask for the expectation",
+        )
+    if rule.data_mbit is None or rule.deadline_s is None or rule.rate_mbit_s is None:
+        return
+    most_mbit = rule.rate_mbit_s * rule.deadline_s
+    if rule.data_mbit > most_mbit * (1.0 + WHOLE_STEPS):
+        raise InputError(
+            f"is {rule.data_mbit:g}, more than the {most_mbit:g} Mbit that rate_mbit_s delivers "
+            "by deadline_s when always connected",
+            file=problem.file,
+            key="constraints.data_mbit",
+            remedy="lessen it, or allow more time",
+        )

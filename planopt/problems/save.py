@@ -16,8 +16,6 @@ import shapely
 
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements, ModelTruth, RasterTruth
-from planopt.problems.connectivity_rule import ConnectivityRule
-from planopt.problems.constraints import Constraints
 from planopt.problems.load import problem_from_tables
 from planopt.problems.objective import (
     CasadiTerm,
@@ -31,6 +29,7 @@ from planopt.problems.objective import (
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
+from planopt.problems.schema_constraints import constraints_table
 from planopt.problems.schema_robot import robot_table
 from planopt.world.moving_obstacle import MovingObstacle
 from planopt.world.workspace import Obstacle
@@ -64,7 +63,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "stations": [_station(station) for station in problem.stations],
         "targets": [_plain(asdict(target)) for target in problem.targets],
         "objective": _objective(problem),
-        "constraints": _constraints(problem.constraints),
+        "constraints": constraints_table(problem.constraints),
         "planner": _plain(asdict(problem.planner)),
         "report": asdict(problem.report),
     }
@@ -107,14 +106,6 @@ def _objective(problem: Problem) -> dict[str, Any]:
     return {
         "terms": [{"kind": KINDS[type(term)], **_plain(asdict(term))} for term in problem.terms]
     }
-
-
-def _constraints(constraints: Constraints) -> dict[str, Any]:
-    """The rule's keys beside the others, those that say no more than their defaults left out."""
-    default = asdict(ConnectivityRule())
-    rule = {k: v for k, v in asdict(constraints.rule).items() if v != default[k]}
-    own = {k: v for k, v in asdict(constraints).items() if k != "rule"}
-    return {**own, **_plain(rule)}
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import asdict
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -161,3 +162,16 @@ class ConstraintsTable(Table):
                 self.parameter_uncertainty,
             ),
         )
+
+
+def constraints_table(constraints: Constraints) -> dict[str, Any]:
+    """The keys of the table that `constraints` are from.
+
+    The rule's keys stand beside the others, those that say no more than their defaults left out.
+    """
+    default = asdict(ConnectivityRule())
+    rule = {key: value for key, value in asdict(constraints.rule).items() if value != default[key]}
+    if constraints.rule.connected_times_s:
+        rule["connected_times_s"] = list(constraints.rule.connected_times_s)
+    own = {key: value for key, value in asdict(constraints).items() if key != "rule"}
+    return {**own, **rule}

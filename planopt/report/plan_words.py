@@ -38,8 +38,9 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
         f"verdict: {spaced(plan.verdict)} ({MEANING[plan.verdict]})",
         clearance,
         *apart_words(proof),
-        f"least P(connected) {proof.min_connectivity:.3f}, {constraints.p_min:g} asked "
-        f"(posterior: {proof.posterior})",
+        f"least P(connected) {proof.min_connectivity:.3f}"
+        + (f", {constraints.step_p_min:g} asked" if constraints.step_p_min > 0.0 else "")
+        + f" (posterior: {proof.posterior})",
         f"motion model kept to {proof.dynamics_defect:.2g} m; "
         + (
             "not polished"

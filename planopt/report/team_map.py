@@ -122,7 +122,7 @@ def _draw_chance(
     figure: Figure, panel: Panel, problem: Problem, mean: Raster, deviation: Raster
 ) -> None:
     """Draw the chance of a connection, with the line of p_min where one is asked for."""
-    p_min = problem.constraints.p_min
+    p_min = problem.constraints.step_p_min
     values = connection_probability(
         mean.values, deviation.values, problem.stations[0].threshold_dbm
     )

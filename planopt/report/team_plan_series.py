@@ -80,7 +80,7 @@ def _draw_connectivity(panel: Panel, problem: Problem, plans: Sequence[Plan]) ->
     """Predicted chance of a connection of every robot, and its bound where there is one."""
     for number, plan in enumerate(plans):
         _draw_curve(panel, plan, number, plan.connectivity)
-    p_min = problem.constraints.p_min
+    p_min = problem.constraints.step_p_min
     lowest = min(float(plan.connectivity.min()) for plan in plans)
     if p_min > 0.0:
         panel.axhline(p_min, color=BLACK, linestyle="dashed", label=f"p_min = {p_min:g}")

@@ -117,10 +117,10 @@ def _draw_connectivity(panel: Panel, run: TeamRun) -> None:
             linewidth=1.2,
             label=one.robot,
         )
-    p_min = run.problem.constraints.p_min
+    p_min = run.problem.constraints.step_p_min
     if p_min > 0.0:
         panel.axhline(p_min, color=BLACK, linestyle="dashed", label=f"p_min = {p_min:g}")
-    dress(panel, "predicted one step ahead", TIME, "P(connected) [1]")
+    dress(panel, "one step ahead", TIME, "P(connected) [1]")
     # The axis follows the values, but not into the last digits of values that are all near 1.
     lowest = min([p_min or 1.0, *(float(np.nanmin(one.log.connectivity)) for one in run.runs)])
     panel.set_ylim(min(0.9, lowest) - 0.02, 1.02)

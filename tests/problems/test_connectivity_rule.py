@@ -95,3 +95,15 @@ def test_reach_has_no_price_for_slack(tables, built):
     tables["constraints"] |= {"slack_price": 1.0}
     with pytest.raises(InputError, match=r"constraints\.slack_price"):
         built(tables)
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [({"p_min": 0.9999}, "constraints.p_min"), ({"data_mbit": 19.1}, "constraints.data_mbit")],
+)
+def test_data_that_no_plan_could_be_shown_to_deliver(keys, key, learning, built):
+    """Drawn channels show 0.9995 at most; the link delivers its rate times the deadline at most."""
+    built(with_rule(learning, "data", {**GOOD["data"], "p_min": 0.9995, "data_mbit": 19.0}))
+    with pytest.raises(InputError) as caught:
+        built(with_rule(learning, "data", {**GOOD["data"], **keys}))
+    assert caught.value.key == key

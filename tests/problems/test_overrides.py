@@ -7,8 +7,10 @@ from dataclasses import replace
 import pytest
 
 from planopt.errors import InputError
+from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
+from planopt.robots.unicycle import Unicycle
 
 
 def test_only_the_named_settings_change() -> None:
@@ -45,3 +47,51 @@ def test_unknown_names_say_what_there_is() -> None:
     with pytest.raises(InputError, match="'geodesic' or 'connected'") as caught:
         with_overrides(load("open_field"), cost_to_go="zero")
     assert caught.value.key == "objective.cost_to_go"
+
+
+@pytest.mark.parametrize(
+    ("rule", "key"),
+    [
+        (ConnectivityRule("outage"), "constraints"),
+        (ConnectivityRule("data"), "constraints"),
+        (ConnectivityRule("joint", parameter_uncertainty="all"), "constraints"),
+        (ConnectivityRule("stated_times", (0.3,)), "constraints.connected_times_s[0]"),
+    ],
+)
+def test_a_rule_made_in_python_is_held_to_what_one_from_a_file_is(rule, key: str) -> None:
+    """Incomplete rules, and keys that do not go together."""
+    problem = load("outdoor_track")
+    constraints = replace(problem.constraints, p_min=0.5, rule=rule)
+    with pytest.raises(InputError) as caught:
+        with_overrides(replace(problem, constraints=constraints))
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("name", "rest", "key"),
+    [
+        ("crowded_track", (0.0,), "world.moving"),
+        ("open_field", (0.0,), "robots[0].dynamics"),
+        ("outdoor_track", (), "robots[0]"),
+        ("outdoor_track", (float("nan"),), "robots[0]"),
+        ("outdoor_track", (0.0, 0.0), "robots[0]"),
+    ],
+)
+def test_dynamics_given_in_python_are_held_to_the_same(name: str, rest, key: str) -> None:
+    """Nothing moves beside robots that drive curves; a start is a whole state."""
+    problem = load(name)
+    robots = tuple(
+        replace(robot, dynamics=Unicycle(robot.speed_max_m_s, 0.6), start_rest=rest)
+        for robot in problem.robots
+    )
+    with pytest.raises(InputError) as caught:
+        with_overrides(replace(problem, robots=robots))
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize("planner", ["one_step", "random", "lawnmower"])
+def test_planners_without_a_goal_are_not_for_reach(planner: str) -> None:
+    """Neither in a file nor in its place."""
+    with pytest.raises(InputError) as caught:
+        with_overrides(load("open_field"), planner=planner)
+    assert caught.value.key == "planner.name"

@@ -355,8 +355,17 @@ def other(tables: Tables, task: str, terms: list[Tables]) -> None:
             {**OWN, "program": "input 0 target_m 0 0\noutput 0"},
             r"objective.terms\[0\].program: reads target_m, and there is no target",
         ),
-        ("custom", {**SENDING, "bit_error_rate": 0.3}, "bit_error_rate"),
-        ("connect", {"kind": "until_connected", "beyond_m": -1.0}, "beyond_m"),
+        (
+            "custom",
+            {**SENDING, "bit_error_rate": 0.3},
+            r"objective.terms\[0\].bit_error_rate: is 0.3, should be more than 0 and less than 0.2",
+        ),
+        (
+            "connect",
+            {"kind": "until_connected", "beyond_m": -1.0},
+            r"objective.terms\[0\].beyond_m: is -1.0, should be at least 0 and at most",
+        ),
+        ("custom", {"kind": "casdi"}, r"objective.terms\[0\].kind: is 'casdi', should be one of"),
     ],
 )
 def test_other_terms_that_cannot_be_used(
@@ -417,7 +426,7 @@ def test_tables_that_do_not_fit_the_task(
     ("table", "key", "value", "words"),
     [
         ("constraints", "p_min", 0.0, "task reach needs constraints.p_min above 0"),
-        ("planner", "name", "random", "planner.name random is not for task reach"),
+        ("planner", "name", "random", "toml: planner.name random is not for task reach"),
         ("objective", "terms", [{"kind": "mapping"}], "task reach has no objective.terms"),
     ],
 )

@@ -6,6 +6,7 @@ import pytest
 
 from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import RuleResult
+from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.report.plan_words import MEANING, plan_words
 
 
@@ -50,3 +51,10 @@ def test_rule_of_connectivity_has_its_line(plan, problem):
     words = "\n".join(plan_words(ruled, problem.constraints))
     assert "connectivity (stated times): 2 steps, 3 steps asked" in words
     assert "slack 0.50 dB" in words
+
+
+@pytest.mark.parametrize(("form", "asked"), [("joint", False), ("data", False), ("outage", True)])
+def test_a_bound_is_asked_of_steps_only_where_it_is(plan, problem, form, asked):
+    """What a rule asks of all steps together says nothing of the least of them."""
+    constraints = replace(problem.constraints, rule=ConnectivityRule(form))
+    assert (", 0.8 asked" in "\n".join(plan_words(plan, constraints))) == asked

@@ -13,7 +13,9 @@ from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.reach_of_dynamics import may_reach_from
 from planopt.planning.proof.reachability import COARSE_NODES, best_margins_by_step
 from planopt.problems.problem import Problem
 from planopt.problems.settings import MAX_HORIZON
@@ -72,12 +74,14 @@ def _best(
     steps: Sequence[int],
 ) -> tuple[float, ...]:
     """Largest score within reach by each of some steps, searched for as margins are."""
+    broad = broad_prediction(problem, posterior)
     return best_margins_by_step(
         index_obstacles(problem.workspace),
         problem.workspace.bounds_m,
-        lambda places: score(search_prediction(posterior, places)),
+        lambda places: score(search_prediction(posterior, places, broad)),
         start_m,
         problem.step_length_m,
         np.asarray(steps, dtype=np.intp),
         problem.constraints.clearance_m,
+        may_reach_from(problem, problem.robots[0].start_state),
     )

@@ -167,7 +167,9 @@ def _residual(
         slack_columns[-slacks:] = np.eye(slacks)
     if at.total is not None:
         rows = np.append(rows, at.total.value + task.total_per_db * point.slack_db)
-        jacobian = np.vstack([jacobian, at.total.gradient.reshape(1, 2 * n)])
+        total = np.zeros((1, jacobian.shape[1]))
+        total[0, : 2 * n] = at.total.gradient.ravel()
+        jacobian = np.vstack([jacobian, total])
         slack_columns = np.vstack([slack_columns, [[task.total_per_db]]])
     return kkt_residual(
         np.concatenate(

@@ -8,6 +8,7 @@ region and penalty as in Nocedal and Wright, Numerical Optimization, 18.5).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -134,8 +135,15 @@ class _Climb:
                 continue
             tried = x + found.step
             new_value, new_rows = self._at(tried)
-            gained = self._merit(value, rows) - self._merit(new_value, new_rows)
-            share = gained / promised if np.isfinite(gained) else -np.inf
+            merit = self._merit(value, rows)
+            share = self._share(merit, new_value, new_rows, promised)
+            if share < TAKEN_SHARE and np.isfinite(new_rows).all():
+                again = self._corrected(model, found.step, new_rows)
+                if again.usable:
+                    tried = x + again.step
+                    new_value, new_rows = self._at(tried)
+                    share = self._share(merit, new_value, new_rows, promised)
+                    found = again
             if share >= TAKEN_SHARE:
                 x, value, rows = tried, new_value, new_rows
                 last = found
@@ -143,6 +151,25 @@ class _Climb:
             model = self._model(x, rows, last.row_multipliers, region)
         multipliers = last.row_multipliers, last.variable_multipliers
         return nlp_point(self._horizon, x, *multipliers, termination, iterations)
+
+    def _share(
+        self, merit: float, value: float, rows: NDArray[np.float64], promised: float
+    ) -> float:
+        """How much of what was promised a point brings."""
+        gained = merit - self._merit(value, rows)
+        return gained / promised if np.isfinite(gained) else -np.inf
+
+    def _corrected(
+        self, model: Model, step: NDArray[np.float64], rows: NDArray[np.float64]
+    ) -> Step:
+        """The step again, with how far rows curve away from their linear models on it.
+
+        Along curved rows that the solution lies on, plain steps would all be refused (second-order
+        correction against the effect of Maratos, Nocedal and Wright 18.3).
+        """
+        there = rows - model.jacobian @ step
+        there[: self._cones] = model.rows[: self._cones]
+        return convex_step(replace(model, rows=there))
 
     def _at(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         return self._functions.values(x, self._parameters)

@@ -31,12 +31,18 @@ class Apart:
     reasons: tuple[str, ...]
 
 
-def judge_apart(discs: MovingDiscs, path_m: NDArray[np.float64]) -> Apart:
-    """Judge a path (N + 1, 2) against what moves during its N steps."""
+def judge_apart(discs: MovingDiscs, path_m: NDArray[np.float64], straight: bool = True) -> Apart:
+    """Judge a path (N + 1, 2) against what moves during its N steps.
+
+    Distances are of ways that are straight and even in each step. Of any other nothing is known, so
+    that it is objected to where something is asked.
+    """
     if not len(discs):
         return Apart(None, None, ())
     away = path_distances_m(discs, path_m) - discs.radius_m
     reasons: list[str] = []
+    if not straight and (~discs.is_robot | (discs.least_m > 0.0)).any():
+        reasons.append("how far the path keeps from what moves is known of single integrators only")
     for number in np.flatnonzero(
         (away - discs.least_m[:, None]).min(axis=1) < -CLEARANCE_TOLERANCE_M
     ):

@@ -106,7 +106,8 @@ def judge(
     under = circumstances or Circumstances(obstacles_ahead(problem, 0))
     motion = judge_motion(problem, index, start_m, positions_m, drive)
     reasons = list(motion.reasons)
-    apart = judge_apart(under.moving, positions_m)
+    straight = problem.robots[0].dynamics is None
+    apart = judge_apart(under.moving, positions_m, straight=straight)
     reasons += apart.reasons
 
     power, kind = certified_prediction(

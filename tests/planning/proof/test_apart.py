@@ -68,3 +68,14 @@ def test_nothing_moves():
     assert found.min_separation_m is None
     assert found.min_moving_clearance_m is None
     assert not found.reasons
+
+
+def test_ways_that_are_not_straight_are_not_known_to_keep_away():
+    """However far off the disc is from the places; where nothing moves there is nothing to say."""
+    discs = discs_of([np.full((STEPS + 1, 2), 100.0)], [1.0], [0.5], [False])
+    path = np.zeros((STEPS + 1, 2))
+    assert judge_apart(discs, path).reasons == ()
+    assert judge_apart(discs, path, straight=False).reasons
+    assert judge_apart(NOTHING_MOVES, path, straight=False).reasons == ()
+    robot = discs_of([np.full((STEPS + 1, 2), 100.0)], [0.0], [0.0], [True])
+    assert judge_apart(robot, path, straight=False).reasons == ()

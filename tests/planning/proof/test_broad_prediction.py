@@ -92,3 +92,23 @@ def test_way_to_a_goal_with_all_parameters_uncertain(tmp_path: Path):
     assert {plan.verdict for plan in driven.plans} == {Verdict.VERIFIED}
     save_simulation(driven, tmp_path)
     assert check(tmp_path).reasons == ()
+
+
+def test_what_is_possible_is_asked_of_the_mixture():
+    """A step that is missed is excused by margins of the same law that it is missed by."""
+    problem = all_uncertain(terms_problem(TRACKING, p_min=0.9))
+    problem = replace(problem, robots=(replace(problem.robots[0], start_m=(37.0, 37.0)),))
+    solution = solve_team(problem, seed=SEED)
+    plan, posterior = solution.plans[0], solution.belief.posterior
+    broad = broad_prediction(problem, posterior)
+    assert broad is not None
+    certificate = plan.certificate
+    assert certificate.relaxed_steps[0] == 1
+    start = np.array([37.0, 37.0])
+    grid = np.stack(np.meshgrid(*[np.linspace(-2.0, 2.0, 81)] * 2), axis=-1).reshape(-1, 2)
+    places = start + grid[np.hypot(*grid.T) <= problem.step_length_m]
+    power = broad(places)
+    margin = bound_margin_db(
+        power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm, 0.9
+    )
+    assert certificate.best_margin_db[0] == pytest.approx(margin.max(), abs=0.02)

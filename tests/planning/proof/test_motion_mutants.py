@@ -25,10 +25,8 @@ MUTANTS = {
         "ways(states[:-1], drive.inputs,",
         "ways(states[:-2], drive.inputs[:-1],",
     ),
-    "largest clearance": (
-        "np.min(each, initial=np.inf)",
-        "np.max(each, initial=0.0)",
-    ),
+    "largest clearance": ("np.min(each, initial=np.inf)", "np.max(each, initial=0.0)"),
+    "any step clear": ("CLEARANCE_TOLERANCE_M).all()", "CLEARANCE_TOLERANCE_M).any()"),
     "any way within": ("if not all(_within", "if not any(_within"),
     "bounds not looked at": ("if not all(_within(problem, way) for way in ways)", "if False"),
     "stopping not looked at": ("if stop is not None", "if False"),

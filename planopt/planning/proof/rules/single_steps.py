@@ -19,7 +19,8 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import BroadPrediction
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.proof.reachability import MayReach, best_margins_by_step
+from planopt.planning.proof.reach_of_dynamics import may_reach_from
+from planopt.planning.proof.reachability import best_margins_by_step
 from planopt.planning.proof.rules.asked import asked_steps
 from planopt.planning.proof.ways_to_goal import connected_way_exists, least_outage_m
 from planopt.planning.rule_result import RuleResult
@@ -59,7 +60,7 @@ def judge_single_steps(
     history: History,
     index: ObstacleIndex,
     posterior: ChannelPosterior,
-    start_m: NDArray[np.float64],
+    state: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     power: Prediction,
     broad: BroadPrediction | None = None,
@@ -74,8 +75,8 @@ def judge_single_steps(
         Of its obstacles.
     posterior
         What is believed of the channel.
-    start_m
-        Where the robot is, or its state, its place first.
+    state
+        ``(s,)`` the robot's state, its place first.
     positions_m, power
         The path and the prediction along it, its first place included.
     broad
@@ -100,7 +101,7 @@ def judge_single_steps(
         problem,
         index,
         margin_db,
-        start_m,
+        state,
         missed,
         starts_within=bool(here[0] >= 0.0),
     )
@@ -165,19 +166,19 @@ def _what_is_possible(
     problem: Problem,
     index: ObstacleIndex,
     margin_db: MarginAt,
-    start: NDArray[np.float64],
+    state: NDArray[np.float64],
     missed: NDArray[np.intp],
     starts_within: bool,
 ) -> tuple[tuple[float, ...], bool]:
     """Best margin within reach at each missed step; whether no way to the goal keeps the bound.
 
     The second is only searched for where there is a goal and some missed step could have been met.
-    Ways begin at the start (the robot's state, its place first) if that keeps the bound, else at
+    Ways begin at the start if that keeps the bound, else at
     the places nearest to it that do: those within reach by the first step that meets the bound or
     could.
     """
     constraints, length = problem.constraints, problem.step_length_m
-    start_m = start[:2]
+    start_m = state[:2]
     if missed.size == 0:
         return (), False
     best = best_margins_by_step(
@@ -188,7 +189,7 @@ def _what_is_possible(
         length,
         missed,
         constraints.clearance_m,
-        _may_reach(problem, start),
+        may_reach_from(problem, state),
     )
     if best[-1] < 0.0 or problem.task != "reach":
         return best, False
@@ -205,18 +206,6 @@ def _what_is_possible(
         length,
         within_m=0.0 if starts_within else first * length,
     )
-
-
-def _may_reach(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
-    """Where a robot may be that cannot turn or stop at will; None for any other."""
-    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
-    if dynamics is None:
-        return None
-
-    def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
-        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
-
-    return may_reach
 
 
 def _needless_outage(

@@ -17,6 +17,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.run import Outcome
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
+from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.world.moving_obstacle import MovingObstacle, centres_at
 
 SHARES = np.linspace(0.0, 1.0, 201)
@@ -149,3 +150,18 @@ def test_one_that_drives_over_a_robot_in_a_dead_end_is_owned_up_to():
         for reason in plan.certificate.reasons
     )
     assert run.run.verified_rate < 1.0
+
+
+@pytest.mark.parametrize("planner", ["auto", "lattice"])
+@pytest.mark.parametrize("form", ["joint", "average"])
+def test_the_goal_is_reached_past_what_moves_under_a_rule(form, planner):
+    """A rule that binds nowhere changes nothing of that."""
+    problem = small_problem(planner=planner)
+    rule = ConnectivityRule(form)
+    constraints = replace(problem.constraints, p_min=1e-6, rule=rule)
+    moving = (CROSSING, ONCOMING)
+    workspace = replace(problem.workspace, moving=moving)
+    problem = replace(problem, constraints=constraints, workspace=workspace)
+    run = simulate(problem, prepared=prepared_of(problem))
+    assert run.run.outcome is Outcome.REACHED
+    assert all(plan.verdict is Verdict.VERIFIED for plan in run.plans)

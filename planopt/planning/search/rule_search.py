@@ -21,6 +21,7 @@ from planopt.planning.search.global_search import (
 )
 from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.lattice_search import search_lattice
+from planopt.planning.search.moving_moves import first_steps_apart
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.road_map import Ways, shortest_ways, way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB
@@ -100,6 +101,10 @@ class RuleSearch:
         """Nodes of the cheapest path under a guide, with good values where it rests on them."""
         problem, road_map = self._problem, self._scene.road_map
         first_nodes, first_lengths = first_moves(self._scene.ground, problem, situation.position_m)
+        kept = first_steps_apart(
+            situation.circumstances.moving, situation.position_m, road_map.nodes_m[first_nodes]
+        )
+        first_nodes, first_lengths = first_nodes[kept], first_lengths[kept]
         nodes: NDArray[np.intp] | None = None
         for _ in range(CORRECTIONS + 1):
             found = search_lattice(
@@ -112,6 +117,7 @@ class RuleSearch:
                 self._scene.goal_node,
                 self._penalty_s(guide),
                 self._rate * ways.cost_m,
+                situation.circumstances.moving,
             )
             if found is None:
                 return None

@@ -519,7 +519,11 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "reasons += _needless_outage(",
         "_needless_outage(",
     ),
-    "outage turned round": (STEPS, "saved = float(here - end)", "saved = float(end - here)"),
+    "outage turned round": (
+        STEPS,
+        "(outage[missed - 1] - outage[missed])",
+        "(outage[missed] - outage[missed - 1])",
+    ),
     "outage of the wrong steps": (STEPS, "axis=1)[missed - 1].sum()", "axis=1).sum()"),
     "outage without the bound": (
         REACHABILITY,

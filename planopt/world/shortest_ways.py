@@ -1,12 +1,11 @@
-"""How long the ways round obstacles are, at least: a visibility graph from one place on.
+"""Shortest ways round obstacles from one place: a visibility graph, looked at as it is needed.
 
-Shortest ways lead straight from corner to corner of what is closed to the robot. Obstacles are
-grown by a little less than the clearance and with cut corners, so that no way that keeps the
-clearance is longer than said, and no place that it reaches is missed.
+Shortest ways lead straight from corner to corner of what is closed to the robot.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -16,8 +15,15 @@ from numpy.typing import NDArray
 
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 
-GROWN_SHARE = 0.98
-"""Share of the clearance that obstacles are grown by: GEOS is off by up to a hundredth."""
+INNER_SHARE = 0.98
+"""Share of the clearance that obstacles are grown by for a bound below: GEOS is off by up to a
+hundredth."""
+
+QUARTER_SEGMENTS = 8
+"""Straight pieces of a quarter of a turn about a corner, for ways that can be driven."""
+
+ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
+"""Their ends are so much farther from the corner than their middles, which keep the clearance."""
 
 MAX_CORNERS = 600
 """With more corners in reach, ways are as short as the air line: what is said stays true."""
@@ -35,8 +41,9 @@ class ShortestWays:
         What they may not lead through.
     joined
         The part of the workspace that they may lead to; None where nothing is closed.
-    corners_m, length_m
-        ``(n, 2)`` corners that they turn at, and ``(n,)`` how long the way to each is, ascending.
+    corners_m, length_m, before
+        ``(n, 2)`` corners that they turn at, ``(n,)`` how long the way to each is, ascending, and
+        which corner it comes from last, -1 for the start.
     """
 
     start_m: NDArray[np.float64]
@@ -45,6 +52,7 @@ class ShortestWays:
     joined: shapely.Geometry | None
     corners_m: NDArray[np.float64]
     length_m: NDArray[np.float64]
+    before: NDArray[np.intp]
 
 
 def shortest_ways(
@@ -53,10 +61,21 @@ def shortest_ways(
     start_m: NDArray[np.float64],
     clearance: float,
     radius_m: float,
+    inner: bool,
 ) -> ShortestWays:
-    """Find the ways from `start_m` (2,) that keep the clearance, up to the radius (both in m)."""
+    """Find the ways from `start_m` (2,) that keep the clearance, up to the radius (both in m).
+
+    With `inner` obstacles are grown by a little less, their corners cut: no way that keeps the
+    clearance is shorter than said, and no place that it leads to is missed.
+    """
     nothing = ShortestWays(
-        start_m, radius_m, shapely.STRtree([]), None, np.zeros((0, 2)), np.zeros(0)
+        start_m,
+        radius_m,
+        shapely.STRtree([]),
+        None,
+        np.zeros((0, 2)),
+        np.zeros(0),
+        np.zeros(0, dtype=np.intp),
     )
     near = index.tree.query(
         shapely.Point(*start_m), predicate="dwithin", distance=radius_m + clearance
@@ -65,25 +84,31 @@ def shortest_ways(
     if not len(near) or own == 0.0:
         return nothing
     # A robot that stands nearer than the clearance may do so elsewhere: its ways are not closed.
-    closed = _grown(index.polygons[near], GROWN_SHARE * min(clearance, own))
+    by = min(clearance, own) * INNER_SHARE if inner else min(clearance * ROUND_SHARE, own)
+    closed = _grown(index.polygons[near], by, inner)
     low, high = np.array(bounds_m[:2]), np.array(bounds_m[2:])
     corners = np.unique(shapely.get_coordinates(closed), axis=0)
     corners = corners[((corners >= low) & (corners <= high)).all(axis=1)]
     corners = corners[_away(corners, start_m) <= radius_m]
     if len(corners) > MAX_CORNERS:
         return nothing
-    within = shapely.box(
-        *np.maximum(low, start_m - radius_m), *np.minimum(high, start_m + radius_m)
-    )
+    x_min, y_min = np.maximum(low, start_m - radius_m).tolist()
+    x_max, y_max = np.minimum(high, start_m + radius_m).tolist()
+    within: shapely.Geometry = shapely.box(x_min, y_min, x_max, y_max)
     parts = shapely.get_parts(shapely.difference(within, shapely.union_all(closed)))
     joined = shapely.union_all(parts[shapely.intersects(parts, shapely.Point(*start_m))])
     if joined.is_empty:
         return nothing
     shapely.prepare(joined)
     tree = shapely.STRtree(closed)
-    length = _lengths_to_corners(tree, start_m, corners, radius_m)
-    order = np.argsort(length)[: int((length <= radius_m).sum())]
-    return ShortestWays(start_m, radius_m, tree, joined, corners[order], length[order])
+    length, before = _lengths_to_corners(tree, start_m, corners, radius_m)
+    order = np.argsort(length, kind="stable")[: int((length <= radius_m).sum())]
+    # A way comes from a corner that is nearer, which is in the order too.
+    place = np.full(len(corners) + 1, -1, dtype=np.intp)
+    place[order] = np.arange(len(order))
+    return ShortestWays(
+        start_m, radius_m, tree, joined, corners[order], length[order], place[before[order]]
+    )
 
 
 def is_near_joined(
@@ -97,24 +122,49 @@ def is_near_joined(
 
 
 def way_lengths_m(ways: ShortestWays, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How long the way to each place (n, 2) is at least; (n,), infinite beyond the radius."""
-    length = np.full(len(places_m), np.inf)
+    """How long the way to each place (n, 2) is; (n,), infinite beyond the radius."""
+    return _last_turns(ways, places_m)[0]
+
+
+def turns_m(ways: ShortestWays, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Where the way to a place (2,) turns, (k, 2), and the place itself last; None without way."""
+    length, last = _last_turns(ways, place_m[None])
+    if not np.isfinite(length[0]):
+        return None
+    turns, corner = [place_m], int(last[0])
+    while corner >= 0:
+        turns.append(ways.corners_m[corner])
+        corner = int(ways.before[corner])
+    return np.array(turns[::-1])
+
+
+def _last_turns(
+    ways: ShortestWays, places_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """How long the way to each place (n, 2) is, and its last corner, -1 if it is straight."""
+    length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
     open_ = np.flatnonzero(is_near_joined(ways, places_m, 0.0))
-    turns = np.vstack([ways.start_m, ways.corners_m])
-    for turn, before in zip(turns, [0.0, *ways.length_m.tolist()], strict=True):
+    for corner in range(-1, len(ways.corners_m)):
+        turn, before = ways.start_m, 0.0
+        if corner >= 0:
+            turn, before = ways.corners_m[corner], float(ways.length_m[corner])
         through = before + _away(places_m[open_], turn)
-        shorter = through < np.minimum(length[open_], ways.radius_m * (1.0 + 1e-12))
+        shorter = (through < length[open_]) & (through <= ways.radius_m)
         tried, through = open_[shorter], through[shorter]
         seen = _sees(ways.closed, turn, places_m[tried])
         length[tried[seen]] = through[seen]
-    return length
+        last[tried[seen]] = corner
+    return length, last
 
 
-def _grown(polygons: NDArray[np.object_], by_m: float) -> NDArray[np.object_]:
-    """Polygons (n,) grown, their corners cut: nowhere by more than that."""
+def _grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np.object_]:
+    """Polygons (n,) grown; inner ones nowhere by more than that."""
     if by_m <= 0.0:
         return polygons
-    grown = shapely.buffer(polygons, by_m, join_style="bevel")
+    if inner:
+        grown = shapely.buffer(polygons, by_m, join_style="bevel")
+    else:
+        grown = shapely.buffer(polygons, by_m, quad_segs=QUARTER_SEGMENTS)
     return np.asarray(grown, dtype=np.object_)
 
 
@@ -123,22 +173,23 @@ def _lengths_to_corners(
     start_m: NDArray[np.float64],
     corners_m: NDArray[np.float64],
     radius_m: float,
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Dijkstra's algorithm; what is seen from a corner is only looked at when its turn comes."""
     length = np.full(len(corners_m), np.inf)
+    before = np.full(len(corners_m), -1, dtype=np.intp)
     left = np.ones(len(corners_m), dtype=np.bool_)
-    here, before = start_m, 0.0
+    turn, here, driven = -1, start_m, 0.0
     while True:
-        through = before + _away(corners_m, here)
+        through = driven + _away(corners_m, here)
         tried = np.flatnonzero(left & (through < length) & (through <= radius_m))
         seen = tried[_sees(closed, here, corners_m[tried])]
-        length[seen] = through[seen]
+        length[seen], before[seen] = through[seen], turn
         waiting = np.where(left, length, np.inf)
         if not len(waiting) or not np.isfinite(waiting.min()):
-            return length
+            return length, before
         turn = int(waiting.argmin())
         left[turn] = False
-        here, before = corners_m[turn], float(length[turn])
+        here, driven = corners_m[turn], float(length[turn])
 
 
 def _sees(

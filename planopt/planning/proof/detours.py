@@ -50,7 +50,7 @@ def best_by_ways(
     spacing_m
         Of the grid.
     """
-    ways = shortest_ways(index, bounds_m, start_m, clearance, float(reach_m[-1]))
+    ways = shortest_ways(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
     margins = np.concatenate([values for _, values in looked])
     # A node too near to an obstacle stands for the clear places about it.

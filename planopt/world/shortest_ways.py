@@ -94,8 +94,8 @@ def shortest_ways(
         return nothing
     x_min, y_min = np.maximum(low, start_m - radius_m).tolist()
     x_max, y_max = np.minimum(high, start_m + radius_m).tolist()
-    within: shapely.Geometry = shapely.box(x_min, y_min, x_max, y_max)
-    parts = shapely.get_parts(shapely.difference(within, shapely.union_all(closed)))
+    within = shapely.Polygon([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)])
+    parts = shapely.get_parts(within.difference(shapely.union_all(closed)))
     joined = shapely.union_all(parts[shapely.intersects(parts, shapely.Point(*start_m))])
     if joined.is_empty:
         return nothing

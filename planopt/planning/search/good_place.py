@@ -7,7 +7,6 @@ place is looked for here, and the shortest way there taken; the robot waits ther
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,7 +16,8 @@ from planopt.planning.candidate import Candidate, Judge
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.search.retime import retime
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
-from planopt.world.clearance import clearance_m, inside_bounds, is_clear
+from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segment_clearance_m
+from planopt.world.lattice import REACH_TOLERANCE_M
 from planopt.world.shortest_ways import ShortestWays, shortest_ways, turns_m, way_lengths_m
 
 FINE_NODES, COARSE_NODES = 12, 4
@@ -27,6 +27,8 @@ MEASURED = 400
 """Ways are measured to so many of the best places."""
 KEPT = 24
 """Places about which is looked more finely, the best within reach."""
+STEP_PLACES = 12
+"""Places a step along a way at which steps may end."""
 REFINEMENTS = 3
 """How often, each time at a quarter of the spacing."""
 
@@ -44,7 +46,7 @@ def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray
     Returns
     -------
     list
-        The same way in steps that end where it turns and in steps of one length, which cut corners;
+        The same way in steps that are clear and in steps of one length, which cut corners;
         one if it is straight, none if no such place is found.
     """
     problem, index = judge.problem, judge.index
@@ -61,11 +63,11 @@ def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray
     if turns is None:
         return []
     horizon = problem.planner.horizon
-    stopping = _padded(_stopping_at_turns(judge.position_m, turns, length), horizon)
+    driven = _padded(_in_fewest_steps(judge, turns, length), horizon)
     if len(turns) == 1:
-        return [stopping]
+        return [driven]
     cutting = retime(judge.position_m, _padded(turns, max(horizon, len(turns))), turns[:0], length)
-    return [stopping, cutting[:horizon]]
+    return [driven, cutting[:horizon]]
 
 
 def _good_place(
@@ -119,15 +121,33 @@ def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> 
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
 
-def _stopping_at_turns(
-    start_m: NDArray[np.float64], turns_m: NDArray[np.float64], length_m: float
+def _in_fewest_steps(
+    judge: Judge, turns_m: NDArray[np.float64], length_m: float
 ) -> NDArray[np.float64]:
-    """Places (n, 2) after each step of a way whose every turn ends a step."""
-    path: list[NDArray[np.float64]] = []
-    for begin, end in zip(np.vstack([start_m, turns_m[:-1]]), turns_m, strict=True):
-        count = max(math.ceil(float(np.linalg.norm(end - begin)) / length_m), 1)
-        path.append(begin + np.linspace(0.0, 1.0, count + 1)[1:, None] * (end - begin))
-    return np.concatenate(path)
+    """Places (n, 2) after each step of a way, in as few straight clear steps as it can be driven.
+
+    Steps end at places along the way and at its turns.
+    """
+    way = np.vstack([judge.position_m, turns_m])
+    driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
+    between = np.arange(0.0, driven[-1], length_m / STEP_PLACES)
+    at = np.unique(np.concatenate([driven, between]))
+    places = np.stack([np.interp(at, driven, way[:, axis]) for axis in (0, 1)], axis=1)
+    steps = np.full(len(places), np.inf)
+    steps[0] = 0.0
+    came = np.zeros(len(places), dtype=np.intp)
+    for here in range(len(places) - 1):
+        away = np.linalg.norm(places - places[here], axis=1)
+        there = np.flatnonzero((away <= length_m + REACH_TOLERANCE_M) & (steps > steps[here] + 1.0))
+        there = there[there > here]
+        begin = np.broadcast_to(places[here], (len(there), 2))
+        clear = segment_clearance_m(judge.index, begin, places[there])
+        there = there[is_clear(clear, judge.problem.constraints.clearance_m)]
+        steps[there], came[there] = steps[here] + 1.0, here
+    path = [len(places) - 1]
+    while came[path[-1]] > 0:
+        path.append(int(came[path[-1]]))
+    return places[path[::-1]]
 
 
 def _padded(path_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:

@@ -122,7 +122,9 @@ def judge(
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None
     if constraints.rule.by_step:
-        steps = judge_single_steps(problem, history, index, posterior, start_m, positions_m, power)
+        steps = judge_single_steps(
+            problem, history, index, posterior, start_m, positions_m, power, broad
+        )
         result = steps.result
         reasons += steps.reasons
     else:

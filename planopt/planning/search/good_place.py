@@ -126,13 +126,17 @@ def _in_fewest_steps(
 ) -> NDArray[np.float64]:
     """Places (n, 2) after each step of a way, in as few straight clear steps as it can be driven.
 
-    Steps end at places along the way and at its turns.
+    Steps end at places along the way, at its turns, and where its legs would cross: a way round a
+    corner turns often, and one step end beside it is enough.
     """
     way = np.vstack([judge.position_m, turns_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
     between = np.arange(0.0, driven[-1], length_m / STEP_PLACES)
     at = np.unique(np.concatenate([driven, between]))
     places = np.stack([np.interp(at, driven, way[:, axis]) for axis in (0, 1)], axis=1)
+    beside, beside_at = _crossings(way, driven, length_m)
+    order = np.argsort(np.concatenate([at, beside_at]), kind="stable")
+    places = np.concatenate([places, beside])[order]
     steps = np.full(len(places), np.inf)
     steps[0] = 0.0
     came = np.zeros(len(places), dtype=np.intp)
@@ -148,6 +152,28 @@ def _in_fewest_steps(
     while came[path[-1]] > 0:
         path.append(int(came[path[-1]]))
     return places[path[::-1]]
+
+
+def _crossings(
+    way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where a leg, driven on, meets a later one, driven back: places (n, 2), how far along (n,)."""
+    legs = np.diff(way_m, axis=0)
+    places, along = [np.zeros((0, 2))], [np.zeros(0)]
+    for one in range(len(legs)):
+        for other in range(one + 2, len(legs)):
+            if driven_m[other] - driven_m[one + 1] > length_m:
+                break
+            cross = legs[one, 0] * legs[other, 1] - legs[one, 1] * legs[other, 0]
+            gap = way_m[other] - way_m[one + 1]
+            if abs(cross) < 1e-9 * np.linalg.norm(legs[one]) * np.linalg.norm(legs[other]):
+                continue
+            on = (gap[0] * legs[other, 1] - gap[1] * legs[other, 0]) / cross
+            back = (gap[0] * legs[one, 1] - gap[1] * legs[one, 0]) / cross
+            if on > 0.0 > back:
+                places.append((way_m[one + 1] + on * legs[one])[None])
+                along.append(np.array([0.5 * (driven_m[one + 1] + driven_m[other])]))
+    return np.concatenate(places), np.concatenate(along)
 
 
 def _padded(path_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:

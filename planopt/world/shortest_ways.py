@@ -19,7 +19,7 @@ INNER_SHARE = 0.98
 """Share of the clearance that obstacles are grown by for a bound below: GEOS is off by up to a
 hundredth."""
 
-QUARTER_SEGMENTS = 8
+QUARTER_SEGMENTS = 2
 """Straight pieces of a quarter of a turn about a corner, for ways that can be driven."""
 
 ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
@@ -87,7 +87,7 @@ def shortest_ways(
     by = min(clearance, own) * INNER_SHARE if inner else min(clearance * ROUND_SHARE, own)
     closed = _grown(index.polygons[near], by, inner)
     low, high = np.array(bounds_m[:2]), np.array(bounds_m[2:])
-    corners = np.unique(shapely.get_coordinates(closed), axis=0)
+    corners = np.unique(_corners_m(closed), axis=0)
     corners = corners[((corners >= low) & (corners <= high)).all(axis=1)]
     corners = corners[_away(corners, start_m) <= radius_m]
     if len(corners) > MAX_CORNERS:
@@ -166,6 +166,21 @@ def _grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[n
     else:
         grown = shapely.buffer(polygons, by_m, quad_segs=QUARTER_SEGMENTS)
     return np.asarray(grown, dtype=np.object_)
+
+
+def _corners_m(polygons: NDArray[np.object_]) -> NDArray[np.float64]:
+    """Corners (n, 2) of polygons that stand out into what is free: ways turn at no others."""
+    found = [np.zeros((0, 2))]
+    for part in shapely.get_parts(polygons):
+        for number, ring in enumerate(shapely.get_rings(part)):
+            places = shapely.get_coordinates(ring)[:-1]
+            before = places - np.roll(places, 1, axis=0)
+            after = np.roll(before, -1, axis=0)
+            turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+            # The outer ring comes first; what is free lies inside the others.
+            outward = bool(shapely.is_ccw(ring)) == (number == 0)
+            found.append(places[turn > 0.0 if outward else turn < 0.0])
+    return np.concatenate(found)
 
 
 def _lengths_to_corners(

@@ -57,7 +57,7 @@ def test_beyond_the_radius_nothing_is_reached():
 
 @pytest.mark.parametrize("clearance", [0.1, 0.5, 2.0])
 def test_with_a_clearance(clearance):
-    """Tangents and arcs: one bound below, one above, both within two per cent."""
+    """Tangents and arcs: one bound below, one above, four per cent apart at most."""
     tangent = math.sqrt(50.0 - clearance**2)
     # The arc turns from the tangent to the direction of the block's edge.
     turn = math.radians(45.0) + math.asin(clearance / math.sqrt(50.0))
@@ -67,7 +67,7 @@ def test_with_a_clearance(clearance):
     below, above = (length_to(ways, 25.0, 15.0) for ways in (inner, outer))
     assert below <= exact + 1e-9
     assert above >= exact - 1e-9
-    assert above - below <= 0.03 * exact
+    assert above - below <= 0.04 * exact
     turns = turns_m(outer, np.array([25.0, 15.0]))
     assert turns is not None
     way = np.vstack([START, turns])

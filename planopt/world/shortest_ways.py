@@ -172,7 +172,8 @@ def _corners_m(polygons: NDArray[np.object_]) -> NDArray[np.float64]:
     """Corners (n, 2) of polygons that stand out into what is free: ways turn at no others."""
     found = [np.zeros((0, 2))]
     for part in shapely.get_parts(polygons):
-        for number, ring in enumerate(shapely.get_rings(part)):
+        rings = np.asarray(shapely.get_rings(part), dtype=np.object_)
+        for number, ring in enumerate(rings.tolist()):
             places = shapely.get_coordinates(ring)[:-1]
             before = places - np.roll(places, 1, axis=0)
             after = np.roll(before, -1, axis=0)

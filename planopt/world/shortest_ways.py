@@ -172,14 +172,16 @@ def _corners_m(polygons: NDArray[np.object_]) -> NDArray[np.float64]:
     """Corners (n, 2) of polygons that stand out into what is free: ways turn at no others."""
     found = [np.zeros((0, 2))]
     for part in shapely.get_parts(polygons):
-        rings = np.asarray(shapely.get_rings(part), dtype=np.object_)
-        for number, ring in enumerate(rings.tolist()):
+        for number, ring in enumerate(shapely.get_rings(part)):
             places = shapely.get_coordinates(ring)[:-1]
+            here = places - places[0]
             before = places - np.roll(places, 1, axis=0)
             after = np.roll(before, -1, axis=0)
             turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
             # The outer ring comes first; what is free lies inside the others.
-            outward = bool(shapely.is_ccw(ring)) == (number == 0)
+            ahead = np.roll(here, -1, axis=0)
+            area = float((here[:, 0] * ahead[:, 1] - here[:, 1] * ahead[:, 0]).sum())
+            outward = (area > 0.0) == (number == 0)
             found.append(places[turn > 0.0 if outward else turn < 0.0])
     return np.concatenate(found)
 

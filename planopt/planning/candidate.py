@@ -69,6 +69,15 @@ class Candidate:
         return max(self.certificate.best_margin_db) < 0.0
 
     @property
+    def avoidable(self) -> tuple[int, ...]:
+        """Steps that miss the bound although a place that meets it is said to be within reach."""
+        if self.certificate is None:
+            return ()
+        # Without a search for places there are none.
+        named = zip(self.certificate.relaxed_steps, self.certificate.best_margin_db, strict=False)
+        return tuple(step for step, margin in named if margin >= 0.0)
+
+    @property
     def missing_db(self) -> float:
         """By how much its steps miss the connectivity bound, in all."""
         return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)

@@ -31,11 +31,13 @@ from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
+from planopt.planning.search.good_place import ways_to_good_place
 from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.risk_allocation import Allocation
 from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rule_rows
+from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
@@ -158,6 +160,10 @@ class HorizonPlanner:
             settled = number + 1 >= self._followed and not (self._thorough or self._driven)
             if verified and settled:
                 break
+        if not verified and not self._driven:
+            found = self._by_way_to_good_place(situation, judge, tried, budget)
+            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
+            tried += found
         if verified and self._thorough and self._nlp is not None:
             found = self._once_more(situation, judge, starts, verified, budget)
             verified += [c for c in found if c.verdict is Verdict.VERIFIED]
@@ -173,6 +179,22 @@ class HorizonPlanner:
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
         return _with_effort(chosen, tried)
+
+    def _by_way_to_good_place(
+        self, situation: Situation, judge: Judge, tried: list[Candidate], budget: Budget
+    ) -> list[Candidate]:
+        """Go straight to a place that the verifier says was missed."""
+        found: list[Candidate] = []
+        for path in ways_to_good_place(judge, tried):
+            way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
+            if self._nlp is not None:
+                start = Start(path, way.objective, rule_missing(situation, path))
+                polished = self.polished(situation, judge, start, Rung.COLD_RETRY, budget)
+                found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in polished]
+            found.append(judge.judged(way))
+            if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
+                break
+        return found
 
     def _once_more(
         self,

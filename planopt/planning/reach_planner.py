@@ -24,6 +24,7 @@ from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
+from planopt.planning.search.good_place import ways_to_good_place
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.search.rule_search import RuleSearch
 from planopt.planning.shifted import shifted_path
@@ -147,6 +148,7 @@ class ReachPlanner:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
         tried: list[Candidate] = []
+        refiner = None
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
             refiner = Refiner(
                 self._nlp, self.scene, judge, cost, start, lattice.objective, budget, rows_of
@@ -169,15 +171,34 @@ class ReachPlanner:
         if lattice.verdict is Verdict.VERIFIED:
             return _with_effort(lattice, tried)
         verified = [c for c in tried if c.verdict is Verdict.VERIFIED]
+        sound: list[Candidate] = []
+        if not verified:
+            sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
+            found = self._by_way_to_good_place(judge, refiner, [*tried, lattice])
+            verified = [c for c in found if c.verdict is Verdict.VERIFIED]
+            tried += found
         if verified:
             return _with_effort(min(verified, key=lambda c: c.objective), tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
-        sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
         if any(candidate.hopeless for candidate in sound):
             return _with_effort(sound[0], tried)
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
         return _with_effort(chosen, tried)
+
+    def _by_way_to_good_place(
+        self, judge: Judge, refiner: Refiner | None, tried: list[Candidate]
+    ) -> list[Candidate]:
+        """Go straight to a place that the verifier says was missed."""
+        found: list[Candidate] = []
+        for path in ways_to_good_place(judge, tried):
+            if refiner is not None:
+                found += refiner.attempts_from(path)
+            way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
+            found.append(judge.judged(way))
+            if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
+                break
+        return found
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""

@@ -125,6 +125,11 @@ class Refiner:
                     candidate = replace(candidate, solve_s=0.0, iterations=0)
                 yield candidate
 
+    def attempts_from(self, path_m: NDArray[np.float64]) -> Iterator[Candidate]:
+        """Yield judged candidates from another start, which miss no more of the bound than it."""
+        for candidate in self._from(path_m, Rung.RELAXED, ease=False):
+            yield replace(candidate, rung=Rung.COLD_RETRY)
+
     def _retimed(self) -> NDArray[np.float64]:
         """Start path at cruising speed."""
         problem = self._judge.problem

@@ -1,9 +1,9 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
 Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `reachability.py`,
-`ways_to_goal.py`, `grid.py` or `motion.py`. Good and bad plans are judged by the source as it is,
-which must say what stands beside each plan, and by each mutant, which must say something else of at
-least one of them. A mutant that survives is a hole here.
+`ways_to_goal.py`, `grid.py`, `detours.py`, `shortest_ways.py` or `motion.py`. Good and bad plans
+are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
+which must say something else of at least one of them. A mutant that survives is a hole here.
 """
 
 from __future__ import annotations
@@ -83,6 +83,7 @@ def along(*x: float, y: float = 15.0) -> list[tuple[float, float]]:
 WALLED = small_problem(WALL)
 GAP, OPEN_GAP = bad_band(19.0, 23.0), bad_band(19.0, 23.0, open_above_m=20.0)
 ACROSS = along(16, 18, 20, 22, 24, 26)
+LONG_WALL = shapely.box(18.9, -1.0, 19.1, 25.0)
 YARD = shapely.Polygon([(8, 8), (22, 8), (22, 22), (8, 22)], [[(9, 9), (21, 9), (21, 21), (9, 21)]])
 IN_YARD = bad_where(lambda x, y: (x > 8) & (x < 16) & (y > 8) & (y < 22))
 
@@ -102,6 +103,11 @@ def island(positions_m: np.ndarray) -> np.ndarray:
 def hole_and_gap(positions_m: np.ndarray) -> np.ndarray:
     """Bad about the start, and in a band between start and goal."""
     return np.minimum(bad_disc(5, 15, 3.5)(positions_m), GAP(positions_m))
+
+
+def deep_hole_and_gap(positions_m: np.ndarray) -> np.ndarray:
+    """Bad nine metres about (15, 15), and in a band before the goal."""
+    return np.minimum(bad_disc(15, 15, 9.0)(positions_m), bad_band(28, 32)(positions_m))
 
 
 def good_at_corners(positions_m: np.ndarray) -> np.ndarray:
@@ -261,6 +267,23 @@ CASES: dict[str, Case] = {
         hopeless=(True, True, True),
         clearance_m=1.0,
     ),
+    "better place round a wall": Case(
+        along(16, 14, 12, 10, 8, 6, 4, 2, 2, 2, 2, 2, 2),
+        {BELOW, NOWHERE},
+        # 10.4 m to the end of the wall, 0.8 m about it, 1 m on: the seventh step of 2 m.
+        problem=small_problem(LONG_WALL),
+        power_at=bad_band(-1.0, 21.0),
+        relaxed=(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12),
+        hopeless=(True,) * 6 + (False,) * 6,
+        clearance_m=2.9,
+    ),
+    "to and fro where nothing keeps it": Case(
+        along(15, 17, 15, 17, 15, 17, 19, 21, 23, 25),
+        power_at=deep_hole_and_gap,
+        relaxed=(1, 2, 3, 4, 5, 6, 7, 8),
+        hopeless=(True,) * 4 + (False,) * 4,
+        no_way=True,
+    ),
     "courtyard": Case(along(18, 20, 22), problem=small_problem(RING), clearance_m=4.0),
 }
 
@@ -268,7 +291,8 @@ VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.
 GRID, WAYS = "planopt.planning.proof.grid", "planopt.planning.proof.ways_to_goal"
 STEPS = "planopt.planning.proof.rules.single_steps"
 MOTION = "planopt.planning.proof.motion"
-MODULES = (VERIFY, STEPS, REACHABILITY, WAYS, GRID, MOTION)
+DETOURS, ROUND = "planopt.planning.proof.detours", "planopt.world.shortest_ways"
+MODULES = (VERIFY, STEPS, REACHABILITY, DETOURS, ROUND, WAYS, GRID, MOTION)
 
 
 def source_of(module: str) -> str:
@@ -293,6 +317,8 @@ def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
     for user, used, names in (
         (REACHABILITY, GRID, ("grid_of", "parts_of")),
         (WAYS, GRID, ("grid_of", "parts_of")),
+        (DETOURS, ROUND, ("is_near_joined", "shortest_ways", "way_lengths_m")),
+        (REACHABILITY, DETOURS, ("best_by_ways",)),
         (STEPS, REACHABILITY, ("best_margins_by_step",)),
         (STEPS, WAYS, ("connected_way_exists", "least_outage_m")),
         (VERIFY, MOTION, ("judge_motion",)),
@@ -515,6 +541,11 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "if best[-1] >= 0.0 or",
     ),
     "no outage leads across": (STEPS, "if driven <= saved", "if driven < 0.0 * saved"),
+    "steps that nothing keeps lead across": (
+        STEPS,
+        "avoidable = missed[np.asarray(best) >= 0.0]",
+        "avoidable = missed",
+    ),
     "outage however long": (STEPS, "OUTAGE_LEEWAY_STEPS *", "1e3 *"),
     "outage of no leeway": (STEPS, "OUTAGE_LEEWAY_STEPS *", "-1.0 *"),
     "any outage will do": (
@@ -522,7 +553,11 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "reasons += _needless_outage(",
         "_needless_outage(",
     ),
-    "outage turned round": (STEPS, "saved = float(here - end)", "saved = float(end - here)"),
+    "outage turned round": (
+        STEPS,
+        "(outage[missed - 1] - outage[missed])",
+        "(outage[missed] - outage[missed - 1])",
+    ),
     "outage of the wrong steps": (STEPS, "axis=1)[missed - 1].sum()", "axis=1).sum()"),
     "outage without the bound": (
         WAYS,
@@ -582,10 +617,19 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "grid[..., 1] = anchor_m[1] + rows[:, None]",
         "grid[..., 1] = anchor_m[1] - rows[:, None]",
     ),
-    "reach through walls": (
-        REACHABILITY,
-        "(parts == parts[from_start == 0.0]) &",
-        "(parts > -1) &",
+    "reach through walls": (DETOURS, "reached = chunk[length[chunk] <= reach]", "reached = chunk"),
+    "reach round no wall": (
+        DETOURS,
+        "reached = chunk[length[chunk] <= reach]",
+        "reached = chunk[:0]",
+    ),
+    "ways through walls": (ROUND, "free[np.flatnonzero(free)[hit]] = False", "pass"),
+    "ways to what they touch": (ROUND, '("crosses", "within")', '("within",)'),
+    "ways that never turn": (ROUND, "length[seen], before[seen] = through[seen], turn", "pass"),
+    "corners are for nothing": (
+        ROUND,
+        "through = driven + _away(corners_m, here)",
+        "through = _away(corners_m, here)",
     ),
     "reach beyond the disc": (
         REACHABILITY,
@@ -596,11 +640,6 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         REACHABILITY,
         "(from_start <= radius)\n",
         "(from_start > radius)\n",
-    ),
-    "reach counted from the corner": (
-        REACHABILITY,
-        "parts[from_start == 0.0]) &",
-        "parts[0, 0]) &",
     ),
 }
 

@@ -1,8 +1,9 @@
 """Whether the connectivity bound can be met within reach: the verifier's own search.
 
 The places searched contain every place that the robot could reach by a step (a disc about it, cut
-to the free part connected with it), so a negative best margin says that the bound cannot be met
-there. The search is as good as its grid.
+to the free part connected with it; where that has a good place, the ways round the obstacles are
+measured too), so a negative best margin says that the bound cannot be met there. The search is as
+good as its grid.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.proof.detours import Places, best_by_ways
 from planopt.planning.proof.grid import grid_of, parts_of
 from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear
 
@@ -76,6 +78,7 @@ def best_margins_by_step(
     places, distance = grid[reachable][order], from_start[reachable][order]
     margins = margin_db(places)
     best: list[float] = []
+    looked: list[Places] = [(places, margins)]
     for k, step in enumerate(steps):
         reach = float(step) * step_length_m
         reached = _reached(start_m, reach, int(step), may_reach)
@@ -88,10 +91,14 @@ def best_margins_by_step(
         here = float(np.max(margins[within], initial=-np.inf))
         if here < 0.0 and k < REFINED_STEPS:
             top = places[within][np.argsort(-margins[within])[:REFINED_NODES]]
-            refined = _refined(index, bounds_m, margin_db, reached, clearance, top, spacing)
-            here = max(here, refined)
+            found = _refined(index, bounds_m, margin_db, reached, clearance, top, spacing)
+            looked.extend(found)
+            here = max([here, *(float(values.max()) for _, values in found)])
         best.append(max(here, best[-1]) if best and may_reach is None else here)
-    return tuple(best)
+    if best[-1] < 0.0 or may_reach is not None or not index.obstacles:
+        return tuple(best)
+    reaches = step_length_m * steps.astype(np.float64)
+    return best_by_ways(index, bounds_m, margin_db, start_m, clearance, reaches, looked, spacing)
 
 
 def _reached(
@@ -114,9 +121,9 @@ def _refined(
     clearance: float,
     top_m: NDArray[np.float64],
     spacing_m: float,
-) -> float:
-    """Largest margin found near the best nodes, on grids that grow finer."""
-    best = -np.inf
+) -> list[Places]:
+    """Places near the best nodes, on grids that grow finer."""
+    found: list[Places] = []
     fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     lower, upper = np.array(bounds_m[:2]), np.array(bounds_m[2:])
@@ -128,7 +135,7 @@ def _refined(
         if len(places) == 0:
             break
         margins = margin_db(places)
-        best = max(best, float(margins.max()))
+        found.append((places, margins))
         top_m = places[np.argsort(-margins)[:REFINED_NODES]]
         spacing_m /= 4.0
-    return best
+    return found

@@ -254,3 +254,56 @@ def test_least_outage_takes_the_way_round():
         index_of(), BOUNDS, lambda q: below(q) + 83.0, START[None], GOAL, 0.5, 1.0
     )
     assert outage[0] < 0.1
+
+
+def spot(x, y, radius):
+    """A margin of 1 dB in a disc, -1 dB about it."""
+    return lambda q: np.where(np.hypot(q[:, 0] - x, q[:, 1] - y) <= radius, 1.0, -1.0)
+
+
+def first_possible(index, margin, start, clearance, step_m=2.0, steps=30):
+    """The first step by which the bound could be met; None if none."""
+    best = best_margins_by_step(
+        index, BOUNDS, margin, start, step_m, np.arange(1, steps + 1), clearance
+    )
+    return next((step for step, value in enumerate(best, start=1) if value >= 0.0), None)
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.1, 0.5])
+def test_walls_thinner_than_the_grid_are_walls(clearance):
+    """From a courtyard with walls of 2 cm nothing outside is in reach, however long it takes."""
+    outer = shapely.box(10, 10, 20, 20)
+    yard = index_of(outer.difference(shapely.box(10.02, 10.02, 19.98, 19.98)))
+    inside, outside = np.array([15.0, 15.0]), spot(22.0, 15.0, 1.0)
+    assert first_possible(yard, outside, inside, clearance) is None
+    assert first_possible(index_of(), outside, inside, clearance) == 3
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.5])
+def test_ways_lead_round_walls(clearance):
+    """Three metres by air, twenty round the end of the wall: ten steps of two metres, not two."""
+    wall = index_of(shapely.box(19.9, -1.0, 20.1, 25.0))
+    start, margin = np.array([18.0, 15.0]), spot(22.0, 15.0, 1.0)
+    # To the corner and from there to the rim of the disc.
+    exact = np.hypot(1.9, 10.0) + 0.2 + np.hypot(1.9, 10.0) - 1.0
+    assert first_possible(index_of(), margin, start, clearance) == 2
+    found = first_possible(wall, margin, start, clearance)
+    assert found is not None
+    # No sooner than that, and with a clearance at most a step later.
+    assert np.ceil(exact / 2.0) <= found <= np.ceil((exact + 2.0 * clearance + 0.5) / 2.0)
+
+
+def test_good_places_too_near_to_obstacles_do_not_count():
+    """A good place beside a wall that the clearance closes."""
+    block = index_of(shapely.box(8.0, 10.0, 20.0, 20.0))
+    margin = spot(8.0, 15.0, 0.7)
+    assert first_possible(block, margin, START, 1.0) is None
+    assert first_possible(block, margin, START, 0.1) == 2
+
+
+def test_good_places_in_lanes_between_the_nodes():
+    """A good lane as narrow as a fifth of the grid's spacing is found between its nodes."""
+    lane = index_of(shapely.box(5.6, 15.57, 30, 29), shapely.box(5.6, 1, 30, 15.43))
+    found = first_possible(lane, spot(9.0, 15.5, 1.0), START, 0.02)
+    assert found is not None
+    assert 2 <= found <= 3

@@ -115,7 +115,8 @@ def judge_single_steps(
             if margin >= 0.0
         ][:1]
     if no_connected_way:
-        reasons += _needless_outage(problem, index, margin_db, positions_m, missed)
+        avoidable = missed[np.asarray(best) >= 0.0]
+        reasons += _needless_outage(problem, index, margin_db, positions_m, avoidable)
     count = int(asked.sum())
     if len(missed) == count and count:
         reasons.append(
@@ -217,20 +218,21 @@ def _needless_outage(
 ) -> list[str]:
     """Object to missed steps that lead across no gap, where no way to the goal keeps the bound.
 
-    What is driven below the bound must be saved on the least outage of the rest of the way, but
-    for the two steps of leeway that the grid and the steps at the gap's edges need.
+    Only steps count at which the bound could be met. What is driven below it in them must be saved
+    in them on the least outage of the rest of the way, but for the two steps of leeway that the
+    grid and the steps at the gap's edges need.
     """
-    here, end = least_outage_m(
+    outage = least_outage_m(
         index,
         problem.workspace.bounds_m,
         margin_db,
-        positions_m[[0, -1]],
+        positions_m,
         np.asarray(problem.goal_m),
         problem.constraints.clearance_m,
         problem.step_length_m,
     )
     driven = float(np.linalg.norm(np.diff(positions_m, axis=0), axis=1)[missed - 1].sum())
-    saved = float(here - end)
+    saved = float((outage[missed - 1] - outage[missed]).sum())
     if driven <= saved + OUTAGE_LEEWAY_STEPS * problem.step_length_m:
         return []
     return [

@@ -1,0 +1,112 @@
+"""The last start: places just in reach that the lattice comes to too late."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from scenes import bad_where, belief_of, small_problem
+from scipy.optimize import brentq
+
+import planopt.planning.reach_planner as reach_module
+from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.kriging import predict
+from planopt.planning.judge import Judge
+from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.planning.search.good_place import ways_to_good_place
+from planopt.world.clearance import index_obstacles, swept_clearance_m
+
+LEFT_BAD = bad_where(lambda x, _: x < 20.0)
+SHARE = 0.97
+"""Three steps are so much of a step longer than the way: too little for the lattice's moves along
+an axis, which are two thirds of the root of five shorter than a step."""
+
+
+def edge_m(problem):
+    """Where x meets the bound at y = 15, by the posterior."""
+    posterior = belief_of(problem, LEFT_BAD).posterior
+
+    def margin(x):
+        power = predict(posterior, np.array([[x, 15.0]]))
+        threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
+        return bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)[0]
+
+    return brentq(margin, 17.0, 23.0)
+
+
+def just_in_reach(*polygons, planner="lattice", **more):
+    """A robot three steps left of where the bound is met, and its planner."""
+    problem = small_problem(*polygons, planner=planner, horizon=5, **more)
+    start = (edge_m(problem) - 3.0 * SHARE * problem.step_length_m, 15.0)
+    problem = replace(problem, robots=(replace(problem.robots[0], start_m=start),))
+    return problem, ReachPlanner(problem, build_scene(problem)), np.array(start)
+
+
+@pytest.mark.parametrize("planner", ["lattice", "auto"])
+def test_a_place_that_the_lattice_comes_to_too_late(planner):
+    """Two steps cannot meet the bound, the third and all after it do."""
+    problem, planning, start = just_in_reach(planner=planner)
+    plan = planning.plan(belief_of(problem, LEFT_BAD), start)
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.certificate.relaxed_steps == (1, 2)
+    if planner == "lattice":
+        assert plan.rung is Rung.COLD_RETRY
+
+
+def test_without_it_the_plan_is_violated(monkeypatch):
+    """It is this start that makes the difference."""
+    monkeypatch.setattr(reach_module, "ways_to_good_place", lambda *_: [])
+    problem, planning, start = just_in_reach()
+    plan = planning.plan(belief_of(problem, LEFT_BAD), start)
+    assert plan.verdict is Verdict.VIOLATED
+    assert plan.certificate.relaxed_steps == (1, 2, 3)
+
+
+def test_nothing_is_looked_for_where_the_first_candidate_is_verified(monkeypatch):
+    """A step that needs no last start takes no time for it."""
+
+    def never(*_):
+        raise AssertionError("looked for a good place")
+
+    monkeypatch.setattr(reach_module, "ways_to_good_place", never)
+    problem = small_problem()
+    plan = ReachPlanner(problem, build_scene(problem)).plan(
+        belief_of(problem), np.array([5.0, 15.0])
+    )
+    assert plan.verdict is Verdict.VERIFIED
+
+
+def standing(problem, start, steps):
+    """The judge of a step, and a candidate that stands still."""
+    index = index_obstacles(problem.workspace)
+    judge = Judge(problem, index, belief_of(problem, LEFT_BAD), start, lambda _: 0.0)
+    path = np.tile(start, (steps, 1))
+    return judge, judge.judged(judge.candidate(path, Rung.STOP, Termination.NO_PATH))
+
+
+def test_the_way_leads_round_an_obstacle():
+    """Clear all along, steps no longer than a step, and the good place in as few as can be."""
+    post = shapely.box(16.4, 14.6, 17.0, 15.9)
+    problem, _, start = just_in_reach(post)
+    judge, still = standing(problem, start, 5)
+    assert still.avoidable[0] in (3, 4)
+    paths = ways_to_good_place(judge, [still])
+    assert paths
+    way = np.vstack([start, paths[0]])
+    assert way.shape == (6, 2)
+    assert swept_clearance_m(judge.index, way).min() >= problem.constraints.clearance_m
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= problem.step_length_m
+    margins = judge.margins_db(predict(judge.belief.posterior, way[1:]))
+    assert (margins >= 0.0).tolist() == [False, False, False, True, True]
+
+
+def test_nothing_where_no_place_is_named():
+    """A candidate that misses nothing that it could keep leads nowhere."""
+    problem, _, start = just_in_reach()
+    judge, still = standing(problem, start, 2)
+    assert still.hopeless
+    assert ways_to_good_place(judge, [still]) == []

@@ -122,12 +122,13 @@ def _run_in_words(run: TeamRun) -> str:
     for one in run.runs:
         rungs.update(one.rungs)
     first = run.runs[0]
+    robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
     shown = ", ".join(f"{name} {shown_number(value)}" for name, value in run.metrics.items())
     return "\n".join(
         [
             f"{run.problem.name}: {first.outcome.value} ({first.reason}), horizon "
             f"{planner.horizon}, planner {planner.name}, seed {run.seed}",
-            f"  {len(run.runs)} robots, {run.verified_rate:.1%} of the steps verified "
+            f"  {robots}, {run.verified_rate:.1%} of the steps verified "
             f"({', '.join(f'{name} {count}' for name, count in rungs.items())})",
             f"  {shown}",
         ]

@@ -10,7 +10,7 @@ import pytest
 from scenes import WALL, belief_of, small_problem
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-import planopt.planning.horizon_planner as planner_module
+import planopt.planning.start_polish as polish_module
 from planopt.errors import InputError
 from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_solution
@@ -70,7 +70,7 @@ def test_time_enough_changes_nothing(plan, problem):
 
 def test_a_polish_that_takes_too_long_ends(monkeypatch):
     """IPOPT's own limit: a slow worth does not hold the plan up."""
-    local_worth = planner_module.local_worth
+    local_worth = polish_module.local_worth
 
     def slow(*arguments):
         evaluate = local_worth(*arguments)
@@ -81,7 +81,7 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
 
         return at
 
-    monkeypatch.setattr(planner_module, "local_worth", slow)
+    monkeypatch.setattr(polish_module, "local_worth", slow)
     begun = perf_counter()
     problem = with_budget(replace(TERMS, planner=replace(TERMS.planner, horizon=12)), 0.2)
     plan = terms_plan(problem)

@@ -23,7 +23,7 @@ from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.fields.truth import measure
 from planopt.channel.posterior import condition, predict
 from planopt.errors import InputError
-from planopt.planning import horizon_planner
+from planopt.planning import start_polish
 from planopt.planning.given import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
@@ -242,7 +242,7 @@ def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
         returned.append((task, point))
         return point
 
-    monkeypatch.setattr(horizon_planner, "polish_path", remembered)
+    monkeypatch.setattr(start_polish, "polish_path", remembered)
     errors = []
     for threshold in (-39.5, -38.5, -38.0):
         radio = replace(problem.stations[0], threshold_dbm=threshold)

@@ -9,7 +9,7 @@ import pytest
 import shapely
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-import planopt.planning.horizon_planner as planner_module
+import planopt.planning.start_polish as polish_module
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import ipopt
@@ -109,7 +109,7 @@ def test_a_failed_solve_touches_nothing(name, monkeypatch):
 
 def test_no_number_from_a_callback(monkeypatch):
     """A worth of NaN inside IPOPT itself."""
-    local_worth = planner_module.local_worth
+    local_worth = polish_module.local_worth
 
     def broken(*arguments):
         evaluate = local_worth(*arguments)
@@ -121,7 +121,7 @@ def test_no_number_from_a_callback(monkeypatch):
         return at
 
     used, expected = fresh(), planned(fresh())
-    monkeypatch.setattr(planner_module, "local_worth", broken)
+    monkeypatch.setattr(polish_module, "local_worth", broken)
     plan = planned(used)
     assert_sound(plan)
     # IPOPT gives its start back.

@@ -1,0 +1,201 @@
+"""From a start to candidates: polish it, and build in what the proof objects to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from planopt.planning.budget import Budget
+from planopt.planning.candidate import Candidate
+from planopt.planning.driven import motion_shape, motion_task, polished_drive
+from planopt.planning.ground import Ground
+from planopt.planning.judge import Judge
+from planopt.planning.plan import Rung, Termination
+from planopt.planning.programme.methods import METHODS
+from planopt.planning.programme.offenders import (
+    MOVING_LINES,
+    REPAIRS,
+    lines_about,
+    lines_with_offenders,
+    moving_count,
+)
+from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
+from planopt.planning.programme.path_polish import PathTask, polish_path
+from planopt.planning.programme.path_shape import PathShape
+from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
+from planopt.planning.search.start_search import Start
+from planopt.planning.worth.local_worth import local_worth
+from planopt.planning.worth.risk_allocation import Allocation
+from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rule_rows
+from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.structure import structure_of
+from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive
+
+LINES_PER_SEGMENT = 2
+"""Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
+
+ALLOCATIONS = 6
+"""How often the risk of all steps together is shared out again, each with a polish."""
+
+VALUE_IN_SOLVER = 10.0
+"""What the start's worth counts in the solver, whatever its unit: its tolerances are absolute."""
+
+RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
+"""Where another solve may go on from the point; what a failed one leaves may be anywhere."""
+
+
+class StartPolish:
+    """Polishes starts of one problem; keeps the solvers that it has built.
+
+    Parameters
+    ----------
+    problem
+        With one robot; its planner is one that polishes.
+    ground
+        Its geometry.
+    """
+
+    def __init__(self, problem: Problem, ground: Ground) -> None:
+        self._problem = problem
+        self._ground = ground
+        self._built: dict[int, PathNlp] = {}
+        self._nlp_for(min(len(problem.workspace.moving), MOVING_LINES))
+
+    def _nlp_for(self, moving: int) -> PathNlp:
+        """The programme with so many lines for what moves, built when first asked for."""
+        settings = self._problem.planner
+        if moving not in self._built:
+            lines = LINES_PER_SEGMENT + moving
+            shape = PathShape(
+                settings.horizon,
+                lines,
+                structure_of(self._problem),
+                has_step_rows(self._problem),
+                has_sum_row(self._problem),
+                motion_shape(self._problem, lines),
+            )
+            self._built[moving] = build_path_nlp(
+                shape, METHODS[settings.name], settings.budget_s, until_settled=True
+            )
+        return self._built[moving]
+
+    def candidates(
+        self,
+        situation: Situation,
+        judge: Judge,
+        start: Start,
+        rung: Rung,
+        budget: Budget | None = None,
+    ) -> list[Candidate]:
+        """What a start leads to, judged; nothing once the budget is spent.
+
+        Parameters
+        ----------
+        situation, judge
+            Of the step.
+        start
+            Where to polish from.
+        rung
+            What the candidates are, unless they miss the bound.
+        budget
+            Of the step; None for no limit.
+        """
+        budget = Budget() if budget is None else budget
+        problem, nlp = self._problem, self._nlp_for(moving_count(situation.circumstances.moving))
+        if budget.spent:
+            return []
+        rows = rule_rows(situation, start.path_m)
+        evaluate = local_worth(situation, start.path_m, rows)
+        ends = np.vstack([situation.position_m, start.path_m])
+        task = PathTask(
+            start_m=situation.position_m,
+            path_m=start.path_m,
+            lines=lines_about(
+                self._ground.pieces,
+                situation.circumstances.moving,
+                ends,
+                nlp.shape.lines,
+                problem.constraints.clearance_m,
+                problem.step_length_m,
+            ),
+            clearance_m=problem.constraints.clearance_m,
+            step_length_m=problem.step_length_m,
+            bounds_m=problem.workspace.bounds_m,
+            evaluate=evaluate,
+            scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
+        )
+        if nlp.shape.motion is not None and start.drive is not None:
+            motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive)
+            task = replace(task, motion=motion)
+        task = with_bounds(task, situation, rows)
+        allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
+        found: list[Candidate] = []
+        tried: list[Allocation] = []
+        for _ in range(REPAIRS + allocations):
+            begun = perf_counter()
+            point = polish_path(nlp, task)
+            drive = polished_drive(problem, judge.state, point.inputs)
+            path = point.path_m if drive is None else drive.positions_m[1:]
+            candidate = replace(
+                judge.candidate(path, rung, point.termination, drive),
+                lattice_objective=start.worth,
+                solve_s=perf_counter() - begun,
+                iterations=point.iterations,
+                kkt_residual=point.kkt_residual,
+                multipliers=point.multipliers,
+            )
+            if lacks(situation, rows, point):
+                # It is known to be improvable, and proving that would be dear.
+                found.append(candidate)
+                if budget.spent or point.termination not in RETURNED:
+                    return found
+                task = _driven_from(recentred(task, situation, rows, point), drive)
+                continue
+            improvable = start.clear and start.missing_db == 0.0 and not allocations
+            if improvable and candidate.objective < start.worth:
+                # The start will be asked for in its place.
+                return [*found, candidate]
+            candidate = judge.judged(candidate)
+            if candidate.relaxes:
+                candidate = replace(candidate, rung=Rung.RELAXED)
+            found.append(candidate)
+            repaired = self._repaired(task, situation, candidate)
+            if budget.spent:
+                return found
+            if repaired is not None:
+                task = repaired
+                continue
+            again = rows_again(situation, rows, candidate, tried) if allocations else None
+            if again is None:
+                return found
+            rows, allocations = again, allocations - 1
+            task = _driven_from(moved(task, situation, rows, candidate.path_m), drive)
+            task = with_bounds(task, situation, rows)
+        return found
+
+    def _repaired(
+        self, task: PathTask, situation: Situation, candidate: Candidate
+    ) -> PathTask | None:
+        """The task with what a path came too near to built in; None if nothing."""
+        if candidate.sound or not np.isfinite(candidate.path_m).all():
+            return None
+        lines = lines_with_offenders(
+            self._ground.pieces,
+            task.lines,
+            np.vstack([task.start_m, task.path_m]),
+            np.vstack([task.start_m, candidate.path_m]),
+            task.clearance_m,
+            task.step_length_m,
+            situation.circumstances.moving,
+        )
+        return None if lines is None else replace(task, lines=lines)
+
+
+def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:
+    """The task from a drive on; as it is for the single integrator."""
+    if task.motion is None or drive is None:
+        return task
+    return replace(task, motion=replace(task.motion, drive=drive))

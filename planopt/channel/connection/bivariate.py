@@ -9,6 +9,9 @@ from scipy.special import ndtr, owens_t  # pyright: ignore[reportUnknownVariable
 FAR = 40.0
 """Scores are not taken further out: the normal tail there is below the smallest float."""
 
+VANISHING = 1e-200
+"""Smaller scores count as zero: their products would, and quotients of those are no numbers."""
+
 
 def bivariate_normal_cdf(
     first: NDArray[np.float64], second: NDArray[np.float64], correlation: NDArray[np.float64]
@@ -19,9 +22,7 @@ def bivariate_normal_cdf(
     probabilities, 1956). Arguments broadcast; infinite scores and correlations of 1 and -1 are
     taken as what they are.
     """
-    h, k, rho = np.broadcast_arrays(
-        np.clip(first, -FAR, FAR), np.clip(second, -FAR, FAR), np.clip(correlation, -1.0, 1.0)
-    )
+    h, k, rho = np.broadcast_arrays(_score(first), _score(second), np.clip(correlation, -1.0, 1.0))
     narrow = np.sqrt((1.0 - rho) * (1.0 + rho))
     crossing = (h < 0.0) != (k < 0.0)
     found = (
@@ -36,6 +37,12 @@ def bivariate_normal_cdf(
     found = np.where(rho >= 1.0, np.minimum(lower, upper), found)
     found = np.where(rho <= -1.0, lower + upper - 1.0, found)
     return np.clip(found, np.maximum(0.0, lower + upper - 1.0), np.minimum(lower, upper))
+
+
+def _score(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scores that quotients can be made of."""
+    scores = np.clip(_array(values), -FAR, FAR)
+    return np.where(np.abs(scores) < VANISHING, 0.0, scores)
 
 
 def _owen(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
@@ -36,6 +36,8 @@ def test_against_quadrature(h, k, rho):
 
 
 @given(SCORES, SCORES, CORRELATIONS)
+@example(5e-324, 5e-324, 0.875)
+@example(0.0, 5e-324, 0.875)
 def test_identities(h, k, rho):
     """Symmetry, the complement, and the Fréchet bounds."""
     value = cdf(h, k, rho)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from time import perf_counter
 
 from planopt.planning.budget import Budget, budget_from
-from planopt.planning.candidate import Candidate
+from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.driven import (
     driven_starts,
     without_start,
@@ -121,16 +121,16 @@ class HorizonPlanner:
             verified += [c for c in found if c.verdict is Verdict.VERIFIED]
             tried += found
         if verified:
-            return _with_effort(max(verified, key=lambda c: c.objective), tried)
+            return with_effort(max(verified, key=lambda c: c.objective), tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         sound = [candidate for candidate in tried if candidate.sound]
         if self._driven:
             sound.sort(key=lambda candidate: candidate.missing_db)
         if any(candidate.hopeless for candidate in sound):
-            return _with_effort(sound[0], tried)
+            return with_effort(sound[0], tried)
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
-        return _with_effort(chosen, tried)
+        return with_effort(chosen, tried)
 
     def _by_way_to_good_place(
         self, situation: Situation, judge: Judge, tried: list[Candidate], budget: Budget
@@ -174,14 +174,3 @@ class HorizonPlanner:
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
         return judge.standing(self.problem.planner.horizon)
-
-
-def _with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:
-    """Count the solver's time and iterations even where its points were not used."""
-    polished = [c for c in tried if c.termination is not Termination.LATTICE_ONLY]
-    return replace(
-        chosen,
-        solve_s=sum(c.solve_s for c in polished),
-        iterations=sum(c.iterations for c in polished),
-        termination=polished[-1].termination if polished else chosen.termination,
-    )

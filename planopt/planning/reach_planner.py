@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.planning.budget import Budget, budget_from
-from planopt.planning.candidate import Candidate
+from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
@@ -157,7 +157,7 @@ class ReachPlanner:
             for attempt in refiner.attempts(shifted):
                 tried.append(attempt)
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
-                    return _with_effort(attempt, tried)
+                    return with_effort(attempt, tried)
                 if attempt.sound and attempt.hopeless:
                     break
             if budget.spent:
@@ -169,7 +169,7 @@ class ReachPlanner:
         if lattice.relaxes:
             lattice = replace(lattice, rung=Rung.RELAXED)
         if lattice.verdict is Verdict.VERIFIED:
-            return _with_effort(lattice, tried)
+            return with_effort(lattice, tried)
         verified = [c for c in tried if c.verdict is Verdict.VERIFIED]
         sound: list[Candidate] = []
         if not verified:
@@ -178,13 +178,13 @@ class ReachPlanner:
             verified = [c for c in found if c.verdict is Verdict.VERIFIED]
             tried += found
         if verified:
-            return _with_effort(min(verified, key=lambda c: c.objective), tried)
+            return with_effort(min(verified, key=lambda c: c.objective), tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
         if any(candidate.hopeless for candidate in sound):
-            return _with_effort(sound[0], tried)
+            return with_effort(sound[0], tried)
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
-        return _with_effort(chosen, tried)
+        return with_effort(chosen, tried)
 
     def _by_way_to_good_place(
         self, judge: Judge, refiner: Refiner | None, tried: list[Candidate]
@@ -225,13 +225,3 @@ def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which steps of a path move at all; a path that stands still needs no polish."""
     steps = np.diff(np.vstack([judge.position_m, path_m]), axis=0)
     return np.linalg.norm(steps, axis=1) > STANDSTILL_M
-
-
-def _with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:
-    """Count the solver's time and iterations even where its points were not used."""
-    return replace(
-        chosen,
-        solve_s=sum(c.solve_s for c in tried),
-        iterations=sum(c.iterations for c in tried),
-        termination=tried[-1].termination if tried else chosen.termination,
-    )

@@ -14,7 +14,7 @@ from planopt.problems.problem import Problem
 from planopt.problems.settings import BASELINES
 
 UNSOLVED = {
-    Termination.LATTICE_ONLY: (Rung.PLAN, Rung.LATTICE, Rung.RELAXED),
+    Termination.LATTICE_ONLY: (Rung.PLAN, Rung.LATTICE, Rung.COLD_RETRY, Rung.RELAXED),
     Termination.STOPPED: (Rung.SHIFTED, Rung.RESERVED),
     Termination.NO_PATH: (Rung.STOP,),
 }
@@ -69,7 +69,8 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
     # The bound of another task may be given up where the way to a goal would be searched for.
     if rung is Rung.LATTICE and problem.task == "reach" and plan.certificate.relaxed_steps:
         faults.append("a step does not meet constraints.p_min")
-    if rung in (Rung.LATTICE, Rung.COLD_RETRY) and _is_unpolished(problem):
+    alone = rung is Rung.COLD_RETRY and problem.planner.name in BASELINES
+    if alone or (rung is Rung.LATTICE and _is_unpolished(problem)):
         faults.append(f"planner.name is {problem.planner.name}, which has no such rung")
     return [("rung", f"{rung.value}, but {fault}") for fault in faults]
 

@@ -32,7 +32,7 @@ def test_a_straight_way_to_a_good_place_says_where_it_comes_from(seed, tmp_path,
     monkeypatch.syspath_prepend(BENCHMARKS)
     from closed_loop_tally import drive
 
-    tally = drive(seed, tmp_path, max_steps=6)
+    tally = drive(seed, tmp_path, max_steps=12)
     assert tally.rungs[Rung.COLD_RETRY] > 0
     assert not tally.faults
     assert not tally.rejected

@@ -140,7 +140,7 @@ def _draw_stalled(
             clip_on=False,
         )
     most = max(row.seeds for row in rows)
-    dress(panel, "goal not reached", X_LABEL, f"runs of {most} [count]")
+    dress(panel, "stalled", X_LABEL, f"runs of {most} [count]")
     panel.set_yticks(np.unique(np.linspace(0, most, min(most, 6) + 1).round()))
     panel.set_ylim(0.0, 1.05 * most)
 

@@ -72,7 +72,7 @@ def test_single_runs_are_dots(comparison):
 def test_stalled_and_step_times(comparison):
     """Counts of runs that did not arrive, and median with 95 % quantile in milliseconds."""
     figure = draw_comparison(comparison)
-    stalled = panel_of(figure, "goal not reached")
+    stalled = panel_of(figure, "stalled")
     assert [bar.get_height() for bar in stalled.patches] == [0, 2, 0, 0]
     times = panel_of(figure, "step time")
     assert times.get_yscale() == "log"

@@ -21,7 +21,7 @@ OBSTACLE = "world.obstacles ("
 
 def explanation_faults(
     problem: Problem,
-    posterior: ChannelPosterior,
+    posteriors: Sequence[ChannelPosterior],
     plan: Plan,
     explanation: Sequence[Relaxation],
 ) -> list[str]:
@@ -31,8 +31,8 @@ def explanation_faults(
     ----------
     problem
         With this robot alone.
-    posterior, plan
-        What is believed, and the plan as it was judged again.
+    posteriors, plan
+        What is believed of each station, and the plan as it was judged again.
     explanation
         Every change that is said to help this robot.
     """
@@ -53,15 +53,15 @@ def explanation_faults(
             faults.append(f"explanation: stages of {key} are not the certificate's relaxed_steps")
         short = max(certificate.relaxation_db, default=0.0)
         if nowhere:
-            short = max(-best_margin_db(problem, posterior, start), 0.0)
+            short = max(-best_margin_db(problem, posteriors, start), 0.0)
         if one.shortfall is None or abs(one.shortfall - short) > PREDICTION:
             faults.append(f"explanation: the shortfall of {key} is {short:.6g} dB")
         limit = asked[0] - short + PREDICTION
         if key == "constraints.p_min":
-            limit = best_probability(problem, posterior, start) + PREDICTION if nowhere else 1.0
+            limit = best_probability(problem, posteriors, start) + PREDICTION if nowhere else 1.0
         beyond = relaxed > limit or relaxed >= asked[0]
         if key == "planner.horizon":
-            least = least_horizon(problem, posterior, start)
+            least = least_horizon(problem, posteriors, start)
             beyond = least is None or relaxed < least
         if beyond:
             faults.append(f"explanation: {key} {relaxed:g} does not help")

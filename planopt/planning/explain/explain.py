@@ -66,7 +66,7 @@ def _explain_one(solution: Solution) -> tuple[Relaxation, ...]:
     belief = solution.belief
     return explain_no_connection(
         solution.problem,
-        belief.posterior,
+        belief.posteriors,
         solution.plan,
         lambda changed: _reached(changed, belief),
     )
@@ -89,7 +89,7 @@ def _explain_team(solution: TeamSolution) -> tuple[Relaxation, ...]:
             return _planned(whole, solution, number)
 
         own = problem_of_robot(solution.problem, number)
-        found += explain_no_connection(own, solution.belief.posterior, plan, solve_again)
+        found += explain_no_connection(own, solution.belief.posteriors, plan, solve_again)
     return tuple(found)
 
 

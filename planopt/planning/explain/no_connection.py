@@ -33,7 +33,7 @@ LONGER = (0, 1, 2, 4, 8, 16)
 
 
 def explain_no_connection(
-    problem: Problem, posterior: ChannelPosterior, plan: Plan, solve_again: SolveAgain
+    problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan, solve_again: SolveAgain
 ) -> tuple[Relaxation, ...]:
     """What would let the bound be kept, each change by itself; nothing where it is not missed.
 
@@ -41,8 +41,8 @@ def explain_no_connection(
     ----------
     problem
         With the plan's robot alone.
-    posterior
-        What the plan was made from.
+    posteriors
+        What the plan was made from, of each station.
     plan
         One that is not verified.
     solve_again
@@ -55,8 +55,8 @@ def explain_no_connection(
     nowhere = len(missed) == len(plan.positions_m) - 1
     if nowhere:
         # The limit of what any plan could keep.
-        limit = best_probability(problem, posterior, start)
-        short_db = max(-best_margin_db(problem, posterior, start), 0.0)
+        limit = best_probability(problem, posteriors, start)
+        short_db = max(-best_margin_db(problem, posteriors, start), 0.0)
     else:
         # The limit of what this plan keeps where it is blamed.
         limit = float(plan.connectivity[list(missed)].min())
@@ -66,7 +66,7 @@ def explain_no_connection(
         _threshold(problem, plan, short_db, solve_again),
     ]
     if nowhere:
-        found.append(_horizon(problem, posterior, plan, short_db, solve_again))
+        found.append(_horizon(problem, posteriors, plan, short_db, solve_again))
     return tuple(relaxation for relaxation in found if relaxation is not None)
 
 
@@ -92,7 +92,9 @@ def _probability(
 def _threshold(
     problem: Problem, plan: Plan, short_db: float, solve_again: SolveAgain
 ) -> Relaxation | None:
-    radio = problem.stations[0]
+    radio, *others = problem.stations
+    if others:
+        return None  # what is missing is of all thresholds, and each is a key of its own
     asked = radio.threshold_dbm
     values = [asked - short_db - pad for pad in PADS_DB]
 
@@ -115,12 +117,12 @@ def _threshold(
 
 def _horizon(
     problem: Problem,
-    posterior: ChannelPosterior,
+    posteriors: Sequence[ChannelPosterior],
     plan: Plan,
     short_db: float,
     solve_again: SolveAgain,
 ) -> Relaxation | None:
-    fewest, asked = least_horizon(problem, posterior, plan.positions_m[0]), problem.planner.horizon
+    fewest, asked = least_horizon(problem, posteriors, plan.positions_m[0]), problem.planner.horizon
     if fewest is None:
         return None
     about = Relaxation(

@@ -26,7 +26,7 @@ MOST_PLACES = 200_000
 
 
 def best_probability(
-    problem: Problem, posterior: ChannelPosterior, start_m: NDArray[np.float64]
+    problem: Problem, posteriors: Sequence[ChannelPosterior], start_m: NDArray[np.float64]
 ) -> float:
     """Largest probability of connection at a place that the horizon's steps come to.
 
@@ -39,19 +39,19 @@ def best_probability(
             connection_probability(power.mean_db, power.deviation_db, radio.threshold_dbm) - least
         )
 
-    return least + _best(problem, posterior, start_m, beyond, [problem.planner.horizon])[0]
+    return least + _best(problem, posteriors, start_m, beyond, [problem.planner.horizon])[0]
 
 
 def best_margin_db(
-    problem: Problem, posterior: ChannelPosterior, start_m: NDArray[np.float64]
+    problem: Problem, posteriors: Sequence[ChannelPosterior], start_m: NDArray[np.float64]
 ) -> float:
     """Largest margin in dB at a place that the horizon's steps come to."""
     margin = partial(margins_asked_db, problem)
-    return _best(problem, posterior, start_m, margin, [problem.planner.horizon])[0]
+    return _best(problem, posteriors, start_m, margin, [problem.planner.horizon])[0]
 
 
 def least_horizon(
-    problem: Problem, posterior: ChannelPosterior, start_m: NDArray[np.float64]
+    problem: Problem, posteriors: Sequence[ChannelPosterior], start_m: NDArray[np.float64]
 ) -> int | None:
     """Fewest steps that come to a place that keeps the bound; None if none is found."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
@@ -62,23 +62,23 @@ def least_horizon(
     if last <= problem.planner.horizon or places > MOST_PLACES:
         return None
     steps = list(range(problem.planner.horizon + 1, last + 1))
-    margins = _best(problem, posterior, start_m, partial(margins_asked_db, problem), steps)
+    margins = _best(problem, posteriors, start_m, partial(margins_asked_db, problem), steps)
     return next((n for n, margin in zip(steps, margins, strict=True) if margin >= 0.0), None)
 
 
 def _best(
     problem: Problem,
-    posterior: ChannelPosterior,
+    posteriors: Sequence[ChannelPosterior],
     start_m: NDArray[np.float64],
     score: Callable[[Prediction], NDArray[np.float64]],
     steps: Sequence[int],
 ) -> tuple[float, ...]:
     """Largest score within reach by each of some steps, searched for as margins are."""
-    broad = broad_prediction(problem, posterior)
+    broad = broad_prediction(problem, posteriors)
     return best_margins_by_step(
         index_obstacles(problem.workspace),
         problem.workspace.bounds_m,
-        lambda places: score(search_prediction(posterior, places, broad)),
+        lambda places: score(search_prediction(posteriors[0], places, broad)),
         start_m,
         problem.step_length_m,
         np.asarray(steps, dtype=np.intp),

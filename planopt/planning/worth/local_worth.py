@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
 from planopt.objectives.information_derivatives import (
     average_reduction_derivatives,
@@ -31,8 +30,8 @@ from planopt.planning.programme.path_value import (
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.region import region_along
 from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
+from planopt.planning.worth.serving_stages import stage_predictor
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.stage_prediction import StagePredictor
 from planopt.planning.worth.stage_terms import stage_term_derivatives
 from planopt.planning.worth.structure import shares_measurements, structure_of
 from planopt.problems.objective import (
@@ -70,7 +69,9 @@ def local_worth(
     problem, posterior = situation.problem, situation.posterior
     structure = structure_of(problem)
     predict_stages = (
-        StagePredictor(neighbour_model(posterior, path_m, problem.planner.neighbours))
+        stage_predictor(
+            posterior, situation.circumstances.broad, path_m, problem.planner.neighbours
+        )
         if needs_stages(problem)
         else None
     )

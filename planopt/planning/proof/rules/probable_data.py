@@ -24,9 +24,13 @@ DOUBT = 0.01
 """The lower end of the interval of this one-sided doubt counts (Clopper and Pearson, 1934)."""
 
 
-def drawn_powers_dbm(prediction: JointPrediction) -> NDArray[np.float64]:
-    """Powers along the path in `DRAWS` channels; ``(DRAWS, N)``."""
-    normal = np.random.default_rng(SEED).standard_normal((DRAWS, len(prediction)))
+def drawn_powers_dbm(prediction: JointPrediction, station: int = 0) -> NDArray[np.float64]:
+    """Powers along the path in `DRAWS` channels; ``(DRAWS, N)``.
+
+    Each station's numbers are its own.
+    """
+    generator = np.random.default_rng([SEED, station] if station else SEED)
+    normal = generator.standard_normal((DRAWS, len(prediction)))
     return prediction.mean_db + normal @ semidefinite_factor(prediction.covariance_db2).T
 
 

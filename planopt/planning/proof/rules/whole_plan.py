@@ -8,15 +8,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
+from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.rules.expected import average_result, data_result
 from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.outage import outage_result
 from planopt.planning.proof.rules.probable_data import drawn_powers_dbm, probable_data_result
 from planopt.planning.proof.rules.tolerance import is_missed
+from planopt.planning.proof.serving import Serving
 from planopt.planning.rule_result import RuleResult
 from planopt.problems.problem import Problem
 
@@ -38,6 +41,7 @@ def whole_plan_result(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
     power: Prediction,
+    broad: Broad | None = None,
 ) -> RuleResult:
     """What a path achieves of a rule over all its steps, and by how many dB it misses it.
 
@@ -54,8 +58,10 @@ def whole_plan_result(
         ``(N + 1, 2)`` the path, the robot's own place first.
     power
         Prediction at the N places after each step.
+    broad
+        The stations, where there are several.
     """
-    result_at = _result_by_slack(problem, history, posterior, positions_m, power)
+    result_at = _result_by_slack(problem, history, posterior, positions_m, power, broad)
     hard = result_at(0.0)
     limit = problem.constraints.rule.slack_max_db or 0.0
     if limit == 0.0 or not is_missed(hard) or is_missed(result_at(limit)):
@@ -97,19 +103,22 @@ def _result_by_slack(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
     power: Prediction,
+    broad: Broad | None,
 ) -> Callable[[float], RuleResult]:
     """The rule's value as a function of how much lower the threshold is taken."""
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
     mean, deviation = power.mean_db, power.deviation_db
 
     def probability(slack_db: float) -> NDArray[np.float64]:
+        if isinstance(broad, Serving) and slack_db > 0.0:
+            return broad.probability(positions_m[1:], slack_db)
         return connection_probability(mean, deviation, threshold - slack_db)
 
     match problem.constraints.rule.connectivity:
         case "average":
             return lambda slack_db: average_result(problem, history, probability(slack_db))
         case "data" if p_min > 0.0:
-            drawn = drawn_powers_dbm(path_prediction(posterior, positions_m[1:]))
+            drawn = _drawn_powers_dbm(posterior, positions_m[1:], broad)
             return lambda slack_db: probable_data_result(problem, history, drawn, slack_db)
         case "data":
             return lambda slack_db: data_result(problem, history, probability(slack_db))
@@ -123,3 +132,16 @@ def _result_by_slack(
             return lambda slack_db: joint_result(problem, prediction, slack_db)
         case _:
             raise AssertionError("a rule on single steps")
+
+
+def _drawn_powers_dbm(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], broad: Broad | None
+) -> NDArray[np.float64]:
+    """Powers along the path in drawn channels, of several stations the serving ones."""
+    if not isinstance(broad, Serving):
+        return drawn_powers_dbm(path_prediction(posterior, path_m))
+    each = [
+        drawn_powers_dbm(path_prediction(station, path_m), number)
+        for number, station in enumerate(broad.posteriors)
+    ]
+    return serving_power_dbm(np.stack(each), broad.thresholds_dbm)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from planopt.channel.estimation.fit import ChannelFit
@@ -34,13 +33,16 @@ class Belief:
         return (self.posterior, *(belief.posterior for belief in self.further))
 
 
-def update(belief: Belief, more: Sequence[Measurements]) -> Belief:
-    """Add measurements of each station to the belief (seed, Algorithm 1); the fits are kept."""
+def update(belief: Belief, more: Measurements, *further: Measurements) -> Belief:
+    """Add measurements to the belief (seed, Algorithm 1); the fit is kept.
+
+    `further` are of further stations, in their order.
+    """
     return replace(
         belief,
-        posterior=extend(belief.posterior, more[0]),
+        posterior=extend(belief.posterior, more),
         further=tuple(
             replace(other, posterior=extend(other.posterior, taken))
-            for other, taken in zip(belief.further, more[1:], strict=True)
+            for other, taken in zip(belief.further, further, strict=True)
         ),
     )

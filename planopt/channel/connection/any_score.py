@@ -5,7 +5,7 @@ A station connects with probability Phi(z_i). With independent stations
     P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
 
 defines the score z of them all, which says as much as P where that has long been 0 or 1 to all
-digits. Logarithms of both tails are kept, so that z is exact to rounding from -1e3 to 1e3.
+digits. Logarithms of both tails are kept, so that z has twelve digits from -1e3 to 1e3.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ def learn_here(
     known = [posterior.measurements.positions_m for posterior in belief.posteriors]
     if is_known(known, position_m, problem.channel.measure_spacing_m):
         return belief
-    return update(belief, [measure(truth, position_m[None]) for truth in truths])
+    return update(belief, *(measure(truth, position_m[None]) for truth in truths))
 
 
 def is_known(

@@ -11,6 +11,7 @@ from planopt.problems.objective import (
     LearningTerm,
     MappingTerm,
     Term,
+    TrackingTerm,
     TransmissionEnergyTerm,
     UntilConnectedTerm,
 )
@@ -122,7 +123,8 @@ def _check_rule(problem: Problem) -> None:
 
 
 def _check_term(problem: Problem, term: Term, key: str) -> None:
-    if isinstance(
+    coupled = isinstance(term, TrackingTerm) and term.form != "additive"
+    if coupled or isinstance(
         term,
         LearningTerm | MappingTerm | UntilConnectedTerm | TransmissionEnergyTerm | CasadiTerm,
     ):

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
+from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import Relaxation
-from planopt.planning.explain.no_connection import explain_no_connection
+from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
 from planopt.planning.explain.no_way import explain_no_way
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import build_scene
 from planopt.planning.solution import Solution
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import beside
+from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
 from planopt.problems.problem import Problem
@@ -63,33 +61,25 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
 def _explain_one(solution: Solution) -> tuple[Relaxation, ...]:
     if solution.plan.verdict is Verdict.VERIFIED:
         return ()
-    belief = solution.belief
-    return explain_no_connection(
-        solution.problem,
-        belief.posterior,
-        solution.plan,
-        lambda changed: _reached(changed, belief),
-    )
+    problem, belief = solution.problem, solution.belief
+    case = Case(problem, 0, belief.posterior, solution.plan, beside(problem, 0, {}))
+    return explain_no_verified_plan(case, lambda changed: _reached(changed, belief))
 
 
 @one_blas_thread()
 def _explain_team(solution: TeamSolution) -> tuple[Relaxation, ...]:
     found: list[Relaxation] = []
+    problem, paths = solution.problem, [plan.positions_m for plan in solution.plans]
     for number, plan in enumerate(solution.plans):
         if plan.verdict is Verdict.VERIFIED:
             continue
+        moving = beside(problem, 0, others_of(paths, number))
+        case = Case(problem, number, solution.belief.posterior, plan, moving)
 
         def solve_again(changed: Problem, number: int = number) -> Verdict:
-            whole = replace(
-                solution.problem,
-                constraints=changed.constraints,
-                stations=changed.stations,
-                planner=changed.planner,
-            )
-            return _planned(whole, solution, number)
+            return _planned(changed, solution, number)
 
-        own = problem_of_robot(solution.problem, number)
-        found += explain_no_connection(own, solution.belief.posterior, plan, solve_again)
+        found += explain_no_verified_plan(case, solve_again)
     return tuple(found)
 
 

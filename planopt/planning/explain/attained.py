@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from planopt.channel.prediction import Prediction
 from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.explain.case import Case
 from planopt.planning.explain.fault import met_nowhere
 from planopt.planning.explain.key import Key
+from planopt.planning.explain.keys import MOST_DB
 from planopt.planning.history import BEGINNING
 from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.problems.problem import Problem
 
+DEAR = 1e5
+"""Price of a dB of slack beside which nothing else counts."""
+
 HALVINGS = 40
 SETTLED = 1e-3
 """The amount is found to this share of itself."""
+
+
+def elastic_problem(case: Case) -> Problem | None:
+    """The problem with the rule missed by as little as may be: slack without end, and dear.
+
+    None where slack has no price, or nothing is lacking that it could make up for.
+    """
+    problem = case.problem
+    rule = problem.constraints.rule
+    if problem.task == "reach" or (rule.by_step and rule.slack_max_db is None):
+        return None
+    elastic = replace(rule, slack_max_db=MOST_DB, slack_price=DEAR)
+    return replace(problem, constraints=replace(problem.constraints, rule=elastic))
 
 
 def attained_amount(case: Case, key: Key) -> float | None:

@@ -12,7 +12,7 @@ from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
 from planopt.planning.explain.no_way import explain_no_way
 from planopt.planning.loop.target_watch import aim_of, watch_target
-from planopt.planning.plan import Verdict
+from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
@@ -54,7 +54,7 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     except InputError:
         # Without measurements nothing can be solved again; what opens a way can still be said.
         return explain_no_way(problem, lambda _: Verdict.NONE)
-    return explain_no_way(problem, lambda changed: _reached(changed, belief))
+    return explain_no_way(problem, lambda changed: _verdict(_reached(changed, belief)))
 
 
 @one_blas_thread()
@@ -76,25 +76,29 @@ def _explain_team(solution: TeamSolution) -> tuple[Relaxation, ...]:
         moving = beside(problem, 0, others_of(paths, number))
         case = Case(problem, number, solution.belief.posterior, plan, moving)
 
-        def solve_again(changed: Problem, number: int = number) -> Verdict:
+        def plan_again(changed: Problem, number: int = number) -> Plan:
             return _planned(changed, solution, number)
 
-        found += explain_no_verified_plan(case, solve_again)
+        found += explain_no_verified_plan(case, plan_again)
     return tuple(found)
 
 
-def _reached(problem: Problem, belief: Belief) -> Verdict:
-    """What the plan to the goal of a changed problem is worth."""
+def _verdict(plan: Plan | None) -> Verdict:
+    return Verdict.NONE if plan is None else plan.verdict
+
+
+def _reached(problem: Problem, belief: Belief) -> Plan | None:
+    """The plan to the goal of a changed problem; None where obstacles cut it off."""
     try:
         scene = build_scene(problem)
     except NoPlanError:
-        return Verdict.NONE
+        return None
     start = np.asarray(problem.robots[0].start_m)
-    return ReachPlanner(problem, scene).plan(belief, start).verdict
+    return ReachPlanner(problem, scene).plan(belief, start)
 
 
-def _planned(problem: Problem, solution: TeamSolution, number: int) -> Verdict:
-    """What one robot's plan of a changed problem is worth."""
+def _planned(problem: Problem, solution: TeamSolution, number: int) -> Plan:
+    """One robot's plan of a changed problem."""
     seeds = team_seeds(problem, solution.seed)
     watch = watch_target(problem, seeds.target)
     watched = aim_of(watch, number, problem.planner.horizon)
@@ -107,4 +111,4 @@ def _planned(problem: Problem, solution: TeamSolution, number: int) -> Verdict:
         if other != number
     }
     plan, _ = member.plan(solution.belief, member.start, watched, None, beside(problem, 0, others))
-    return plan.verdict
+    return plan

@@ -12,10 +12,10 @@ SETTLED_SHARE = 0.02
 SHORT_SHARE = 0.05
 """An amount that is short by this share is tried at last: planners are not monotone."""
 
-GROWTH = 2.5
-"""Of the steps by which an amount grows until it helps, and shrinks until it does not."""
+GROWTH = 4.0
+"""Of the steps by which an amount grows until it helps, and at first shrinks."""
 
-MOST_SOLVES = 24
+MOST_SOLVES = 20
 """Of one key."""
 
 
@@ -35,33 +35,44 @@ def least_relaxation(
     floor
         An amount that is known not to help.
     """
-    amount, failing, solves = first, floor, 0
-    while True:
-        value = key.loosened(amount)
-        helping = key.amount_of(value)
+    solves = 0
+
+    def look(amount: float) -> tuple[bool, float]:
+        nonlocal solves
         solves += 1
-        if helps(value):
-            break
+        value = key.loosened(amount)
+        return helps(value), key.amount_of(value)
+
+    def settled(failing: float, helping: float, close: bool) -> float:
+        """The least amount that helps between one that does not and one that does.
+
+        Bisected; at first by small steps from one that may be close to the least.
+        """
+        step = SETTLED_SHARE * helping
+        gap = 1.0 if key.whole else step
+        while helping - failing > gap and solves < MOST_SOLVES:
+            middle = 0.5 * (failing + helping)
+            amount = max(helping - step, middle) if close else middle
+            if not failing < key.amount_of(key.loosened(amount)) < helping:
+                break
+            good, amount = look(amount)
+            failing, helping = (failing, amount) if good else (amount, helping)
+            step *= GROWTH
+        return helping
+
+    amount, failing = first, floor
+    good, helping = look(amount)
+    close = good
+    while not good:
         if helping >= key.most or solves >= MOST_SOLVES:
             return None
         failing = max(failing, helping)
-        amount, step = helping + step, GROWTH * step
-    step = SETTLED_SHARE * helping
-    proven = floor
-    while solves < MOST_SOLVES:
-        if helping - failing > (1.0 if key.whole else SETTLED_SHARE * helping):
-            amount = helping - step if helping - step > failing else 0.5 * (failing + helping)
-        elif proven < (1.0 - SHORT_SHARE) * helping < failing:
-            amount, proven = (1.0 - SHORT_SHARE) * helping, (1.0 - SHORT_SHARE) * helping
-            failing = floor
-        else:
-            break
-        found = key.amount_of(key.loosened(amount))
-        if not failing < found < helping:
-            break
-        solves += 1
-        if helps(key.loosened(amount)):
-            helping, step = found, GROWTH * step
-        else:
-            failing = found
+        good, helping = look(helping + step)
+        step *= GROWTH
+    helping = settled(failing, helping, close)
+    short = (1.0 - SHORT_SHARE) * helping
+    if not key.whole and short > floor:
+        good, amount = look(short)
+        if good and amount < helping:
+            helping = settled(floor, amount, close=True)
     return key.loosened(helping)

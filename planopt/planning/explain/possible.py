@@ -22,8 +22,10 @@ from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
 from planopt.planning.proof.rules.outage import longest_run
 from planopt.problems.problem import Problem
 
-GRID_ERROR_DB = 0.02
-"""A place between the nodes of the search may be better by this."""
+GRID_ERROR_DB = 0.1
+GRID_ERROR_STEPS = 1.0 / 32.0
+"""A place between the nodes of the search may be better by so many dB, or farther by so many
+steps."""
 
 MOST_PLACES = 50_000
 """Where the search would have more places, everything is taken as possible."""
@@ -45,7 +47,7 @@ def is_possible(problem: Problem, posterior: ChannelPosterior) -> bool:
     if min(places, 4.0 * (steps * COARSE_NODES) ** 2) > MOST_PLACES:
         return True
     rule = constraints.rule
-    problem = _lowered(problem, (rule.slack_max_db or 0.0) + GRID_ERROR_DB)
+    problem = _eased(problem, (rule.slack_max_db or 0.0) + GRID_ERROR_DB)
     if rule.by_step or rule.connectivity == "outage":
         best = best_by_step(problem, posterior, lambda power: margins_asked_db(problem, power))
         if rule.connectivity == "outage":
@@ -80,7 +82,10 @@ def _chances(problem: Problem, posterior: ChannelPosterior) -> NDArray[np.float6
     return best_by_step(problem, posterior, chance) + 1.0
 
 
-def _lowered(problem: Problem, by_db: float) -> Problem:
-    """The problem with its thresholds lower."""
+def _eased(problem: Problem, by_db: float) -> Problem:
+    """The problem with thresholds lower, and a robot that turns at will a little faster."""
     stations = tuple(replace(s, threshold_dbm=s.threshold_dbm - by_db) for s in problem.stations)
-    return replace(problem, stations=stations)
+    robot = problem.robots[0]
+    if robot.dynamics is None:
+        robot = replace(robot, speed_max_m_s=robot.speed_max_m_s * (1.0 + GRID_ERROR_STEPS))
+    return replace(problem, stations=stations, robots=(robot,))

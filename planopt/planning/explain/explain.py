@@ -21,6 +21,7 @@ from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
+from planopt.planning.team.team_solve import solve_team_on
 from planopt.problems.problem import Problem
 
 
@@ -98,17 +99,12 @@ def _reached(problem: Problem, belief: Belief) -> Plan | None:
 
 
 def _planned(problem: Problem, solution: TeamSolution, number: int) -> Plan:
-    """One robot's plan of a changed problem."""
+    """One robot's plan of a changed problem; with those of the others, where they keep apart."""
+    if problem.constraints.separation_m > 0.0:
+        return solve_team_on(problem, solution.belief, solution.seed).plans[number]
     seeds = team_seeds(problem, solution.seed)
     watch = watch_target(problem, seeds.target)
     watched = aim_of(watch, number, problem.planner.horizon)
     member = build_crew(problem, seeds)[number]
-    # The others go where they plan to, and stay there where the changed horizon is longer.
-    steps = np.arange(problem.planner.horizon + 1)
-    others = {
-        other: plan.positions_m[np.minimum(steps, len(plan.positions_m) - 1)]
-        for other, plan in enumerate(solution.plans)
-        if other != number
-    }
-    plan, _ = member.plan(solution.belief, member.start, watched, None, beside(problem, 0, others))
-    return plan
+    moving = beside(problem, 0, {})
+    return member.plan(solution.belief, member.start, watched, None, moving)[0]

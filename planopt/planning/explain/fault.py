@@ -78,8 +78,9 @@ def _connection(case: Case) -> Fault | None:
     stages = tuple(step for step, _ in missed)
     short_db = max(missing for _, missing in missed)
     if met_nowhere(case):
-        # The limit of what any plan could keep.
-        short_db = max(-best_margin_db(problem, case.posterior), 0.0)
+        # The limit of what any plan could keep, unless that is not what is in the way.
+        best_db = best_margin_db(problem, case.posterior)
+        short_db = -best_db if best_db < 0.0 else short_db
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
         return None  # nothing within reach keeps these steps, which excuses them
     return Fault("connection", stages, short_db, "dB")

@@ -62,7 +62,7 @@ def least_relaxation(
 
     amount, failing = first, floor
     good, helping = look(amount)
-    close = good
+    close = good and helping < key.most
     while not good:
         if helping >= key.most or solves >= MOST_SOLVES:
             return None

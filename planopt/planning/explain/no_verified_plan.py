@@ -80,9 +80,11 @@ def _lacking(case: Case, fault: Fault, key: Key, near: Sequence[Case]) -> float:
     if fault.missed != "connection":
         return min(fault.shortfall, key.most)
     if met_nowhere(case):
+        least = fault.shortfall
         if key.name == "constraints.p_min":
-            return min(key.asked - best_probability(case.own, case.posterior), key.most)
-        return min(fault.shortfall, key.most)
+            least = key.asked - best_probability(case.own, case.posterior)
+        if least > 0.0:
+            return min(least, key.most)
     amounts = (attained_amount(each, key) for each in near)
     return min((amount for amount in amounts if amount is not None), default=key.most)
 

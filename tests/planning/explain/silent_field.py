@@ -19,12 +19,6 @@ from planopt.channel.estimation.fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.planning.history import BEGINNING
-from planopt.planning.loop.target_watch import aim_of, watch_target
-from planopt.planning.team.crew import build_crew
-from planopt.planning.team.team_seeds import team_seeds
-from planopt.planning.team.team_solution import TeamSolution
-from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 
@@ -82,23 +76,6 @@ def belief_in(problem: Problem, places_m: np.ndarray, power_dbm: np.ndarray, **o
 def silent_belief(problem: Problem) -> Belief:
     """Nothing is known but the path loss."""
     return belief_in(problem, np.array([[58.0, 38.0]]), np.array([-90.0]))
-
-
-def planned_on(problem: Problem, belief: Belief) -> TeamSolution:
-    """Plans of every robot from the start, on this belief."""
-    seeds = team_seeds(problem, 0)
-    watch = watch_target(problem, seeds.target)
-    crew = build_crew(problem, seeds)
-    robots = range(len(crew))
-    moment = TeamMoment(
-        beliefs=[belief for _ in robots],
-        states=[member.start for member in crew],
-        watched=[aim_of(watch, number, problem.planner.horizon) for number in robots],
-        histories=[BEGINNING for _ in robots],
-        warm=[None for _ in robots],
-    )
-    plans, aims = plan_together(problem, crew, moment)
-    return TeamSolution(problem, 0, belief, tuple(plans), tuple(aims))
 
 
 def best_chances(steps: int = 5, step_m: float = 2.0, threshold_dbm: float = THRESHOLD_DBM):

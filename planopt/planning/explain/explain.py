@@ -29,7 +29,7 @@ def explain(solution: Solution | TeamSolution) -> tuple[Relaxation, ...]:
     """What would give every robot a verified plan; empty where each has one.
 
     Each change is by itself, and of its robot alone. Problems are solved again with what is
-    proposed, which takes some ten times the plan's own time.
+    proposed, which takes some fifty times the plan's own time.
 
     Parameters
     ----------

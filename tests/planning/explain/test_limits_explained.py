@@ -149,17 +149,17 @@ def test_turn_rate_that_comes_to_a_good_place():
 def test_separation_that_keeps_a_robot_from_a_good_place():
     """One robot has the only good places and stays: the other may come as near as their edge is."""
     problem = field_problem(
-        robots=robots((30.0, 20.0), (21.0, 20.0)),
-        constraints={"p_min": 0.9, "separation_m": 8.0},
-        planner={"horizon": 3, "step_s": 1.0},
+        robots=robots((30.0, 20.0), (20.5, 20.0)),
+        constraints={"p_min": 0.9, "separation_m": 9.0},
+        planner={"name": "lattice", "horizon": 3, "step_s": 1.0},
     )
     belief = belief_where(problem, lambda x, y: np.hypot(x - 30.0, y - 20.0) < 5.0)
     solution = solve_team_on(problem, belief, 0)
     assert [plan.verdict for plan in solution.plans] == [Verdict.VERIFIED, Verdict.VIOLATED]
     said = {one.constraint: one for one in explain(solution)}
     one = said["constraints.separation_m"]
-    assert one.robot == "r1" and one.value == 8.0 and one.verified
-    assert 0.0 < one.relaxed_value < 8.0
+    assert one.robot == "r1" and one.value == 9.0 and one.verified
+    assert 0.0 < one.relaxed_value < 9.0
     changed = with_value(problem, one.constraint, one.relaxed_value)
     again = solve_team_on(changed, belief, 0)
     assert again.plans[1].verdict is Verdict.VERIFIED

@@ -16,10 +16,24 @@ SOLVE, MULTIPLY = get_blas_funcs(("trsm", "trmm"), dtype=np.float64)
 
 def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
-    factor, info = FACTOR(matrix, lower=True)
+    return np.tril(_half_factor(matrix, overwrite=False))
+
+
+def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L^-1 `right` (n, m), with L L' = `matrix` as for :func:`lower_factor`; overwrites `matrix`."""
+    return solve_lower(_half_factor(matrix, overwrite=True), right)
+
+
+def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.float64]:
+    """L in C's order, numbers of `matrix` left above its diagonal.
+
+    LAPACK is given the transpose, which is the same matrix and in its own order, and does not clear
+    the other half: at 512 rows these two take as long as the factor.
+    """
+    factor, info = FACTOR(matrix.T, lower=False, clean=False, overwrite_a=overwrite)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
-    return factor
+    return factor.T
 
 
 def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L^-1 `right` (n, m), with L L' = `matrix` as for :func:`lower_factor`; overwrites `matrix`."""
+    """L^-1 `right` (n, m) with the L of :func:`lower_factor`; `matrix` is overwritten."""
     return solve_lower(_half_factor(matrix, overwrite=True), right)
 
 

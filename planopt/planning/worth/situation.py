@@ -83,7 +83,9 @@ class Situation:
         it was made with: what is released is valued by itself.
         """
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
-        new = {key: place for key, place in zip(keys, places_m, strict=True) if key not in self._power}
+        new = {
+            key: place for key, place in zip(keys, places_m, strict=True) if key not in self._power
+        }
         if new:
             new |= self._soon
             self._soon.clear()

@@ -13,6 +13,9 @@ FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
 )
 SOLVE, MULTIPLY = get_blas_funcs(("trsm", "trmm"), dtype=np.float64)
 
+PUT_ROWS = 64
+"""Rows of a factor that are copied together, up to their diagonal."""
+
 
 def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
@@ -22,6 +25,15 @@ def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """L^-1 `right` (n, m) with the L of :func:`lower_factor`; `matrix` is overwritten."""
     return solve_lower(_half_factor(matrix, overwrite=True), right)
+
+
+def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> None:
+    """Write :func:`lower_factor` of `matrix`, which is overwritten, to the zeros `into` (n, n)."""
+    factor = _half_factor(matrix, overwrite=True)
+    for start in range(0, len(into), PUT_ROWS):
+        rows = slice(start, start + PUT_ROWS)
+        into[rows, :start] = factor[rows, :start]
+        into[rows, rows] = np.tril(factor[rows, rows])
 
 
 def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import lower_factor, solve_lower, solve_upper
+from planopt.channel.cholesky import put_lower_factor, solve_lower, solve_upper
 from planopt.channel.measurement_covariance import Origins, covariance_db2, own_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 
@@ -77,8 +77,10 @@ def append_rows(
         )
         within = own_covariance_db2(origins.at(rows), parameters)
         within[np.diag_indices_from(within)] += noise_variance_db2[rows]
+        if start:
+            within -= across.T @ across
         lower[rows, :start] = across.T
-        lower[rows, rows] = lower_factor(within - across.T @ across)
+        put_lower_factor(lower[rows, rows], within)
         columns[rows] = whiten(lower[rows, rows], columns[rows] - across.T @ columns[:start])
     buffer.used = count
 

@@ -60,7 +60,12 @@ steps and a look at their residuals cost a fifth of the time and gain nothing. C
 second order, and shorter steps in small stages, cost a fifth of the evaluations. A solve of more
 than 30 iterations ends nowhere useful."""
 
-DRIVEN: dict[str, Any] = {"ipopt.mu_init": 1e-2, "ipopt.max_iter": 100}
+DRIVEN: dict[str, Any] = {
+    "ipopt.mu_init": 1e-2,
+    "ipopt.max_iter": 100,
+    "ipopt.max_soc": 4,
+    "ipopt.alpha_red_factor": 0.5,
+}
 """A start that follows a way is far from the best drive, and most of the gain comes late: plans of
 harbour_track, 20 steps ahead, are worth a quarter more than with `NEAR_START` (8 seeds)."""
 
@@ -74,6 +79,12 @@ SETTLED: dict[str, Any] = {
 }
 """A path that keeps all rows and gained less than this share in an iteration is acceptable: what
 is left is worth 0.05 % in the mean, and costs every third iteration."""
+
+DRIVEN_SETTLED: dict[str, Any] = SETTLED | {
+    "ipopt.acceptable_iter": 2,
+    "ipopt.acceptable_obj_change_tol": 3e-4,
+}
+"""A drive gains little in some single iterations far from the best."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +156,11 @@ def build_path_nlp(
         jacobian=parts.jacobian(x, p, dm, dw),
         hessian=parts.hessian(x, p, lam_f, lam_g, hv, hm, hw),
     )
-    options = OPTIONS | NEAR_START | time_limit(budget_s) | (SETTLED if until_settled else {})
+    options, settled = OPTIONS | NEAR_START | time_limit(budget_s), SETTLED
     if shape.motion is not None:
-        options |= DRIVEN
+        options, settled = options | DRIVEN, DRIVEN_SETTLED
+    if until_settled:
+        options |= settled
     solver = exact_solver("path", nlp, options)
     solve = solve_by(method, solver, n, n if shape.motion is None else 0, budget_s)
     kept = tuple(each for each in (value, margins, total) if each is not None)

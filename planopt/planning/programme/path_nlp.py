@@ -162,6 +162,6 @@ def build_path_nlp(
     if until_settled:
         options |= settled
     solver = exact_solver("path", nlp, options)
-    solve = solve_by(method, solver, n, n if shape.motion is None else 0, budget_s)
+    solve = solve_by(method, solver, shape, budget_s)
     kept = tuple(each for each in (value, margins, total) if each is not None)
     return PathNlp(shape, source, solver, solve, kept)

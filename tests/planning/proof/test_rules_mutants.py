@@ -77,8 +77,8 @@ MUTANTS = (
     ),
     (
         WHOLE,
-        "drawn_powers_dbm(path_prediction(posterior, positions_m[1:]))",
-        "drawn_powers_dbm(path_prediction(posterior, positions_m[:-1]))",
+        "_drawn_powers_dbm(posterior, positions_m[1:], broad)",
+        "_drawn_powers_dbm(posterior, positions_m[:-1], broad)",
     ),
     (TOLERANCE, "result.missing > RULE", "result.missing < RULE"),
     (TOLERANCE, "margin_db < -MARGIN", "margin_db > MARGIN"),

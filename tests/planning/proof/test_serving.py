@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from planopt.channel.belief import Belief
+from planopt.channel.connectivity import connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.history import History
 from planopt.planning.plan import Verdict
@@ -18,7 +20,6 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 from tests.planning.scenes import bad_everywhere, straight_path
 from tests.planning.two_stations import (
-    EAST_THRESHOLD_DBM,
     alone,
     alone_in,
     belief_in,
@@ -98,16 +99,52 @@ def test_the_order_of_stations_does_not_matter() -> None:
     assert other.min_connectivity == pytest.approx(one.min_connectivity, abs=1e-12)
 
 
-def test_connectivity_is_that_of_independent_stations() -> None:
-    """By each station's own posterior."""
-    problem, path = across()
+def raised(problem: Problem, by_db: float) -> Problem:
+    """The problem with all thresholds higher."""
+    higher = tuple(replace(r, threshold_dbm=r.threshold_dbm + by_db) for r in problem.stations)
+    return replace(problem, stations=higher)
+
+
+def any_of(problem: Problem, belief: Belief, path: np.ndarray) -> np.ndarray:
+    """P(any) along a path, by each station's own posterior."""
+    missed = np.ones(len(path))
+    for posterior, radio in zip(belief.posteriors, problem.stations, strict=True):
+        power = posterior.predict(path)
+        missed *= ndtr((radio.threshold_dbm - power.mean_db) / power.deviation_db)
+    return 1.0 - missed
+
+
+@pytest.mark.parametrize("by_db", [0.0, 22.0])
+def test_connectivity_is_that_of_independent_stations(by_db: float) -> None:
+    """Also where each station is weak."""
+    base, path = across()
+    problem = raised(base, by_db)
     belief = belief_in(problem, POWERS)
-    missed = 1.0
-    for posterior, threshold in zip(belief.posteriors, (-80.0, EAST_THRESHOLD_DBM), strict=True):
-        power = posterior.predict(path[1:])
-        missed = missed * ndtr((threshold - power.mean_db) / power.deviation_db)
-    certificate, _ = judged(problem, belief, path)
-    assert certificate.min_connectivity == pytest.approx((1.0 - missed).min(), abs=1e-12)
+    under = circumstances_in(problem, belief)
+    index = index_obstacles(problem.workspace)
+    found = judge(problem, index, belief.posterior, path[0], path, circumstances=under)
+    power, expected = found.power, any_of(problem, belief, path)
+    assert power is not None
+    threshold = problem.stations[0].threshold_dbm
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    assert chance == pytest.approx(expected, abs=1e-12)
+    assert found.certificate.min_connectivity == pytest.approx(expected[1:].min(), abs=1e-12)
+
+
+def test_probable_data_of_one_step_are_the_probability_of_any() -> None:
+    """Drawn, less what the interval of 10,000 draws gives away."""
+    base = two_station_problem(horizon=1)
+    rule = {"connectivity": "data", "data_mbit": 1.0, "deadline_s": 1.0, "rate_mbit_s": 1.0}
+    problem = with_rule(raised(base, 20.1), 0.5, **rule)
+    path = np.array([[18.5, 15.0], [20.0, 15.0]])
+    belief = belief_in(problem, POWERS)
+    (expected,) = any_of(problem, belief, path[1:])
+    assert 0.2 < expected < 0.9
+    under = circumstances_in(problem, belief)
+    index = index_obstacles(problem.workspace)
+    found = judge(problem, index, belief.posterior, path[0], path, circumstances=under)
+    assert found.certificate.rule is not None
+    assert expected - 0.03 < found.certificate.rule.achieved < expected + 0.005
 
 
 def with_rule(problem: Problem, p_min: float, **rule: object) -> Problem:

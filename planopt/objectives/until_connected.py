@@ -113,9 +113,7 @@ def charged_distance_m(
             disconnected_now=settings.disconnected_now,
             tolerance=TOLERANCE,
         )
-        for station, threshold in zip(
-            (posterior, *further), settings.thresholds_dbm, strict=True
-        )
+        for station, threshold in zip((posterior, *further), settings.thresholds_dbm, strict=True)
     ]
     found = replace(each[0], not_connected=np.prod([own.not_connected for own in each], axis=0))
     return found.expected_distance_m + settings.beyond_m * float(found.not_connected[-1])

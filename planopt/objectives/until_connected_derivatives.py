@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.places import require_places
 from planopt.objectives.batch_derivatives import (
+    BatchDerivatives,
     PathDerivatives,
     add_own_blocks,
     batch_derivatives,

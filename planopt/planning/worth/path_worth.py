@@ -68,9 +68,7 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
         case MotionEnergyTerm():
             return -motion_energy_j(term, at, path_m)
         case UntilConnectedTerm():
-            return -charged_distance_m(
-                at.posterior, path_m, at.search(term), at.stations[1:]
-            )
+            return -charged_distance_m(at.posterior, path_m, at.search(term), at.stations[1:])
         case TransmissionEnergyTerm():
             return -float(link_energy_j(term, at, at.powers(path_m)).sum())
         case CasadiTerm():

@@ -124,3 +124,17 @@ def stage_predictor(
     if isinstance(broad, Serving):
         return ServingStages(broad, path_m, neighbours)
     return StagePredictor(neighbour_model(posterior, path_m, neighbours))
+
+
+def stage_powers(
+    predict: StagePredictor | ServingStages, positions_m: NDArray[np.float64]
+) -> list[StagePower]:
+    """Mean and deviation of each station's power of stage k at ``positions_m[k]``, (N, 2)."""
+    return (
+        predict.each(positions_m) if isinstance(predict, ServingStages) else [predict(positions_m)]
+    )
+
+
+def serving_of(predict: StagePredictor | ServingStages, powers: Sequence[StagePower]) -> StagePower:
+    """What connectivity rests on, from :func:`stage_powers`."""
+    return predict.law(powers) if isinstance(predict, ServingStages) else powers[0]

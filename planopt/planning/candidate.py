@@ -66,7 +66,7 @@ class Candidate:
         """Whether the certificate shows that no path at all meets the bound at any step."""
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
-        # Where slack is bounded, nothing is looked for.
+        # Where slack is bounded, no search shows anything.
         return max(self.certificate.best_margin_db, default=0.0) < 0.0
 
     @property

@@ -96,7 +96,7 @@ def full(hessian, stages):
     return matrix
 
 
-@pytest.mark.parametrize(("stations", "terms"), with_stations(SUMS))
+@pytest.mark.parametrize(("stations", "terms"), list(with_stations(SUMS)))
 @pytest.mark.parametrize("p_min", [0.0, 0.8])
 def test_derivatives_are_those_of_the_value(stations, terms, p_min):
     """Gradient, Hessian and margins by central differences; stagewise sums have no cross terms."""
@@ -125,7 +125,7 @@ def test_derivatives_are_those_of_the_value(stations, terms, p_min):
     assert at.value.hessian.shape == shapes[structure_of(problem)]
 
 
-@pytest.mark.parametrize(("stations", "terms"), with_stations(SUMS))
+@pytest.mark.parametrize(("stations", "terms"), list(with_stations(SUMS)))
 def test_value_is_near_the_exact_worth(stations, terms):
     """With all 40 measurements near, only the rounded cusps are between them."""
     problem = terms_problem(*terms, stations=stations)

@@ -5,17 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from planopt.errors import InputError
+from planopt.objectives.expression import names_in
 from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
-from planopt.problems.objective import (
-    CasadiTerm,
-    LearningTerm,
-    MappingTerm,
-    Term,
-    TrackingTerm,
-    TransmissionEnergyTerm,
-    UntilConnectedTerm,
-)
+from planopt.problems.objective import CasadiTerm, MappingTerm, Term
 from planopt.problems.problem import Problem
+from planopt.problems.rule_checks import MOST_PROBABLE_DRAWN
 from planopt.problems.station_sources import log_of, raster_truth_of
 
 ONE_STATION = "leave one entry of stations"
@@ -105,13 +99,14 @@ def _no_two_alike(
 
 def _check_rule(problem: Problem) -> None:
     rule = problem.constraints.rule
-    if rule.connectivity == "joint":
+    p_min = problem.constraints.p_min
+    if rule.connectivity == "joint" and p_min > MOST_PROBABLE_DRAWN:
         raise InputError(
-            "joint is of one station's power at all steps together, and there are "
-            f"{len(problem.stations)} stations",
+            f"is {p_min:g}, and more than {MOST_PROBABLE_DRAWN:g} cannot be shown of all steps "
+            f"together with {len(problem.stations)} stations",
             file=problem.file,
-            key="constraints.connectivity",
-            remedy=f"ask for each_step, stated_times, average, outage or data, or {ONE_STATION}",
+            key="constraints.p_min",
+            remedy=f"ask for less, or {ONE_STATION}",
         )
     if rule.parameter_uncertainty == "all":
         raise InputError(
@@ -123,14 +118,21 @@ def _check_rule(problem: Problem) -> None:
 
 
 def _check_term(problem: Problem, term: Term, key: str) -> None:
-    coupled = isinstance(term, TrackingTerm) and term.form != "additive"
-    if coupled or isinstance(
-        term,
-        LearningTerm | MappingTerm | UntilConnectedTerm | TransmissionEnergyTerm | CasadiTerm,
-    ):
+    """Terms that are of the one power that there is."""
+    if isinstance(term, MappingTerm) and term.form == "two_layer":
         raise InputError(
-            f"is a term of one station's channel, and there are {len(problem.stations)} stations",
+            f"two_layer steers by one station's map, and there are {len(problem.stations)}",
             file=problem.file,
-            key=key,
-            remedy=ONE_STATION,
+            key=f"{key}.form",
+            remedy=f"information, average or path, or {ONE_STATION}",
         )
+    if isinstance(term, CasadiTerm):
+        for name in ("mean_db", "deviation_db"):
+            if name in names_in(term.program):
+                raise InputError(
+                    f"reads {name}, which is of one station's power, and there are "
+                    f"{len(problem.stations)} stations",
+                    file=problem.file,
+                    key=f"{key}.program",
+                    remedy=f"read connectivity, which is to any of them, or {ONE_STATION}",
+                )

@@ -19,6 +19,7 @@ from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
+from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
 from tests.planning.scenes import WALL, bad_disc, belief_of, small_problem
@@ -238,3 +239,27 @@ def test_the_library_courier_needs_both_stations(seed: int) -> None:
         found = planner.plan(alone_in(belief, station), np.asarray(left.robots[0].start_m))
         arrived = np.linalg.norm(found.positions_m[-1] - left.goal_m) <= 1.0
         assert not (arrived and found.verdict is Verdict.VERIFIED)
+
+
+RULES = {
+    "average": (0.9, {"connectivity": "average"}),
+    "joint": (0.8, {"connectivity": "joint"}),
+    "outage": (0.9, {"connectivity": "outage", "outage_max_m": 4.0}),
+    "data": (
+        0.0,
+        {"connectivity": "data", "data_mbit": 5.5, "deadline_s": 6.0, "rate_mbit_s": 1.0},
+    ),
+    "slack": (0.9, {"connectivity": "each_step", "slack_max_db": 2.0}),
+}
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_plans_keep_other_rules_where_one_station_gives_way_to_the_other(name: str) -> None:
+    """From the middle of the rectangle, where both are heard, to where only one is."""
+    p_min, rule = RULES[name]
+    base = two_station_problem(horizon=6, start_m=(18.0, 15.0))
+    constraints = replace(base.constraints, p_min=p_min, rule=ConnectivityRule(**rule))
+    problem = replace(base, constraints=constraints)
+    plan = planned(problem, belief_in(problem, POWERS))
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.positions_m[-1, 0] > 26.0

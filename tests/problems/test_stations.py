@@ -11,6 +11,7 @@ import pytest
 
 from planopt.errors import InputError
 from planopt.planning.given import draw
+from planopt.problems.casadi_term import casadi_term
 from planopt.problems.library import find_problem
 from planopt.problems.load import load, problem_from_tables
 from planopt.problems.problem import Problem
@@ -95,7 +96,13 @@ def test_saving_keeps_every_key(change: Change, tmp_path: Path) -> None:
         (both(raster, set_in("stations", 1, "gain_variable", "west_db")), r"stations\[1\]\.gain"),
         (both(logged, set_in("stations", 1, "power_column", "power_dbm")), r"stations\[1\]\.log"),
         (set_in("stations", 1, "threshold_dbm", -1e9), r"stations"),
-        (set_in("constraints", "connectivity", "joint"), r"constraints\.connectivity"),
+        (
+            both(
+                set_in("constraints", "connectivity", "joint"),
+                set_in("constraints", "p_min", 0.9999),
+            ),
+            r"constraints\.p_min",
+        ),
         (set_in("constraints", "parameter_uncertainty", "all"), r"parameter_uncertainty"),
     ],
 )
@@ -109,12 +116,23 @@ def test_what_does_not_go_is_refused_with_its_key(change: Change, key: str) -> N
 @pytest.mark.parametrize(
     ("task", "term"),
     [
-        ("learn", {"kind": "path_loss_learning"}),
-        ("map", {"kind": "mapping", "form": "information"}),
+        (
+            "map",
+            {
+                "kind": "mapping",
+                "form": "two_layer",
+                "variance_threshold_db2": 1.0,
+                "closeness_per_m": 0.1,
+            },
+        ),
+        ("custom", {"kind": "casadi", "steps": 3, "program": "mean"}),
     ],
 )
-def test_terms_of_one_station_are_refused(task: str, term: dict[str, Any]) -> None:
+def test_terms_of_one_power_are_refused(task: str, term: dict[str, Any]) -> None:
     """With the number of the term."""
+    if term["kind"] == "casadi":
+        own = casadi_term(lambda path: path.mean_db[0], 3)
+        term = {"kind": "casadi", "steps": own.steps, "program": own.program}
 
     def change(tables: dict[str, Any]) -> None:
         tables["problem"]["task"] = task
@@ -123,7 +141,8 @@ def test_terms_of_one_station_are_refused(task: str, term: dict[str, Any]) -> No
 
     with pytest.raises(InputError, match=r"objective\.terms\[0\]") as caught:
         changed(change)
-    assert caught.value.remedy == "leave one entry of stations"
+    assert caught.value.remedy is not None
+    assert caught.value.remedy.endswith("leave one entry of stations")
 
 
 def test_logs_are_read_by_station(tmp_path: Path) -> None:

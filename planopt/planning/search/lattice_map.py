@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
@@ -76,6 +75,6 @@ class LatticeMap:
         self.mean_db[known], self.deviation_db[known] = law.mean_db, law.deviation_db
 
     @property
-    def trend(self) -> NDArray[np.float64]:
-        """``(ny, nx, 2)`` varphi of the first station: what an error in theta changes there."""
-        return self._maps[0].trend
+    def stations(self) -> list[TileMap]:
+        """Each station's own predictions."""
+        return self._maps

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.maps.tile_map import TileMap
 from planopt.planning.search.lattice_map import LatticeMap
 from planopt.planning.worth.situation import Situation
 from planopt.world.lattice import Lattice, node_positions
@@ -79,6 +80,6 @@ class NodeField:
         return True
 
     @property
-    def trend(self) -> NDArray[np.float64]:
-        """``(ny, nx, 2)`` varphi: what an error in theta changes at each node."""
-        return self._map.trend
+    def stations(self) -> list[TileMap]:
+        """Each station's own predictions; those of several are not corrected."""
+        return self._map.stations

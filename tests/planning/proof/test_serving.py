@@ -131,6 +131,25 @@ def test_connectivity_is_that_of_independent_stations(by_db: float) -> None:
     assert found.certificate.min_connectivity == pytest.approx(expected[1:].min(), abs=1e-12)
 
 
+def test_joint_probability_of_one_step_is_that_of_any() -> None:
+    """Two places at once are less sure, and more than if they were independent."""
+    base = two_station_problem(horizon=1)
+    problem = with_rule(raised(base, 19.0), 0.5, connectivity="joint")
+    belief = belief_in(problem, POWERS)
+    index = index_obstacles(problem.workspace)
+    under = circumstances_in(problem, belief)
+    achieved = []
+    for steps in (1, 2):
+        path = np.array([[18.5, 15.0], [20.0, 15.0], [20.5, 15.0]])[: steps + 1]
+        found = judge(problem, index, belief.posterior, path[0], path, circumstances=under)
+        assert found.certificate.rule is not None
+        achieved.append(found.certificate.rule.achieved)
+    one, two = any_of(problem, belief, np.array([[20.0, 15.0], [20.5, 15.0]]))
+    assert 0.2 < one < 0.99
+    assert one - 0.03 < achieved[0] < one + 0.005
+    assert one * two - 0.03 < achieved[1] < min(one, two) + 0.005
+
+
 def test_probable_data_of_one_step_are_the_probability_of_any() -> None:
     """Drawn, less what the interval of 10,000 draws gives away."""
     base = two_station_problem(horizon=1)
@@ -155,6 +174,7 @@ def with_rule(problem: Problem, p_min: float, **rule: object) -> Problem:
 
 RULES = {
     "average": (0.95, {"connectivity": "average"}),
+    "joint": (0.9, {"connectivity": "joint"}),
     "outage": (0.9, {"connectivity": "outage", "outage_max_m": 1.0}),
     "stated": (
         0.9,
@@ -186,7 +206,7 @@ def test_rules_hold_with_both_stations_and_not_with_one(name: str) -> None:
         assert judged(*left, path)[1] is Verdict.VIOLATED
 
 
-@pytest.mark.parametrize("name", ["average", "outage", "data", "probable data", "hard"])
+@pytest.mark.parametrize("name", ["average", "outage", "joint", "data", "probable data", "hard"])
 def test_slack_is_what_all_thresholds_must_be_lowered_by(name: str) -> None:
     """Missed by s dB, a rule holds with thresholds s dB lower, and not with s - 0.01 dB."""
     base, path = across()

@@ -22,6 +22,7 @@ SERVING = "planopt.planning.proof.serving"
 PREDICTIONS = "planopt.planning.proof.predictions"
 BROAD = "planopt.planning.proof.broad_prediction"
 WHOLE = "planopt.planning.proof.rules.whole_plan"
+DRAWS = "planopt.planning.proof.rules.path_draws"
 USERS = (
     SCORE,
     POWER,
@@ -29,6 +30,7 @@ USERS = (
     PREDICTIONS,
     BROAD,
     WHOLE,
+    DRAWS,
     "planopt.planning.proof.circumstances",
     "planopt.planning.proof.verify",
     "planopt.planning.proof.rules.single_steps",
@@ -56,7 +58,11 @@ MUTANTS = (
         "broad.probability(positions_m[1:], slack_db)",
         "broad.probability(positions_m[1:], 0)",
     ),
-    (WHOLE, "serving_power_dbm(np.stack(each)", "serving_power_dbm(np.stack(each[:1])"),
+    (DRAWS, "serving_power_dbm(np.stack(each)", "serving_power_dbm(np.stack(each[:1])"),
+    (DRAWS, "threshold_dbm - slack_db", "threshold_dbm + slack_db"),
+    (DRAWS, "least_dbm >=", "least_dbm <"),
+    (DRAWS, "broad).min(axis=1)", "broad).max(axis=1)"),
+    (DRAWS, "path_prediction(station, path_m), number", "path_prediction(station, path_m), 0"),
 )
 
 
@@ -72,7 +78,8 @@ def facts() -> Iterator[Callable[[], object]]:
     for name in test_serving.RULES:
         yield partial(test_serving.test_rules_hold_with_both_stations_and_not_with_one, name)
     yield test_serving.test_the_order_of_stations_does_not_matter
-    for name in ("average", "outage", "data", "probable data", "hard"):
+    yield test_serving.test_joint_probability_of_one_step_is_that_of_any
+    for name in ("average", "outage", "joint", "data", "probable data", "hard"):
         yield partial(test_serving.test_slack_is_what_all_thresholds_must_be_lowered_by, name)
 
 

@@ -8,16 +8,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.rules.expected import average_result, data_result
-from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.outage import outage_result
-from planopt.planning.proof.rules.probable_data import drawn_powers_dbm, probable_data_result
+from planopt.planning.proof.rules.path_draws import joint_by_slack, path_draws_dbm
+from planopt.planning.proof.rules.probable_data import probable_data_result
 from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.proof.serving import Serving
 from planopt.planning.rule_result import RuleResult
@@ -118,7 +117,7 @@ def _result_by_slack(
         case "average":
             return lambda slack_db: average_result(problem, history, probability(slack_db))
         case "data" if p_min > 0.0:
-            drawn = _drawn_powers_dbm(posterior, positions_m[1:], broad)
+            drawn = path_draws_dbm(posterior, positions_m[1:], broad)
             return lambda slack_db: probable_data_result(problem, history, drawn, slack_db)
         case "data":
             return lambda slack_db: data_result(problem, history, probability(slack_db))
@@ -128,20 +127,6 @@ def _result_by_slack(
                 problem, history, positions_m, margin_db + slack_db
             )
         case "joint":
-            prediction = path_prediction(posterior, positions_m[1:])
-            return lambda slack_db: joint_result(problem, prediction, slack_db)
+            return joint_by_slack(problem, posterior, positions_m[1:], broad)
         case _:
             raise AssertionError("a rule on single steps")
-
-
-def _drawn_powers_dbm(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], broad: Broad | None
-) -> NDArray[np.float64]:
-    """Powers along the path in drawn channels, of several stations the serving ones."""
-    if not isinstance(broad, Serving):
-        return drawn_powers_dbm(path_prediction(posterior, path_m))
-    each = [
-        drawn_powers_dbm(path_prediction(station, path_m), number)
-        for number, station in enumerate(broad.posteriors)
-    ]
-    return serving_power_dbm(np.stack(each), broad.thresholds_dbm)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stage_margins_of import stage_margins
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,6 +20,7 @@ from reach_tasks import (
     with_line,
 )
 from scipy.optimize import brentq, minimize
+from stage_margins_of import stage_margins
 
 from planopt.channel.connectivity import bound_margin_db, bound_quantile
 from planopt.channel.kriging import predict

@@ -33,6 +33,9 @@ FORMS_WITH_KEYS: tuple[MappingForm, ...] = ("path", "two_layer")
 FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
 """The keys of a mapping term that only these have."""
 
+LEAST_STD = 1e-6
+"""Of a first estimate in metres or m/s: its information is still a number that can be inverted."""
+
 Deviation = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -177,10 +180,16 @@ class TargetTable(Table):
         default=0.03, description="Deviation of its white acceleration along an axis, in m/s^2."
     )
     position_std_m: float = Field(
-        default=1.0, gt=0, le=1e6, description="Deviation of its first estimated position, in m."
+        default=1.0,
+        ge=LEAST_STD,
+        le=1e6,
+        description="Deviation of its first estimated position, in m.",
     )
     velocity_std_m_s: float = Field(
-        default=0.3, gt=0, le=1e6, description="Deviation of its first estimated velocity, in m/s."
+        default=0.3,
+        ge=LEAST_STD,
+        le=1e6,
+        description="Deviation of its first estimated velocity, in m/s.",
     )
 
     @property

@@ -46,14 +46,14 @@ class RobotTable(Table):
         "(bounded acceleration) or unicycle (drives where it faces).",
     )
     acceleration_max_m_s2: float | None = Field(
-        default=None, gt=0, le=1e4, description="Largest acceleration of a double integrator."
+        default=None, ge=1e-6, le=1e4, description="Largest acceleration of a double integrator."
     )
     start_velocity_m_s: Pair | None = Field(
         default=None,
         description="Velocity [x, y] of a double integrator at the start in m/s; 0 if absent.",
     )
     turn_rate_max_rad_s: float | None = Field(
-        default=None, gt=0, le=1e3, description="Largest turn rate of a unicycle in rad/s."
+        default=None, ge=1e-6, le=1e3, description="Largest turn rate of a unicycle in rad/s."
     )
     speed_min_m_s: float | None = Field(
         default=None,

@@ -30,6 +30,9 @@ NEEDED: dict[DynamicsName, str | None] = {
 }
 """The key that each cannot do without."""
 
+LEAST_LIMIT = 1e-6
+"""In m/s^2 or rad/s: solvers divide by the square of it."""
+
 
 class RobotTable(Table):
     """``[[robots]]``: one robot, how it moves, and where it must go."""
@@ -46,14 +49,14 @@ class RobotTable(Table):
         "(bounded acceleration) or unicycle (drives where it faces).",
     )
     acceleration_max_m_s2: float | None = Field(
-        default=None, ge=1e-6, le=1e4, description="Largest acceleration of a double integrator."
+        default=None, gt=0, le=1e4, description="Largest acceleration of a double integrator."
     )
     start_velocity_m_s: Pair | None = Field(
         default=None,
         description="Velocity [x, y] of a double integrator at the start in m/s; 0 if absent.",
     )
     turn_rate_max_rad_s: float | None = Field(
-        default=None, ge=1e-6, le=1e3, description="Largest turn rate of a unicycle in rad/s."
+        default=None, gt=0, le=1e3, description="Largest turn rate of a unicycle in rad/s."
     )
     speed_min_m_s: float | None = Field(
         default=None,
@@ -75,6 +78,8 @@ class RobotTable(Table):
         needed = NEEDED[self.dynamics]
         if needed is not None and getattr(self, needed) is None:
             raise _fault(f"has dynamics {self.dynamics}, which needs {needed}")
+        if needed is not None and getattr(self, needed) < LEAST_LIMIT:
+            raise _fault(f"has {needed} below {LEAST_LIMIT:g}, with which it hardly moves")
         if self.start_velocity_m_s is not None:
             vx, vy = self.start_velocity_m_s
             if vx * vx + vy * vy > self.speed_max_m_s**2:

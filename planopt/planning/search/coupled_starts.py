@@ -9,7 +9,8 @@ from planopt.planning.ground import Ground
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.planning.search.straight_starts import driven_ways, straight_starts
-from planopt.planning.search.way_search import search_ways
+from planopt.planning.search.way_climb import climb_ways
+from planopt.planning.search.way_search import APART_STEPS, distinct, search_ways
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
@@ -20,6 +21,12 @@ SEED = 0
 
 VALUED = 4
 """Ways that are handed on, to be valued by all measurements."""
+
+CLIMBING = 16
+"""Ways that climb at first."""
+
+ROUNDS, FOLLOWED = (4, 4, 4), (8, 4, 3)
+"""After so many steps of the climb each, so many ways are followed on."""
 
 
 class CoupledStarts:
@@ -59,17 +66,29 @@ class CoupledStarts:
         ranking = LocalRanking(situation, ways)
 
         def value(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-            begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
-            whole = np.concatenate([begin, ways_m], axis=1)
-            gap = ways_gap_m(situation.circumstances.moving, whole)
-            return np.where(gap >= -CLEARANCE_TOLERANCE_M, ranking(ways_m), -np.inf)
+            return np.where(self._is_apart(situation, ways_m), ranking(ways_m), -np.inf)
 
-        found, _ = search_ways(
-            situation.position_m,
-            ways,
-            self._problem.step_length_m - STEP_PAD_M,
-            drive,
-            value,
-            np.random.default_rng(SEED),
+        longest = self._problem.step_length_m - STEP_PAD_M
+        if not ranking.has_slopes:
+            generator = np.random.default_rng(SEED)
+            found, _ = search_ways(situation.position_m, ways, longest, drive, value, generator)
+            return list(found[:VALUED])
+        apart = APART_STEPS * longest
+        best = ways[distinct(ways, value(ways), apart, CLIMBING)]
+
+        def slopes(ways_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            worth, slope = ranking.slopes(ways_m)
+            return np.where(self._is_apart(situation, ways_m), worth, -np.inf), slope
+
+        found, _ = climb_ways(
+            situation.position_m, best, longest, drive, slopes, ROUNDS, FOLLOWED, apart
         )
-        return list(found[:VALUED])
+        return list(found)
+
+    def _is_apart(
+        self, situation: Situation, ways_m: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Whether ways (c, N, 2) keep from all that moves; ``(c,)``."""
+        begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
+        whole = np.concatenate([begin, ways_m], axis=1)
+        return ways_gap_m(situation.circumstances.moving, whole) >= -CLEARANCE_TOLERANCE_M

@@ -12,8 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.local_channel import LocalGrid, local_channel, local_grid
+from planopt.planning.search.missing_slopes import missing_slope
+from planopt.planning.search.ranked_slopes import has_slope, ranked_slope
 from planopt.planning.search.ranked_terms import legs_m, ranked_value
 from planopt.planning.search.way_batch import WayBatch
+from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import MappingTerm
@@ -62,16 +65,37 @@ class LocalRanking:
 
         Where connectivity is bounded, ways that miss the bound come after all others.
         """
-        at, batch = self._situation, WayBatch(self._channel, self._precision, ways_m)
-        worth = np.zeros(len(ways_m))
+        return self._value(self._batch(ways_m))
+
+    @property
+    def has_slopes(self) -> bool:
+        """Whether :meth:`slopes` knows all terms."""
+        return all(has_slope(term) for term in self._situation.problem.terms)
+
+    def slopes(self, ways_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The same values, and their derivatives by the places ``(c, N, 2)``."""
+        at, batch = self._situation, self._batch(ways_m)
+        value, pull = self._value(batch), Pull()
         for term in at.problem.terms:
-            worth += term.weight * ranked_value(term, at, batch, self._grid)
+            pull = pull.plus(ranked_slope(term, at, batch), term.weight)
+        if self._missing_db_cost is not None:
+            missing = missing_slope(at, batch)
+            pull = pull.plus(missing, -self._missing_db_cost)
+        return value, slopes_of(batch, pull)
+
+    def _batch(self, ways_m: NDArray[np.float64]) -> WayBatch:
+        return WayBatch(self._channel, self._precision, ways_m, self._grid)
+
+    def _value(self, batch: WayBatch) -> NDArray[np.float64]:
+        at, ways = self._situation, batch.ways_m
+        worth = np.zeros(len(ways))
+        for term in at.problem.terms:
+            worth += term.weight * ranked_value(term, at, batch)
         if not at.problem.constraints.asks_connection:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
-        missing = ways_missing(at, legs_m(at, ways_m), batch.power())
-        return worth - self._missing_db_cost * missing
+        return worth - self._missing_db_cost * ways_missing(at, legs_m(at, ways), batch.power)
 
 
 def _anchors(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from planopt.planning.ground import Ground
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.planning.search.straight_starts import driven_ways, straight_starts
+from planopt.planning.search.via_station import commands_via
 from planopt.planning.search.way_climb import climb_ways
 from planopt.planning.search.way_search import APART_STEPS, distinct, search_ways
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
@@ -58,17 +59,21 @@ class CoupledStarts:
             Ways (N, 2) found otherwise, to be bent with the others.
         """
         fan = straight_starts(situation, self._index, self._rough, self._problem.planner.horizon)
-        ways = np.concatenate([np.asarray(known_m).reshape(-1, *fan.shape[1:]), fan])
+        longest = self._problem.step_length_m - STEP_PAD_M
 
         def drive(turn: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
             return driven_ways(situation, self._index, self._rough, turn, speed)
+
+        station = np.asarray(situation.posterior.parameters.station.position_m)
+        via = commands_via(situation.position_m, station, int(fan.shape[1]), longest)
+        beside = [] if via is None else [drive(*via)]
+        ways = np.concatenate([np.asarray(known_m).reshape(-1, *fan.shape[1:]), fan, *beside])
 
         ranking = LocalRanking(situation, ways)
 
         def value(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.where(self._is_apart(situation, ways_m), ranking(ways_m), -np.inf)
 
-        longest = self._problem.step_length_m - STEP_PAD_M
         if not ranking.has_slopes:
             generator = np.random.default_rng(SEED)
             found, _ = search_ways(situation.position_m, ways, longest, drive, value, generator)

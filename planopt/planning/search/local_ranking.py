@@ -29,8 +29,10 @@ LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 384
 all that can be reached, so that they are more than a polish needs about one way: with 128 of 400,
 the ways of 20 steps that were chosen lost a tenth of the best worth."""
 
-RANKED_PLACES = 300
-"""Of the places where a map is wanted, about so many are looked at, evenly among them."""
+RANKED_PLACES, CLIMBED_PLACES = 300, 1000
+"""Of the places where a map is wanted, about so many are looked at, evenly among them: when ways
+are ranked, and when they climb, which would lead them from one place to the next if these were
+few."""
 
 MISSING_DB_SHARE = 10.0
 """What a missing dB costs, in units of the largest worth of the ways first valued."""
@@ -53,19 +55,24 @@ class LocalRanking:
         self._channel = local_channel(situation.posterior, _anchors(about_m), count)
         self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
-        self._grid: LocalGrid | None = None
-        if any(isinstance(t, MappingTerm) and t.form == "average" for t in situation.problem.terms):
-            region = situation.near_region
-            every = max(1, round(len(region.weight) / RANKED_PLACES))
-            grid, weight = region.grid_m[::every], region.weight[::every]
-            self._grid = local_grid(self._channel, grid, every * weight)
+        self._coarse, self._fine = self._grid(RANKED_PLACES), self._grid(CLIMBED_PLACES)
+
+    def _grid(self, places: int) -> LocalGrid | None:
+        """About so many places of the map, evenly among them; None where none is averaged."""
+        terms = self._situation.problem.terms
+        if not any(isinstance(term, MappingTerm) and term.form == "average" for term in terms):
+            return None
+        region = self._situation.near_region
+        every = max(1, round(len(region.weight) / places))
+        grid, weight = region.grid_m[::every], region.weight[::every]
+        return local_grid(self._channel, grid, every * weight)
 
     def __call__(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weighted sum of the terms of each way ``(c, N, 2)``, near its exact worth; ``(c,)``.
 
         Where connectivity is bounded, ways that miss the bound come after all others.
         """
-        return self._value(self._batch(ways_m))
+        return self._value(self._batch(ways_m, self._coarse))
 
     @property
     def has_slopes(self) -> bool:
@@ -74,7 +81,7 @@ class LocalRanking:
 
     def slopes(self, ways_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The same values, and their derivatives by the places ``(c, N, 2)``."""
-        at, batch = self._situation, self._batch(ways_m)
+        at, batch = self._situation, self._batch(ways_m, self._fine)
         value, pull = self._value(batch), Pull()
         for term in at.problem.terms:
             pull = pull.plus(ranked_slope(term, at, batch), term.weight)
@@ -83,8 +90,8 @@ class LocalRanking:
             pull = pull.plus(missing, -self._missing_db_cost)
         return value, slopes_of(batch, pull)
 
-    def _batch(self, ways_m: NDArray[np.float64]) -> WayBatch:
-        return WayBatch(self._channel, self._precision, ways_m, self._grid)
+    def _batch(self, ways_m: NDArray[np.float64], grid: LocalGrid | None) -> WayBatch:
+        return WayBatch(self._channel, self._precision, ways_m, grid)
 
     def _value(self, batch: WayBatch) -> NDArray[np.float64]:
         at, ways = self._situation, batch.ways_m

@@ -71,7 +71,6 @@ class Criterion:
         goal = np.eye(2) if self.kind == "A" else self.goal
         return np.asarray(-np.einsum("ij,...ji->...", goal, spread))
 
-
     def slope(
         self, gained: NDArray[np.float64], before: NDArray[np.float64] | None
     ) -> NDArray[np.float64]:

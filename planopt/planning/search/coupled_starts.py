@@ -1,4 +1,7 @@
-"""Starts where the places of a way belong together: a fan of ways, the best bent further."""
+"""Starts where the places of a way belong together: a fan of ways, the best of which climb.
+
+Terms whose slopes are not known batched are bent at random instead.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.ground import Ground
-from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.search.local_ranking import LocalRanking, can_climb
 from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.planning.search.straight_starts import driven_ways, straight_starts
 from planopt.planning.search.via_station import commands_via
@@ -21,7 +24,7 @@ SEED = 0
 """Every search begins anew from it: the same situation has the same starts."""
 
 VALUED = 4
-"""Ways that are handed on, to be valued by all measurements."""
+"""Ways that are handed on of those bent, to be valued by all measurements."""
 
 CLIMBING = 16
 """Ways that climb at first."""
@@ -56,7 +59,7 @@ class CoupledStarts:
         situation
             What is known.
         known_m
-            Ways (N, 2) found otherwise, to be bent with the others.
+            Ways (N, 2) found otherwise, to be improved with the others.
         """
         fan = straight_starts(situation, self._index, self._rough, self._problem.planner.horizon)
         longest = self._problem.step_length_m - STEP_PAD_M
@@ -64,17 +67,17 @@ class CoupledStarts:
         def drive(turn: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
             return driven_ways(situation, self._index, self._rough, turn, speed)
 
-        station = np.asarray(situation.posterior.parameters.station.position_m)
-        via = commands_via(situation.position_m, station, int(fan.shape[1]), longest)
-        beside = [] if via is None else [drive(*via)]
-        ways = np.concatenate([np.asarray(known_m).reshape(-1, *fan.shape[1:]), fan, *beside])
-
+        ways = np.concatenate([np.asarray(known_m).reshape(-1, *fan.shape[1:]), fan])
+        if can_climb(self._problem) and not situation.posterior.theta_known:
+            station = np.asarray(situation.posterior.parameters.station.position_m)
+            via = commands_via(situation.position_m, station, int(fan.shape[1]), longest)
+            ways = ways if via is None else np.concatenate([ways, drive(*via)])
         ranking = LocalRanking(situation, ways)
 
         def value(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.where(self._is_apart(situation, ways_m), ranking(ways_m), -np.inf)
 
-        if not ranking.has_slopes:
+        if not can_climb(self._problem):
             generator = np.random.default_rng(SEED)
             found, _ = search_ways(situation.position_m, ways, longest, drive, value, generator)
             return list(found[:VALUED])
@@ -90,9 +93,7 @@ class CoupledStarts:
         )
         return list(found)
 
-    def _is_apart(
-        self, situation: Situation, ways_m: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
+    def _is_apart(self, situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether ways (c, N, 2) keep from all that moves; ``(c,)``."""
         begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
         whole = np.concatenate([begin, ways_m], axis=1)

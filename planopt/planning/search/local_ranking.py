@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from planopt.objectives.local_channel import LocalGrid, local_channel, local_grid
 from planopt.planning.search.missing_slopes import missing_slope
-from planopt.planning.search.ranked_slopes import has_slope, ranked_slope
+from planopt.planning.search.ranked_slopes import SlopedTerm, has_slope, ranked_slope
 from planopt.planning.search.ranked_terms import legs_m, ranked_value
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
+from planopt.planning.worth.region import region_along
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import MappingTerm
+from planopt.problems.problem import Problem
 
 ANCHORS = 64
 """Places among those of all ways that measurements are chosen near to."""
@@ -38,6 +40,11 @@ MISSING_DB_SHARE = 10.0
 """What a missing dB costs, in units of the largest worth of the ways first valued."""
 
 
+def can_climb(problem: Problem) -> bool:
+    """Whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
+    return all(has_slope(term) for term in problem.terms)
+
+
 class LocalRanking:
     """Values ways of one situation.
 
@@ -52,17 +59,24 @@ class LocalRanking:
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), MOST_NEIGHBOURS)
-        self._channel = local_channel(situation.posterior, _anchors(about_m), count)
+        anchors = _anchors(about_m)
+        self._channel = local_channel(situation.posterior, anchors, count)
         self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
-        self._coarse, self._fine = self._grid(RANKED_PLACES), self._grid(CLIMBED_PLACES)
+        self._coarse = self._grid(anchors, RANKED_PLACES)
+        self._fine = self._grid(anchors, CLIMBED_PLACES)
 
-    def _grid(self, places: int) -> LocalGrid | None:
-        """About so many places of the map, evenly among them; None where none is averaged."""
+    def _grid(self, about_m: NDArray[np.float64], places: int) -> LocalGrid | None:
+        """About so many places of the map that ways about `about_m` (a, 2) can change.
+
+        Evenly among them; None where none is averaged. Of places farther away the measurements at
+        hand know too little, and ways would seem to tell much of them.
+        """
         terms = self._situation.problem.terms
         if not any(isinstance(term, MappingTerm) and term.form == "average" for term in terms):
             return None
-        region = self._situation.near_region
+        at = self._situation
+        region = region_along(at.problem, at.near_region, about_m)
         every = max(1, round(len(region.weight) / places))
         grid, weight = region.grid_m[::every], region.weight[::every]
         return local_grid(self._channel, grid, every * weight)
@@ -74,16 +88,15 @@ class LocalRanking:
         """
         return self._value(self._batch(ways_m, self._coarse))
 
-    @property
-    def has_slopes(self) -> bool:
-        """Whether :meth:`slopes` knows all terms."""
-        return all(has_slope(term) for term in self._situation.problem.terms)
-
-    def slopes(self, ways_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def slopes(
+        self, ways_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The same values, and their derivatives by the places ``(c, N, 2)``."""
         at, batch = self._situation, self._batch(ways_m, self._fine)
         value, pull = self._value(batch), Pull()
         for term in at.problem.terms:
+            if not isinstance(term, SlopedTerm):
+                raise AssertionError("ways climb only where the slopes of all terms are known")
             pull = pull.plus(ranked_slope(term, at, batch), term.weight)
         if self._missing_db_cost is not None:
             missing = missing_slope(at, batch)

@@ -40,7 +40,7 @@ def ranked_slope(term: SlopedTerm, at: Situation, batch: WayBatch) -> Pull:
 
 def has_slope(term: Term) -> bool:
     """Whether :func:`ranked_slope` knows a term."""
-    return isinstance(term, LearningTerm | MappingTerm | MotionEnergyTerm)
+    return isinstance(term, SlopedTerm)
 
 
 def _learning(term: LearningTerm, at: Situation, batch: WayBatch) -> Pull:
@@ -80,10 +80,7 @@ def _average(batch: WayBatch) -> Pull:
     by_across = (2.0 * x * grid.root_weight.astype(np.float32)).reshape(kernel.shape)
     by_trend = (by_across @ grid.trend.astype(np.float32)).astype(np.float64)
     by_phi = -(by_across @ grid.solved.T.astype(np.float32)).reshape(batch.solved.shape)
-    by_place = kernel_slopes(
-        batch.ways_m, grid.positions_m, batch, by_across, distance, kernel
-    )
+    by_place = kernel_slopes(batch.ways_m, grid.positions_m, batch, by_across, distance, kernel)
     found = pull_of_universal(batch, by_covariance)
     by_trend = by_trend.reshape(*batch.shape, 2) @ channel.theta_covariance
     return found.plus(Pull(by_place=by_place, by_trend=by_trend, by_phi=by_phi), 1.0)
-

@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 ONWARD = 8
 """Directions in which ways go on from there."""
@@ -19,11 +18,17 @@ ONWARD = 8
 DETOURS = 2
 """Ways there take so many steps more than need be, at most: arcs, to either side."""
 
+HALVINGS = 40
+"""Bisections of the bend of an arc."""
+
+Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Turns and speeds ``(N, c)``."""
+
 
 def commands_via(
     start_m: NDArray[np.float64], place_m: NDArray[np.float64], horizon: int, longest_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Turns and speeds ``(N, c)`` of ways to a place, straight or in an arc, then on or waiting.
+) -> Commands | None:
+    """Ways to a place, straight or in an arc, from there on in all directions or waiting.
 
     None where it is out of reach.
 
@@ -34,36 +39,41 @@ def commands_via(
     horizon, longest_m
         N, and the longest step.
     """
-    offset = place_m - start_m
-    distance = float(np.hypot(*offset))
-    fewest = math.ceil(distance / longest_m)
-    if not 0 < fewest <= horizon:
+    offset = (place_m - start_m) / longest_m
+    chord, heading = float(np.hypot(*offset)), math.atan2(offset[1], offset[0])
+    fewest = max(1, math.ceil(chord))
+    if fewest > horizon:
         return None
-    ways = [
-        _onward(math.atan2(offset[1], offset[0]), side * _arc_turn(distance / longest_m, steps),
-                distance / (steps * longest_m) if steps == fewest else 1.0, steps, horizon)
-        for steps in range(fewest, min(fewest + DETOURS, horizon) + 1)
-        for side in ((1.0, -1.0) if steps > fewest else (0.0,))
-    ]
+    ways = [_onward(heading, 0.0, chord / fewest, fewest, horizon)]
+    for steps in range(fewest + 1, min(fewest + DETOURS, horizon) + 1):
+        bend = arc_turn(chord, steps)
+        ways += [_onward(heading, side * bend, 1.0, steps, horizon) for side in (1.0, -1.0)]
     turns, speeds = zip(*ways, strict=True)
     return np.concatenate(turns, axis=1), np.concatenate(speeds, axis=1)
 
 
-def _arc_turn(chord: float, steps: int) -> float:
-    """The turn before each step but the first of an arc of unit steps over a chord."""
-    if chord >= steps - 1e-9:
-        return 0.0
-    return float(brentq(lambda a: math.sin(0.5 * steps * a) / math.sin(0.5 * a) - chord,
-                        1e-9, 2.0 * math.pi / steps))
+def arc_turn(chord: float, steps: int) -> float:
+    """The turn before each but the first of `steps` unit steps whose ends are `chord` apart.
+
+    ``chord = sin(steps a / 2) / sin(a / 2)``, which falls from `steps` to 0 as a grows from 0 to
+    that of a closed polygon.
+    """
+    low, high = 0.0, 2.0 * math.pi / steps
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        far = math.sin(0.5 * steps * middle) > chord * math.sin(0.5 * middle)
+        low, high = (middle, high) if far else (low, middle)
+    return low
 
 
-def _onward(heading, each, share, steps, horizon):
-    on = ONWARD + 1 if steps < horizon else 1
-    turn, speed = np.zeros((horizon, on)), np.ones((horizon, on))
-    turn[0] = heading - 0.5 * each * (steps - 1)
-    turn[1:steps] = each
-    speed[:steps] = share
+def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
+    """There in `steps` steps of a speed, `heading` that of the chord; then on, or waiting."""
+    ways = ONWARD + 1 if steps < horizon else 1
+    turn, speeds = np.zeros((horizon, ways)), np.ones((horizon, ways))
+    turn[0] = heading - 0.5 * bend * (steps - 1)
+    turn[1:steps] = bend
+    speeds[:steps] = speed
     if steps < horizon:
-        turn[steps, :ONWARD] += 2.0 * math.pi * np.arange(ONWARD) / ONWARD
-        speed[steps:, ONWARD] = 0.0
-    return turn, speed
+        turn[steps, :ONWARD] = 2.0 * math.pi * np.arange(ONWARD) / ONWARD
+        speeds[steps:, ONWARD] = 0.0
+    return turn, speeds

@@ -2,8 +2,8 @@
 
 What a way is worth before it is polished tells little of what it is worth after. So the best ways
 climb together, batched, each with its own inverse Hessian (BFGS), and only those that lead are
-followed on. In headings and speeds the limits of motion are bounds of single variables; where a step
-is blocked the way turns aside as when it was first driven, and the step counts if it gains.
+followed on. In headings and speeds the limits of motion are bounds of single variables; where a
+step is blocked the way turns aside as when it was first driven, and the step counts if it gains.
 """
 
 from __future__ import annotations

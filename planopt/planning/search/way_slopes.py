@@ -1,4 +1,4 @@
-"""From slopes by the numbers of a batch of ways to slopes by their places: the chain rule, backwards.
+"""From slopes by the numbers of a batch of ways to slopes by their places: the chain rule back.
 
 Whatever a term does with S and B, its derivatives by the places follow from those by S, by B and by
 the covariances with the measurements, at the cost of one more valuation for all ways together.
@@ -6,8 +6,8 @@ the covariances with the measurements, at the cost of one more valuation for all
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,15 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING, rounded_log_distance
 from planopt.planning.search.way_batch import WayBatch
 
+Real = TypeVar("Real", np.float32, np.float64)
+
 TINY_M = 1e-9
 """Places nearer than this have no direction from each other."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Derivatives of one number of each way by the numbers that it is made of.
+    """Derivatives of one number of each way by the numbers that it is made of; None where zero.
 
     Attributes
     ----------
@@ -36,25 +38,31 @@ class Pull:
         ``(c, N, m)`` by the covariances with the measurements, S and B held.
     """
 
-    by_place: NDArray[np.float64] | float = 0.0
-    by_covariance: NDArray[np.float64] | float = 0.0
-    by_trend: NDArray[np.float64] | float = 0.0
-    by_phi: NDArray[np.float32] | float = 0.0
+    by_place: NDArray[np.float64] | None = None
+    by_covariance: NDArray[np.float64] | None = None
+    by_trend: NDArray[np.float64] | None = None
+    by_phi: NDArray[np.float32] | None = None
 
     def plus(self, other: Pull, weight: float) -> Pull:
-        """This and `weight` times the other."""
+        """`weight` times the other added."""
         return Pull(
-            self.by_place + weight * other.by_place,
-            self.by_covariance + weight * other.by_covariance,
-            self.by_trend + weight * other.by_trend,
-            self.by_phi + weight * other.by_phi,
+            _sum(self.by_place, other.by_place, weight),
+            _sum(self.by_covariance, other.by_covariance, weight),
+            _sum(self.by_trend, other.by_trend, weight),
+            _sum(self.by_phi, other.by_phi, weight),
         )
+
+
+def _sum(a: NDArray[Real] | None, b: NDArray[Real] | None, weight: float) -> NDArray[Real] | None:
+    """``a + weight b``; None counts as nothing."""
+    if b is None:
+        return a
+    return weight * b if a is None else a + weight * b
 
 
 def pull_of_universal(batch: WayBatch, by_universal: NDArray[np.float64]) -> Pull:
     """By S + B M B' (c, N, N), symmetric."""
-    pulled = batch.trend @ batch.channel.theta_covariance
-    return Pull(by_covariance=by_universal, by_trend=2.0 * (by_universal @ pulled))
+    return Pull(by_covariance=by_universal, by_trend=_by_trend(batch, by_universal))
 
 
 def pull_of_power(
@@ -65,28 +73,37 @@ def pull_of_power(
     deviation = batch.power.deviation_db.reshape(batch.shape)
     by_variance = np.zeros((*batch.shape, batch.shape[1]))
     by_variance[:, own, own] = 0.5 * by_deviation / deviation
-    found = pull_of_universal(batch, by_variance)
     return Pull(
-        by_covariance=found.by_covariance,
-        by_trend=found.by_trend + by_mean[:, :, None] * channel.theta,
+        by_covariance=by_variance,
+        by_trend=_by_trend(batch, by_variance) + by_mean[:, :, None] * channel.theta,
         by_phi=by_mean.astype(np.float32)[:, :, None] * channel.weights.astype(np.float32),
     )
 
 
+def _by_trend(batch: WayBatch, by_universal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By B, through B M B'."""
+    return 2.0 * (by_universal @ (batch.trend @ batch.channel.theta_covariance))
+
+
 def slopes_of(batch: WayBatch, pull: Pull) -> NDArray[np.float64]:
     """The derivatives by the places, ``(c, N, 2)``."""
-    found = np.zeros((*batch.shape, 2)) + pull.by_place
-    by_phi = np.zeros_like(batch.solved) + pull.by_phi
-    if not isinstance(pull.by_covariance, float):
+    channel = batch.channel
+    found = np.zeros((*batch.shape, 2))
+    by_phi = np.zeros_like(batch.solved)
+    if pull.by_place is not None:
+        found += pull.by_place
+    if pull.by_phi is not None:
+        by_phi += pull.by_phi
+    if pull.by_covariance is not None:
         found += _between(batch, pull.by_covariance)
         by_phi += (-2.0 * pull.by_covariance).astype(np.float32) @ batch.solved
-    if not isinstance(pull.by_trend, float):
-        by_phi -= pull.by_trend.astype(np.float32) @ batch.channel.trend.T.astype(np.float32)
-        loss = rounded_log_distance(batch.ways_m.reshape(-1, 2), batch.channel.parameters.station)
+    if pull.by_trend is not None:
+        by_phi -= pull.by_trend.astype(np.float32) @ channel.trend.T.astype(np.float32)
+        loss = rounded_log_distance(batch.ways_m.reshape(-1, 2), channel.parameters.station)
         found += pull.by_trend[:, :, 1:] * loss.gradient.reshape(found.shape)
-    slope = by_phi.reshape(batch.phi.shape)
+    by_kernel = by_phi.reshape(batch.phi.shape)
     found += kernel_slopes(
-        batch.ways_m, batch.channel.positions_m, batch, slope, batch.distance_m, batch.phi
+        batch.ways_m, channel.positions_m, batch, by_kernel, batch.distance_m, batch.phi
     )
     return found
 
@@ -108,9 +125,9 @@ def kernel_slopes(
     by_kernel *= kernel
     by_kernel /= np.maximum(distance_m, np.float32(CUSP_ROUNDING * beta))
     middle = ways_m.reshape(-1, 2).mean(axis=0)
-    pulled = by_kernel @ np.column_stack(
-        [others_m - middle, np.ones(len(others_m))]
-    ).astype(np.float32)
+    pulled = by_kernel @ np.column_stack([others_m - middle, np.ones(len(others_m))]).astype(
+        np.float32
+    )
     pulled = pulled.astype(np.float64).reshape(*ways_m.shape[:2], 3)
     return (pulled[:, :, :2] - pulled[:, :, 2:] * (ways_m - middle)) / beta
 
@@ -143,5 +160,3 @@ def pull_of_legs(
     found = (by_length / length)[:, :, None] * legs
     found[:, :-1] -= found[:, 1:].copy()
     return Pull(by_place=found)
-
-

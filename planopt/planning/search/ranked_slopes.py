@@ -79,7 +79,8 @@ def _average(batch: WayBatch) -> Pull:
     by_covariance = -(x @ x.transpose(0, 2, 1)).astype(np.float64)
     by_across = (2.0 * x * grid.root_weight.astype(np.float32)).reshape(kernel.shape)
     by_trend = (by_across @ grid.trend.astype(np.float32)).astype(np.float64)
-    by_phi = -(by_across @ grid.solved.T.astype(np.float32)).reshape(batch.solved.shape)
+    by_phi = np.zeros_like(batch.solved)
+    by_phi -= (by_across @ grid.solved.T.astype(np.float32)).reshape(by_phi.shape)
     by_place = kernel_slopes(batch.ways_m, grid.positions_m, batch, by_across, distance, kernel)
     found = pull_of_universal(batch, by_covariance)
     by_trend = by_trend.reshape(*batch.shape, 2) @ channel.theta_covariance

@@ -105,7 +105,8 @@ class WayBatch:
         distance, kernel = single_kernel(
             self.ways_m.reshape(-1, 2), grid.positions_m, channel.parameters
         )
-        across = kernel - self.phi @ grid.solved.astype(np.float32)
+        across = kernel.copy()
+        across -= self.phi @ grid.solved.astype(np.float32)
         pulled = (channel.theta_covariance @ grid.trend.T).astype(np.float32)
         across += self.trend.reshape(-1, 2).astype(np.float32) @ pulled
         across *= grid.root_weight.astype(np.float32)

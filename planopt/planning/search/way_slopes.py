@@ -57,7 +57,11 @@ def _sum(a: NDArray[Real] | None, b: NDArray[Real] | None, weight: float) -> NDA
     """``a + weight b``; None counts as nothing."""
     if b is None:
         return a
-    return weight * b if a is None else a + weight * b
+    found = b.copy()
+    found *= weight
+    if a is not None:
+        found += a
+    return found
 
 
 def pull_of_universal(batch: WayBatch, by_universal: NDArray[np.float64]) -> Pull:

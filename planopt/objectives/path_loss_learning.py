@@ -80,9 +80,9 @@ class Criterion:
         """
         if self.kind == "T" or before is None:
             return np.broadcast_to(np.eye(2), gained.shape)
-        spread = np.linalg.inv(before + gained)
+        spread = np.asarray(np.linalg.inv(before + gained), dtype=np.float64)
         if self.kind == "D":
-            return np.asarray(spread)
+            return spread
         return np.asarray(spread @ (np.eye(2) if self.kind == "A" else self.goal) @ spread)
 
 

@@ -26,10 +26,10 @@ SEED = 0
 VALUED = 4
 """Ways that are handed on of those bent, to be valued by all measurements."""
 
-CLIMBING = 16
+CLIMBING = 12
 """Ways that climb at first."""
 
-ROUNDS, FOLLOWED = (4, 4, 4), (8, 4, 3)
+ROUNDS, FOLLOWED = (3, 3, 4), (6, 3, 3)
 """After so many steps of the climb each, so many ways are followed on."""
 
 

@@ -8,6 +8,8 @@ two, the largest products being in single precision; what is chosen here is valu
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,10 +25,10 @@ from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
 
-ANCHORS = 64
+ANCHORS = 24
 """Places among those of all ways that measurements are chosen near to."""
 
-LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 384
+LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
 """Measurements shared by all ways: so many, so many more for each step, and never more. They cover
 all that can be reached, so that they are more than a polish needs about one way: with 128 of 400,
 the ways of 20 steps that were chosen lost a tenth of the best worth."""
@@ -63,23 +65,21 @@ class LocalRanking:
         self._channel = local_channel(situation.posterior, anchors, count)
         self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
-        self._coarse = self._grid(anchors, RANKED_PLACES)
-        self._fine = self._grid(anchors, CLIMBED_PLACES)
+        self._fine = self._grid(anchors)
+        self._coarse = None if self._fine is None else _thinned(self._fine)
 
-    def _grid(self, about_m: NDArray[np.float64], places: int) -> LocalGrid | None:
-        """About so many places of the map that ways about `about_m` (a, 2) can change.
+    def _grid(self, about_m: NDArray[np.float64]) -> LocalGrid | None:
+        """About `CLIMBED_PLACES` of the map that ways about `about_m` (a, 2) can change.
 
-        Evenly among them; None where none is averaged. Of places farther away the measurements at
-        hand know too little, and ways would seem to tell much of them.
+        None where none is averaged. Of places farther away the measurements at hand know too
+        little, and ways would seem to tell much of them.
         """
-        terms = self._situation.problem.terms
-        if not any(isinstance(term, MappingTerm) and term.form == "average" for term in terms):
-            return None
         at = self._situation
+        if not any(isinstance(t, MappingTerm) and t.form == "average" for t in at.problem.terms):
+            return None
         region = region_along(at.problem, at.near_region, about_m)
-        every = max(1, round(len(region.weight) / places))
-        grid, weight = region.grid_m[::every], region.weight[::every]
-        return local_grid(self._channel, grid, every * weight)
+        every = max(1, round(len(region.weight) / CLIMBED_PLACES))
+        return local_grid(self._channel, region.grid_m[::every], every * region.weight[::every])
 
     def __call__(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weighted sum of the terms of each way ``(c, N, 2)``, near its exact worth; ``(c,)``.
@@ -116,6 +116,17 @@ class LocalRanking:
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
         return worth - self._missing_db_cost * ways_missing(at, legs_m(at, ways), batch.power)
+
+
+def _thinned(grid: LocalGrid) -> LocalGrid:
+    """About `RANKED_PLACES` of a grid, evenly among them, for all."""
+    every = max(1, round(len(grid.root_weight) / RANKED_PLACES))
+    return LocalGrid(
+        grid.positions_m[::every],
+        math.sqrt(every) * grid.root_weight[::every],
+        grid.solved[:, ::every],
+        grid.trend[::every],
+    )
 
 
 def _anchors(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:

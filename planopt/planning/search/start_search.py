@@ -40,7 +40,7 @@ ENDS_APART_STEPS = 2.0
 """How far apart such ends are along an axis, in longest steps (fast.md: 4 m)."""
 
 COUPLED_STARTS = 3
-"""The same where terms couple places, and values have more maxima: of these all are followed."""
+"""The same where terms couple places, and values have more maxima: of these more are followed."""
 
 CORRECTIONS = 6
 """How often the lattice is searched again after the nodes of its path got better values."""

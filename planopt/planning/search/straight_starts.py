@@ -91,7 +91,7 @@ def driven_ways(
     np.cumsum(moves.transpose(1, 0, 2), axis=1, out=ways[:, 1:])
     ways[:, 1:] += situation.position_m
     places = ways[:, :-1, None] + moves.transpose(1, 0, 2)[:, :, None] * shares
-    free = rough.is_free(places, clear).all(axis=2)
+    free = np.asarray(rough.is_free(places, clear).all(axis=2))
     for k in range(len(turn_rad) if len(situation.circumstances.moving) else 0):
         free[:, k] &= steps_apart(situation.circumstances.moving, k, ways[:, k], ways[:, k + 1])
     rest = np.flatnonzero(~free.all(axis=1))

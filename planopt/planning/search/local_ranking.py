@@ -25,10 +25,14 @@ from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
 
-ANCHORS = 24
+ANCHORS, REGION_ANCHORS = 24, int(__import__("os").environ.get("RA", "128"))
 """Places among those of all ways that measurements are chosen near to."""
 
-LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
+LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = (
+    96,
+    16,
+    int(__import__("os").environ.get("MN", "256")),
+)
 """Measurements shared by all ways: so many, so many more for each step, and never more. They cover
 all that can be reached, so that they are more than a polish needs about one way: with 128 of 400,
 the ways of 20 steps that were chosen lost a tenth of the best worth."""
@@ -61,11 +65,11 @@ class LocalRanking:
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), MOST_NEIGHBOURS)
-        anchors = _anchors(about_m)
+        anchors = _anchors(about_m, ANCHORS)
         self._channel = local_channel(situation.posterior, anchors, count)
         self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
-        self._fine = self._grid(anchors)
+        self._fine = self._grid(_anchors(about_m, REGION_ANCHORS))
         self._coarse = None if self._fine is None else _thinned(self._fine)
 
     def _grid(self, about_m: NDArray[np.float64]) -> LocalGrid | None:
@@ -129,7 +133,7 @@ def _thinned(grid: LocalGrid) -> LocalGrid:
     )
 
 
-def _anchors(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Up to `ANCHORS` of the ways' places, evenly among them; (a, 2)."""
+def _anchors(ways_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Up to `count` of the ways' places, evenly among them; (a, 2)."""
     places = ways_m.reshape(-1, 2)
-    return places[np.linspace(0, len(places) - 1, min(ANCHORS, len(places))).astype(np.intp)]
+    return places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(np.intp)]

@@ -25,17 +25,16 @@ from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
 
-ANCHORS, REGION_ANCHORS = 24, int(__import__("os").environ.get("RA", "128"))
-"""Places among those of all ways that measurements are chosen near to."""
+ANCHORS, REGION_ANCHORS = 24, 64
+"""Places among those of all ways that measurements are chosen near to, and places of a map."""
 
-LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = (
-    96,
-    16,
-    int(__import__("os").environ.get("MN", "256")),
-)
+LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
 """Measurements shared by all ways: so many, so many more for each step, and never more. They cover
-all that can be reached, so that they are more than a polish needs about one way: with 128 of 400,
-the ways of 20 steps that were chosen lost a tenth of the best worth."""
+all that can be reached, so that they are more than a polish needs about one way."""
+
+MAPPED_NEIGHBOURS = 384
+"""Never more than these where a map is averaged, which is wanted beyond the ways: with 256 the best
+ways of 20 steps seemed to be those at the edge of what was measured."""
 
 RANKED_PLACES, CLIMBED_PLACES = 300, 1000
 """Of the places where a map is wanted, about so many are looked at, evenly among them: when ways
@@ -64,7 +63,8 @@ class LocalRanking:
 
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
-        count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), MOST_NEIGHBOURS)
+        most = MAPPED_NEIGHBOURS if _averages_map(situation.problem) else MOST_NEIGHBOURS
+        count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
         anchors = _anchors(about_m, ANCHORS)
         self._channel = local_channel(situation.posterior, anchors, count)
         self._precision = self._channel.precision.astype(np.float32)
@@ -79,7 +79,7 @@ class LocalRanking:
         little, and ways would seem to tell much of them.
         """
         at = self._situation
-        if not any(isinstance(t, MappingTerm) and t.form == "average" for t in at.problem.terms):
+        if not _averages_map(at.problem):
             return None
         region = region_along(at.problem, at.near_region, about_m)
         every = max(1, round(len(region.weight) / CLIMBED_PLACES))
@@ -120,6 +120,11 @@ class LocalRanking:
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
         return worth - self._missing_db_cost * ways_missing(at, legs_m(at, ways), batch.power)
+
+
+def _averages_map(problem: Problem) -> bool:
+    """Whether a term is the spatial average of the map."""
+    return any(isinstance(t, MappingTerm) and t.form == "average" for t in problem.terms)
 
 
 def _thinned(grid: LocalGrid) -> LocalGrid:

@@ -20,7 +20,7 @@ from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import build_scene
 from planopt.planning.solution import Solution
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import beside
+from planopt.planning.team.reservations import beside, planned_motion
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
 from planopt.problems.problem import Problem
@@ -109,10 +109,9 @@ def _planned(problem: Problem, solution: TeamSolution, number: int) -> Verdict:
     watch = watch_target(problem, seeds.target)
     watched = aim_of(watch, number, problem.planner.horizon)
     member = build_crew(problem, seeds)[number]
-    # The others go where they plan to, and stay there where the changed horizon is longer.
-    steps = np.arange(problem.planner.horizon + 1)
+    # The others go where they plan to, stop there, and stay where the changed horizon is longer.
     others = {
-        other: plan.positions_m[np.minimum(steps, len(plan.positions_m) - 1)]
+        other: planned_motion(problem, plan)
         for other, plan in enumerate(solution.plans)
         if other != number
     }

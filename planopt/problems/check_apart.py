@@ -7,7 +7,7 @@ import numpy as np
 from planopt.errors import InputError
 from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import standing_motion
-from planopt.world.least_distance import step_distances_m
+from planopt.world.least_distance import CLOSE_M, step_distances_m
 from planopt.world.moving_obstacle import centres_at
 
 
@@ -44,19 +44,21 @@ def check_apart(problem: Problem) -> None:
 def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
     """Robots that move at the start keep apart if all stop, so that there is always a way out."""
     separation, step_s = problem.constraints.separation_m, problem.planner.step_s
-    if problem.robots[number].dynamics is None:
-        number, other = other, number
-    pair = [problem.robots[one] for one in (number, other)]
-    if separation == 0.0 or pair[0].dynamics is None:
+    moving = {
+        one: standing_motion(robot.dynamics, robot.start_state, step_s)
+        for one, robot in ((one, problem.robots[one]) for one in (number, other))
+    }
+    steps = max(motion.steps for motion in moving.values())
+    if separation == 0.0 or steps == 0:
         return
-    one, two = (standing_motion(robot.dynamics, robot.start_state, step_s) for robot in pair)
-    distances = step_distances_m(one, two, max(one.steps, two.steps))
-    if distances.size and distances.min() < separation:
+    distance = float(step_distances_m(moving[number], moving[other], steps).min())
+    if distance + CLOSE_M < separation:
+        fast, slow = (number, other) if moving[number].steps else (other, number)
         raise InputError(
-            f"is {list(pair[0].start_rest)}: stopping from there leads within "
-            f"{distances.min():.3g} m of {pair[1].name}, less than the separation of "
+            f"is {list(problem.robots[fast].start_rest)}: stopping from there leads within "
+            f"{distance:.3g} m of {problem.robots[slow].name}, less than the separation of "
             f"{separation:g} m",
             file=problem.file,
-            key=f"robots[{number}].start_velocity_m_s",
+            key=f"robots[{fast}].start_velocity_m_s",
             remedy="lessen it, start elsewhere, or lessen constraints.separation_m",
         )

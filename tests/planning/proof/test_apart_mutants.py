@@ -77,7 +77,11 @@ MUTANTS = [
     ),
     (LEAST, "float(gaps.min())", "float(gaps.max())"),
     (LEAST, "int(gaps.argmin())", "int(gaps.argmax())"),
-    (LEAST, "if not one.ways and not other.ways", "if not one.ways or not other.ways"),
+    (
+        LEAST,
+        "and not other.ways:\n        return float",
+        "or not other.ways:\n        return float",
+    ),
     (LEAST, "gaps - one.bulges_m - other.bulges_m", "gaps + one.bulges_m + other.bulges_m"),
     (LEAST, "gaps - one.bulges_m - other.bulges_m", "gaps - other.bulges_m"),
     (LEAST, "if lower[k] >= best", "if lower[k] < best"),

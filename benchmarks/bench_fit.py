@@ -9,7 +9,8 @@ from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 from scenes import munich, sampled
 
-from planopt.channel.estimation.fit import ChannelFit, fit_channel
+from planopt.channel.estimation.channel_fit import ChannelFit
+from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.profile_likelihood import MAX_MEASUREMENTS, profiles_around
 
 ROUNDS = 5

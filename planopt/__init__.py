@@ -24,7 +24,8 @@ if TYPE_CHECKING:
         strongest_station,
     )
     from planopt.channel.connection.traffic import Traffic
-    from planopt.channel.estimation.fit import ChannelFit, fit_channel
+    from planopt.channel.estimation.channel_fit import ChannelFit
+    from planopt.channel.estimation.fit import fit_channel
     from planopt.channel.estimation.profile_likelihood import profile_likelihood
     from planopt.channel.fields.conditional_field import conditional_field
     from planopt.channel.fields.field import shadow_field_db
@@ -161,7 +162,7 @@ _MODULES = {
     "Belief": "planopt.channel.belief",
     "CachedMap": "planopt.channel.maps.cached_map",
     "Calibration": "planopt.channel.validation.calibration",
-    "ChannelFit": "planopt.channel.estimation.fit",
+    "ChannelFit": "planopt.channel.estimation.channel_fit",
     "ChannelParameters": "planopt.channel.parameters",
     "ChannelPosterior": "planopt.channel.posterior",
     "DeliveredData": "planopt.channel.connection.outage",

@@ -23,12 +23,9 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.covariance_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
-from planopt.channel.estimation.restricted_likelihood import (
-    LikelihoodData,
-    likelihood_data,
-    profiled_log_likelihood,
-)
+from planopt.channel.estimation.restricted_likelihood import profiled_log_likelihood
 from planopt.channel.intervals.sites import rounded_variance_db2
 from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements

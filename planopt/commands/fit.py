@@ -33,7 +33,7 @@ from planopt.commands.options import JsonOption, OutOption
 from planopt.commands.output import progress, results_folder, show, shown_number
 
 if TYPE_CHECKING:
-    from planopt.channel.estimation.fit import ChannelFit
+    from planopt.channel.estimation.channel_fit import ChannelFit
 
 FIT_FILE = "fit.json"
 UNITS = {

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.maps.posterior_map import PosteriorMap
 from planopt.channel.measurements import Measurements
 from planopt.channel.validation.held_out_report import HeldOutReport

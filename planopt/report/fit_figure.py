@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.empirical_correlation import BINS, empirical_correlation
-from planopt.channel.estimation.fit import ChannelFit
 from planopt.channel.estimation.profile import Profile
 from planopt.channel.estimation.profile_likelihood import profiles_around
 from planopt.channel.measurements import Measurements

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.profile import CUT_95, Profile
 from planopt.report.panel import Panel
 from planopt.report.style import BLACK, PREDICTED, VERMILLION, dress, plain_log_ticks

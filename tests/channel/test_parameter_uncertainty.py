@@ -8,7 +8,8 @@ from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import examine
-from planopt.channel.estimation.restricted_likelihood import evaluate, likelihood_data
+from planopt.channel.estimation.likelihood_data import likelihood_data
+from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise

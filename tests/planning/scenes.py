@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from planopt.channel.belief import Belief
-from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station

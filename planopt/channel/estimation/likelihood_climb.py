@@ -10,12 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.estimation.damped_newton import minimise_damped
-from planopt.channel.estimation.restricted_likelihood import (
-    Covariance,
-    Evaluation,
-    LikelihoodData,
-    evaluate,
-)
+from planopt.channel.estimation.likelihood_data import LikelihoodData
+from planopt.channel.estimation.restricted_likelihood import Covariance, Evaluation, evaluate
 from planopt.channel.intervals.sites import IntervalSites
 
 ROUGH, FINE = 3e-2, 1e-5

@@ -19,9 +19,9 @@ from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.least_squares import least_squares
 from planopt.channel.estimation.likelihood_climb import LikelihoodClimb, Top
+from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.profile import Profile, ProfiledParameter
 from planopt.channel.estimation.reml import thinned
-from planopt.channel.estimation.restricted_likelihood import likelihood_data
 from planopt.channel.intervals.censoring import needs_site
 from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements

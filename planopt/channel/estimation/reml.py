@@ -20,11 +20,10 @@ from planopt.channel.estimation.covariance_fit import (
     at_bound,
 )
 from planopt.channel.estimation.likelihood_climb import FINE, ROUGH, LikelihoodClimb, variances
+from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
 from planopt.channel.estimation.restricted_likelihood import (
     Evaluation,
-    LikelihoodData,
     expected_information,
-    likelihood_data,
     profiled_log_likelihood,
 )
 from planopt.channel.intervals.censoring import needs_site

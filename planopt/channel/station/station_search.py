@@ -13,8 +13,10 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.convex_fit import Loss
-from planopt.channel.estimation.fit import ChannelFit, FitMethod, fit_channel
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.fit_method import FitMethod
 from planopt.channel.estimation.identifiability import require_usable
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
 from planopt.channel.measurements import Measurements

@@ -12,7 +12,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.fit import ChannelFit, fit_channel
+from planopt.channel.estimation.channel_fit import ChannelFit
+from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.least_squares import least_squares
 from planopt.channel.mean_model import mean_model

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.channel.prediction import Prediction
 from planopt.channel.validation.calibration import LEVELS, Calibration, calibrate

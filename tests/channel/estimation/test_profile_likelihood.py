@@ -12,13 +12,14 @@ from planopt.channel.estimation.covariance_fit import covariance_bounds
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.least_squares import least_squares
+from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.profile import CUT_95, Profile
 from planopt.channel.estimation.profile_likelihood import (
     MAX_MEASUREMENTS,
     profile_likelihood,
     profiles_around,
 )
-from planopt.channel.estimation.restricted_likelihood import evaluate, likelihood_data
+from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.mean_model import mean_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.errors import InputError

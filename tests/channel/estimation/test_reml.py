@@ -8,8 +8,9 @@ from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.covariance_fit import covariance_bounds
 from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.reml import START_MEASUREMENTS, reml_fit, thinned
-from planopt.channel.estimation.restricted_likelihood import evaluate, likelihood_data
+from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.mean_model import mean_model
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station

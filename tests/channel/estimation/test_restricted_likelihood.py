@@ -9,10 +9,10 @@ from scipy.stats import multivariate_normal
 from simulated_channel import simulated
 from varied_measurements import DRIFTING, dense_covariance, varied
 
+from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.restricted_likelihood import (
     evaluate,
     expected_information,
-    likelihood_data,
     profiled_log_likelihood,
 )
 from planopt.channel.mean_model import mean_model

@@ -1,0 +1,182 @@
+"""Covariance and mean of a channel by one of the methods, or by assumption where none can."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.estimation.convex_fit import Loss, convex_fit
+from planopt.channel.estimation.covariance_fit import (
+    FALLBACK_TOTAL_VARIANCE_DB2,
+    CovarianceBounds,
+    CovarianceFit,
+    covariance_bounds,
+    fallback_fit,
+)
+from planopt.channel.estimation.empirical_correlation import (
+    EmpiricalCorrelation,
+    empirical_correlation,
+)
+from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.estimation.identifiability import Identifiability
+from planopt.channel.estimation.least_squares import (
+    LeastSquares,
+    coefficient_covariance,
+    least_squares,
+)
+from planopt.channel.estimation.lemma1 import capped_bins, enough, lemma1_fit, seed_bins
+from planopt.channel.estimation.nls_fit import nls_fit
+from planopt.channel.estimation.reml import MAX_MEASUREMENTS, reml_fit, thinned
+from planopt.channel.mean_model import MeanModel
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+
+PRIOR_K_PL_STD_DB = 20.0
+"""Deviation of K_PL where every measurement is censored."""
+
+
+@dataclass(frozen=True)
+class GivenToFit:
+    """What a fit starts from."""
+
+    model: MeanModel
+    measurements: Measurements
+    station: Station
+    allows: Identifiability
+    forgetting_s: float
+
+    def parameters(
+        self, coefficients: NDArray[np.float64], covariance: CovarianceFit
+    ) -> ChannelParameters:
+        """An estimate as parameters."""
+        k_pl, n_pl = self.model.theta(coefficients)
+        return ChannelParameters(
+            k_pl_db=k_pl,
+            n_pl=n_pl,
+            shadow_std_db=math.sqrt(covariance.shadow_variance_db2),
+            decorrelation_m=covariance.decorrelation_m,
+            multipath_std_db=math.sqrt(covariance.multipath_variance_db2),
+            station=self.station,
+            forgetting_s=self.forgetting_s,
+        )
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Covariance and mean before they are dressed as a `ChannelFit`."""
+
+    covariance: CovarianceFit
+    coefficients: NDArray[np.float64]
+    coefficient_covariance: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
+    log_likelihood: float | None = None
+
+
+def by_likelihood(given: GivenToFit) -> Estimate:
+    """Restricted maximum likelihood, on a thinned set where there are many."""
+    model, measurements, allows = given.model, given.measurements, given.allows
+    line = least_squares(model, measurements)
+    bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
+    # Errors of path loss need n_PL before it is known: that of the least-squares line.
+    rough = fallback_fit(line.variance_db2, allows.decorrelation_bounds_m, "a first guess")
+    known = given.parameters(line.coefficients, rough)
+    rows = thinned(len(measurements), MAX_MEASUREMENTS)
+    notes: tuple[str, ...] = ()
+    if len(rows) < len(measurements):
+        notes = (f"fitted on {MAX_MEASUREMENTS} of {len(measurements)} measurements",)
+        model = MeanModel(model.columns[rows], model.offset_db[rows], model.regressor_mean)
+        measurements = measurements.take(rows)
+    found = reml_fit(model, measurements, bounds, known)
+    return Estimate(
+        found.covariance,
+        found.coefficients,
+        found.coefficient_covariance,
+        notes,
+        found.log_likelihood,
+    )
+
+
+def by_correlation(given: GivenToFit, method: FitMethod, loss: Loss) -> Estimate:
+    """Least-squares line, then xi and beta from the empirical correlation of what it leaves."""
+    measurements, allows = given.measurements, given.allows
+    line = least_squares(given.model, measurements)
+    bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
+    correlation = empirical_correlation(measurements.positions_m, line.residual_db, allows.extent_m)
+    covariance = _from_bins(correlation, line, allows, bounds, method, loss)
+    notes: list[str] = []
+    if measurements.censored.any():
+        notes.append(
+            "censored powers were replaced by their expected values; reml treats them better"
+        )
+    if math.isfinite(given.forgetting_s) and np.ptp(measurements.time_s) > 0.0:
+        notes.append("xi, beta and omega were fitted without regard to age; reml regards it")
+    if measurements.position_std_m.any():
+        notes.append(
+            "xi, beta and omega were fitted without regard to errors of position; reml regards them"
+        )
+    return _with_line(line, given, covariance, tuple(notes))
+
+
+def _from_bins(
+    correlation: EmpiricalCorrelation,
+    line: LeastSquares,
+    allows: Identifiability,
+    bounds: CovarianceBounds,
+    method: FitMethod,
+    loss: Loss,
+) -> CovarianceFit:
+    """xi, beta and omega by one of the methods on binned correlations."""
+    alpha, count = line.variance_db2, len(line.residual_db)
+    if alpha < bounds.shadow_db2[0]:
+        return fallback_fit(alpha, allows.decorrelation_bounds_m, "the powers lie on the line")
+    if method == "nls":
+        return nls_fit(correlation, alpha, count, bounds)
+    bins = (
+        seed_bins(correlation, alpha)
+        if method == "seed"
+        else capped_bins(correlation, alpha, allows.extent_m)
+    )
+    if not enough(bins):
+        return fallback_fit(
+            alpha,
+            allows.decorrelation_bounds_m,
+            "fewer than two lags have a correlation between 0 and alpha",
+        )
+    if method == "convex":
+        return convex_fit(bins, alpha, count, bounds, loss)
+    return lemma1_fit(bins, alpha, count, bounds)
+
+
+def by_assumption(given: GivenToFit, reason: str) -> Estimate:
+    """A line through few measurements, with a covariance that is assumed."""
+    covariance = fallback_fit(
+        FALLBACK_TOTAL_VARIANCE_DB2, given.allows.decorrelation_bounds_m, reason
+    )
+    return _with_line(least_squares(given.model, given.measurements), given, covariance, ())
+
+
+def _with_line(
+    line: LeastSquares, given: GivenToFit, covariance: CovarianceFit, notes: tuple[str, ...]
+) -> Estimate:
+    """A least-squares line, with its covariance under `covariance`."""
+    spread = coefficient_covariance(
+        given.model, given.measurements, given.parameters(line.coefficients, covariance)
+    )
+    return Estimate(covariance, line.coefficients, spread, notes)
+
+
+def from_limits_alone(given: GivenToFit) -> Estimate:
+    """The highest path loss line of slope `PRIOR_N_PL` that no limit contradicts."""
+    highest = float((given.measurements.power_dbm - given.model.offset_db).min())
+    return Estimate(
+        fallback_fit(
+            FALLBACK_TOTAL_VARIANCE_DB2,
+            given.allows.decorrelation_bounds_m,
+            "every measurement is censored",
+        ),
+        np.array([highest]),
+        np.array([[PRIOR_K_PL_STD_DB**2]]),
+    )

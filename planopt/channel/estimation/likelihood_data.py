@@ -1,0 +1,149 @@
+"""Measurements as a likelihood needs them: Gaussian first, distances, what is not estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.intervals.censoring import intervals
+from planopt.channel.kernel import pairwise_distance_m
+from planopt.channel.mean_model import MeanModel
+from planopt.channel.measurement_covariance import (
+    ageing,
+    blurred_m2,
+    measured_origins,
+    measured_path_loss_variance_db2,
+    offset_covariance_db2,
+)
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters
+
+LEAST_FREEDOM = 3
+"""Starts and weights leave offsets out where fewer measurements would be left over."""
+
+RANK_TOLERANCE = 1e-9
+"""Columns below this share of the largest singular value add nothing."""
+
+
+@dataclass(frozen=True)
+class LikelihoodData:
+    """Measurements, Gaussian ones first, as the likelihood needs them.
+
+    Attributes
+    ----------
+    distance_m
+        ``(n, n)``, position errors included.
+    columns
+        ``(n, p)`` of the mean model.
+    power_db
+        ``(n,)`` power less the mean model's offset; the limit for censored ones.
+    exact
+        Number of measurements that are Gaussian, exact or rounded finely; they come first. The
+        others are intervals.
+    width_db
+        ``(n,)`` step r that the power was rounded to, 0 for none; ``inf`` for censored ones.
+    age
+        ``(n, n)`` the factor of the correlation; None where the channel does not forget.
+    fixed_db2
+        ``(n, n)`` covariance that is not estimated; None where there is none.
+    receiver
+        ``(n,)`` number of the receiver.
+    """
+
+    distance_m: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    power_db: NDArray[np.float64]
+    exact: int
+    width_db: NDArray[np.float64]
+    age: NDArray[np.float64] | None
+    fixed_db2: NDArray[np.float64] | None
+    receiver: NDArray[np.intp]
+
+    def gaussian(self, rows: NDArray[np.intp]) -> LikelihoodData:
+        """Those of `rows`, which are Gaussian ones."""
+        square = np.ix_(rows, rows)
+        return LikelihoodData(
+            self.distance_m[square],
+            self.columns[rows],
+            self.power_db[rows],
+            len(rows),
+            self.width_db[rows],
+            None if self.age is None else self.age[square],
+            None if self.fixed_db2 is None else self.fixed_db2[square],
+            self.receiver[rows],
+        )
+
+    def flat_columns(self) -> NDArray[np.float64]:
+        """The mean's columns, and a basis of what receivers' offsets add to them; ``(n, q)``.
+
+        For offsets under a flat prior. Where too few measurements would be left, or there are no
+        offsets, the mean's alone.
+        """
+        if not self.receiver.any():
+            return self.columns
+        numbers = np.unique(self.receiver)
+        whole = np.column_stack([self.columns, self.receiver[:, None] == numbers[numbers != 0]])
+        basis, spread, _ = np.linalg.svd(whole, full_matrices=False)
+        basis = basis[:, spread > RANK_TOLERANCE * spread[0]]
+        return basis if len(basis) - basis.shape[1] >= LEAST_FREEDOM else self.columns
+
+    def correlation(self, decorrelation_m: float) -> NDArray[np.float64]:
+        """exp(-d / beta) by the factor of age; ``(n, n)``."""
+        correlation = np.exp(-self.distance_m / decorrelation_m)
+        if self.age is not None:
+            correlation *= self.age
+        return correlation
+
+
+def likelihood_data(
+    model: MeanModel,
+    measurements: Measurements,
+    known: ChannelParameters,
+    as_interval: NDArray[np.bool_] | None = None,
+) -> LikelihoodData:
+    """Sort Gaussian measurements first and compute distances.
+
+    Parameters
+    ----------
+    model
+        Mean model at the same positions.
+    measurements
+        n measurements, at least p + 2 of them not censored.
+    known
+        Where the forgetting time is taken from; and the station and a rough n_PL, for what an error
+        of position does to path loss.
+    as_interval
+        ``(n,)`` which are intervals to the likelihood, the censored ones among them
+        (:func:`planopt.channel.intervals.censoring.needs_site`); None for the censored ones alone.
+    """
+    chosen = measurements.censored if as_interval is None else as_interval
+    order = np.argsort(chosen, kind="stable")
+    ordered = measurements.take(order)
+    origins = measured_origins(ordered, known)
+    positions, times = origins.positions_m, origins.time_s
+    distance = pairwise_distance_m(positions, positions, blurred_m2(origins, origins))
+    np.fill_diagonal(distance, 0.0)
+    bands = intervals(measurements)
+    power = np.where(measurements.censored, bands.upper_db, measurements.power_dbm)
+    return LikelihoodData(
+        distance,
+        model.columns[order],
+        (power - model.offset_db)[order],
+        int((~chosen).sum()),
+        bands.width_db[order],
+        None if times is None else ageing(times[:, None], times, known),
+        _fixed_covariance_db2(ordered, known),
+        ordered.receiver,
+    )
+
+
+def _fixed_covariance_db2(
+    measurements: Measurements, known: ChannelParameters
+) -> NDArray[np.float64] | None:
+    """Of receivers' offsets and errors of path loss; (n, n)."""
+    if not (measurements.receiver.any() or measurements.position_std_m.any()):
+        return None
+    fixed = np.diag(measured_path_loss_variance_db2(measurements, known))
+    return fixed + offset_covariance_db2(measurements.receiver, measurements.receiver)

@@ -201,16 +201,16 @@ class StartPolish:
         if task.motion is None:
             raise AssertionError("a single integrator has no drive")
         problem = self._problem
-        lines = lines_about(
+        lines = lines_of_start(
+            problem,
             self._ground.pieces,
             situation.circumstances.moving,
             np.vstack([task.start_m, path_m]),
-            task.lines.piece.shape[1],
-            task.clearance_m,
-            task.step_length_m,
+            drive,
+            task.motion.shape.lines,
         )
-        motion = motion_task(problem, self._ground, task.motion.shape, drive)
-        return replace(task, path_m=path_m, lines=lines, motion=motion)
+        motion = motion_task(problem, self._ground, task.motion.shape, drive, lines.still)
+        return replace(task, path_m=path_m, lines=lines.path, motion=motion)
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:

@@ -59,6 +59,13 @@ class MovingDiscs:
         """How many, T."""
         return int(self.radius_m.shape[1])
 
+    def counted_steps(self, number: int, motion: TimedMotion) -> int:
+        """For how many steps a motion must keep from disc number `number`.
+
+        From other robots until all stand, from moving obstacles until it stands itself.
+        """
+        return self.steps if self.is_robot[number] else min(motion.steps, self.steps)
+
     def motion(self, number: int) -> TimedMotion:
         """How disc number `number` moves."""
         return TimedMotion(self.centres_m[number], self.ways[number] if self.ways else ())

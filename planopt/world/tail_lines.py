@@ -54,7 +54,7 @@ def tail_lines(
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]
     found: list[tuple[float, NDArray[np.float64]]] = []
     for number in range(len(discs)):
-        steps = discs.steps if discs.is_robot[number] else min(motion.steps, discs.steps)
+        steps = discs.counted_steps(number, motion)
         if steps <= planned:
             continue
         size = discs.apart_m[number, planned:steps] + bulges[: steps - planned] - clearance_m

@@ -55,8 +55,7 @@ def judge_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = N
     gaps = np.zeros(len(discs))
     reasons: list[str] = []
     for number in range(len(discs)):
-        counted = discs.steps if discs.is_robot[number] else min(motion.steps, discs.steps)
-        radius = discs.radius_m[number, :counted]
+        radius = discs.radius_m[number, : discs.counted_steps(number, motion)]
         gaps[number], step = least_gap(motion, discs.motion(number), radius)
         if gaps[number] - discs.least_m[number] >= -CLEARANCE_TOLERANCE_M:
             continue

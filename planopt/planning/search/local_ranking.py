@@ -58,9 +58,7 @@ def can_climb(problem: Problem) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Station:
-    """One station's channel near the ways, its precision, and the places where its map is wanted:
-    for climbing, and for ranking.
-    """
+    """One station's channel near the ways, and where its map is wanted: to climb, and to rank."""
 
     channel: LocalChannel
     precision: NDArray[np.float32]

@@ -99,8 +99,7 @@ def _reached(problem: Problem, belief: Belief) -> Verdict:
         scene = build_scene(problem)
     except NoPlanError:
         return Verdict.NONE
-    start = np.asarray(problem.robots[0].start_m)
-    return ReachPlanner(problem, scene).plan(belief, start).verdict
+    return ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state).verdict
 
 
 def _planned(problem: Problem, solution: TeamSolution, number: int) -> Verdict:

@@ -31,6 +31,7 @@ def find_pivot(
     node_margin_db: NDArray[np.float64] | None,
     step_length_m: float,
     clearance: float,
+    gain_share: float = LATTICE_DETOUR,
 ) -> Pivot:
     """Farthest point of the way that is seen from the start path's end, or one out of reach.
 
@@ -43,6 +44,8 @@ def find_pivot(
         change between within and below it. None if it need not.
     step_length_m, clearance
         Longest step, and the clearance that a line of sight must keep.
+    gain_share
+        How much farther a polished path may come than the start path, as a share of N steps.
     """
     end = int(start.nodes[-1])
     way = way_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
@@ -60,7 +63,7 @@ def find_pivot(
         seen = is_clear(swept_clearance_m(scene.index, fan)[0::2], clearance)
         farthest_seen = int(np.argmin(seen)) if not seen.all() else len(seen)
         ahead = np.linalg.norm(places - places[0], axis=1)
-        room = LATTICE_DETOUR * len(start.nodes) * step_length_m
+        room = gain_share * len(start.nodes) * step_length_m
         enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
         chosen = max(farthest_seen, enough)
     return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]))

@@ -42,8 +42,7 @@ FOLLOWED_HORIZONS = 2
 """So much of the way is followed, that a robot does not brake where its horizon ends."""
 
 GAIN_SHARE = 0.15
-"""What a polish may gain on the way that is followed, as a share of it: the pivot lies that far
-ahead at least, or a polished path would come to it and have nowhere to go."""
+"""What a polish may gain on the way that is followed, as a share of the longest."""
 
 
 class DrivenReach:
@@ -90,15 +89,17 @@ class DrivenReach:
             return without_start(judge, warm), None
         problem = self._problem
         drives = self._drives(judge, start, warm)
-        ends = [self._end(start, drive) for drive in drives]
-        node = min(ends, key=lambda each: float(start.ways.cost_m[each]))
+        node, place = min(
+            (self._end(start, drive) for drive in drives),
+            key=lambda end: float(start.ways.cost_m[end[0]]),
+        )
         pivot = find_pivot(
             self._scene,
             replace(start, nodes=np.append(start.nodes[:-1], node)),
             node_margin_db,
             problem.step_length_m,
             problem.constraints.clearance_m,
-            GAIN_SHARE,
+            place,
         )
         cost = ReachCost(problem, judge.position_m, pivot)
         judge = replace(
@@ -129,15 +130,15 @@ class DrivenReach:
         last = last_drive(problem, warm)
         return [followed] if last is None else [followed, last]
 
-    def _end(self, start: GlobalStart, drive: Drive) -> int:
-        """The node by which the way goes on from where a drive would come to stand."""
+    def _end(self, start: GlobalStart, drive: Drive) -> tuple[int, NDArray[np.float64]]:
+        """Where a drive would come to stand (2,), and the node by which the way goes on from it."""
         ways, scene = start.ways, self._scene
         for place in (resting_places_m(drive)[-1], drive.positions_m[-1]):
             nodes, lengths = first_moves(scene.ground, self._problem, place)
             if len(nodes):
                 best = int(np.argmin(lengths + ways.cost_m[nodes]))
-                return int(nodes[best])
-        return int(start.nodes[-1])
+                return int(nodes[best]), place
+        return int(start.nodes[-1]), start.path_m[-1]
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
         """What a polish from a drive is charged; by each step where it may come to the pivot."""

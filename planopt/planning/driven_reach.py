@@ -1,8 +1,8 @@
 """The way to a goal of a robot that cannot turn or stop at will: starts, pivot, and the ladder.
 
 The search finds a way of a robot that can. This one follows it, and what lies ahead is counted from
-where it would come to stand: there the pivot is looked for, and from there the solver is drawn to
-it. A robot that can stop at the goal brakes.
+where it would come to stand: from there the pivot must be seen, and from there the solver is drawn
+to it. A robot that can stop at the goal brakes.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from planopt.planning.programme.pivot import find_pivot
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.retime import retime
+from planopt.planning.search.start_search import Start
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
 from planopt.planning.worth.situation import Situation
@@ -43,6 +44,10 @@ FOLLOWED_HORIZONS = 2
 
 GAIN_SHARE = 0.15
 """What a polish may gain on the way that is followed, as a share of the longest."""
+
+STAGNANT_STEPS = 0.1
+"""A plan that would come to stand within this many longest steps of where it would now gets
+nowhere."""
 
 
 class DrivenReach:
@@ -87,35 +92,20 @@ class DrivenReach:
         """
         if start is None:
             return without_start(judge, warm), None
-        problem = self._problem
         drives = self._drives(judge, start, warm)
-        node, place = min(
-            (self._end(start, drive) for drive in drives),
-            key=lambda end: float(start.ways.cost_m[end[0]]),
-        )
-        pivot = find_pivot(
-            self._scene,
-            replace(start, nodes=np.append(start.nodes[:-1], node)),
-            node_margin_db,
-            problem.step_length_m,
-            problem.constraints.clearance_m,
-            place,
-        )
-        cost = ReachCost(problem, judge.position_m, pivot)
-        judge = replace(
-            judge,
-            objective=cost,
-            objective_of_drive=lambda drive: cost(drive.positions_m[1:], drive),
-        )
-        stopped = _stopped(judge) if stops_at_goal(problem, judge.state) else None
-        if stopped is not None:
-            return stopped, pivot
-        starts = [
-            replace(driven_start(judge, situation, drive), charge=self._charge(cost, pivot, drive))
-            for drive in drives
-        ]
-        starts.sort(key=lambda each: (not each.clear, round(each.missing_db, 2), -each.worth))
-        return self._ladder.climb(situation, judge, starts, warm, budget), pivot
+        starts = [driven_start(judge, situation, drive) for drive in drives]
+        # Of ways that come too near to obstacles, nobody knows where they would end.
+        ends = [resting_places_m(drive)[-1] for drive in drives]
+        ends = [end for end, each in zip(ends, starts, strict=True) if each.clear]
+        now = resting_places_m(drives[0])[0]
+        pivot = self._pivot(start, ends or [now], node_margin_db)
+        found = self._climb(situation, judge, starts, pivot, warm, budget)
+        if self._gets_nowhere(found):
+            # Perhaps the pivot is not seen from here: then the straight way to it leads nowhere.
+            nearer = self._pivot(start, [now], node_margin_db)
+            if not np.array_equal(nearer.position_m, pivot.position_m):
+                return self._climb(situation, judge, starts, nearer, warm, budget), nearer
+        return found, pivot
 
     def _drives(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> list[Drive]:
         """Ways that the robot can drive: along what was found, and the last plan."""
@@ -130,15 +120,60 @@ class DrivenReach:
         last = last_drive(problem, warm)
         return [followed] if last is None else [followed, last]
 
-    def _end(self, start: GlobalStart, drive: Drive) -> tuple[int, NDArray[np.float64]]:
-        """Where a drive would come to stand (2,), and the node by which the way goes on from it."""
-        ways, scene = start.ways, self._scene
-        for place in (resting_places_m(drive)[-1], drive.positions_m[-1]):
-            nodes, lengths = first_moves(scene.ground, self._problem, place)
+    def _pivot(
+        self,
+        start: GlobalStart,
+        places_m: list[NDArray[np.float64]],
+        node_margin_db: NDArray[np.float64] | None,
+    ) -> Pivot:
+        """The pivot as seen from that of the places (2,) from which the way on is the shortest."""
+        problem, cost_m = self._problem, start.ways.cost_m
+        views = [(int(start.nodes[-1]), start.path_m[-1])]
+        for place in places_m:
+            nodes, lengths = first_moves(self._scene.ground, problem, place)
             if len(nodes):
-                best = int(np.argmin(lengths + ways.cost_m[nodes]))
-                return int(nodes[best]), place
-        return int(start.nodes[-1]), start.path_m[-1]
+                views.append((int(nodes[np.argmin(lengths + cost_m[nodes])]), place))
+        node, place = min(views[1:] or views, key=lambda view: float(cost_m[view[0]]))
+        return find_pivot(
+            self._scene,
+            replace(start, nodes=np.append(start.nodes[:-1], node)),
+            node_margin_db,
+            problem.step_length_m,
+            problem.constraints.clearance_m,
+            place,
+        )
+
+    def _climb(
+        self,
+        situation: Situation,
+        judge: Judge,
+        starts: list[Start],
+        pivot: Pivot,
+        warm: Plan | None,
+        budget: Budget,
+    ) -> Candidate:
+        """What the ladder makes of the starts, charged by a pivot."""
+        cost = ReachCost(self._problem, judge.position_m, pivot)
+        judge = replace(
+            judge,
+            objective=cost,
+            objective_of_drive=lambda drive: cost(drive.positions_m[1:], drive),
+        )
+        if stops_at_goal(self._problem, judge.state):
+            stopped = _stopped(judge)
+            if stopped.verdict is Verdict.VERIFIED:
+                return stopped
+        charged = [
+            replace(
+                each,
+                worth=judge.sense * cost(each.path_m, each.drive),
+                charge=self._charge(cost, pivot, each.drive),
+            )
+            for each in starts
+            if each.drive is not None
+        ]
+        charged.sort(key=lambda each: (not each.clear, round(each.missing_db, 2), -each.worth))
+        return self._ladder.climb(situation, judge, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
         """What a polish from a drive is charged; by each step where it may come to the pivot."""
@@ -156,12 +191,19 @@ class DrivenReach:
             ROUNDING_STEPS * problem.step_length_m,
         )
 
+    def _gets_nowhere(self, found: Candidate) -> bool:
+        """Whether a robot would come to stand about where it would if it braked now."""
+        if found.drive is None:
+            return False
+        resting = resting_places_m(found.drive)
+        moved = float(np.linalg.norm(resting - resting[0], axis=1).max())
+        return moved <= STAGNANT_STEPS * self._problem.step_length_m
 
-def _stopped(judge: Judge) -> Candidate | None:
-    """Brake at the goal; None where that is not verified."""
+
+def _stopped(judge: Judge) -> Candidate:
+    """Brake."""
     dynamics, planner = dynamics_of(judge.problem), judge.problem.planner
     braking = dynamics.braking(judge.state, planner.step_s, planner.horizon)
     drive = rolled_out(dynamics, judge.state, braking, planner.step_s)
     rung = Rung.LATTICE if planner.name in METHODS else Rung.PLAN
-    found = judge.judged(drive_candidate(judge, drive, rung, Termination.LATTICE_ONLY))
-    return found if found.verdict is Verdict.VERIFIED else None
+    return judge.judged(drive_candidate(judge, drive, rung, Termination.LATTICE_ONLY))

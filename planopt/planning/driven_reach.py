@@ -7,6 +7,7 @@ to it. A robot that can stop at the goal brakes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -39,8 +40,9 @@ from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
 
-FOLLOWED_HORIZONS = 2
-"""So much of the way is followed, that a robot does not brake where its horizon ends."""
+FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
+"""So much of the way is followed: more than the horizon, that the robot does not brake where that
+ends, and less where it would swing out too far at a turn."""
 
 GAIN_SHARE = 0.15
 """What a polish may gain on the way that is followed, as a share of the longest."""
@@ -92,12 +94,10 @@ class DrivenReach:
         """
         if start is None:
             return without_start(judge, warm), None
-        drives = self._drives(judge, start, warm)
-        starts = [driven_start(judge, situation, drive) for drive in drives]
+        starts = self._starts(situation, judge, start, warm)
         # Of ways that come too near to obstacles, nobody knows where they would end.
-        ends = [resting_places_m(drive)[-1] for drive in drives]
-        ends = [end for end, each in zip(ends, starts, strict=True) if each.clear]
-        now = resting_places_m(drives[0])[0]
+        ends = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
+        now = np.array(dynamics_of(self._problem).resting_place(tuple(judge.state)))
         pivot = self._pivot(start, ends or [now], node_margin_db)
         found = self._climb(situation, judge, starts, pivot, warm, budget)
         if self._gets_nowhere(found):
@@ -107,18 +107,26 @@ class DrivenReach:
                 return self._climb(situation, judge, starts, nearer, warm, budget), nearer
         return found, pivot
 
-    def _drives(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> list[Drive]:
-        """Ways that the robot can drive: along what was found, and the last plan."""
-        problem = self._problem
-        dynamics, step_s = dynamics_of(problem), problem.planner.step_s
-        horizon = problem.planner.horizon
-        way = np.vstack([start.path_m, start.beyond_m])
-        way = np.vstack([way, np.tile(way[-1], (FOLLOWED_HORIZONS * horizon, 1))])
-        way = retime(judge.position_m, way, way[:0], problem.step_length_m - STEP_PAD_M)
-        ahead = dynamics.following(judge.state, way[: FOLLOWED_HORIZONS * horizon], step_s)
-        followed = rolled_out(dynamics, judge.state, ahead[:horizon], step_s)
+    def _starts(
+        self, situation: Situation, judge: Judge, start: GlobalStart, warm: Plan | None
+    ) -> list[Start]:
+        """Ways that the robot can drive: the last plan, and along what was found."""
+        problem, settings = self._problem, self._problem.planner
+        dynamics = dynamics_of(problem)
         last = last_drive(problem, warm)
-        return [followed] if last is None else [followed, last]
+        starts = [] if last is None else [driven_start(judge, situation, last)]
+        way = np.vstack([start.path_m, start.beyond_m])
+        for share in FOLLOWED_HORIZONS:
+            count = math.ceil(share * settings.horizon)
+            path = np.vstack([way, np.tile(way[-1], (count, 1))])
+            path = retime(judge.position_m, path, path[:0], problem.step_length_m - STEP_PAD_M)
+            path = path[np.minimum(np.arange(max(count, settings.horizon)), count - 1)]
+            inputs = dynamics.following(judge.state, path, settings.step_s)[: settings.horizon]
+            followed = rolled_out(dynamics, judge.state, inputs, settings.step_s)
+            starts.append(driven_start(judge, situation, followed))
+            if any(each.clear for each in starts):
+                break
+        return starts
 
     def _pivot(
         self,

@@ -92,6 +92,7 @@ class DrivenReach:
         budget
             Of the step.
         """
+        judge = _charging(judge, ReachCost(self._problem, judge.position_m))
         if start is None:
             return without_start(judge, warm), None
         starts = self._starts(situation, judge, start, warm)
@@ -162,11 +163,7 @@ class DrivenReach:
     ) -> Candidate:
         """What the ladder makes of the starts, charged by a pivot."""
         cost = ReachCost(self._problem, judge.position_m, pivot)
-        judge = replace(
-            judge,
-            objective=cost,
-            objective_of_drive=lambda drive: cost(drive.positions_m[1:], drive),
-        )
+        judge = _charging(judge, cost)
         if stops_at_goal(self._problem, judge.state):
             stopped = _stopped(judge)
             if stopped.verdict is Verdict.VERIFIED:
@@ -208,10 +205,20 @@ class DrivenReach:
         return moved <= STAGNANT_STEPS * self._problem.step_length_m
 
 
+def _charging(judge: Judge, cost: ReachCost) -> Judge:
+    """The judge by another cost."""
+
+    def of_drive(drive: Drive) -> float:
+        return cost(drive.positions_m[1:], drive)
+
+    return replace(judge, objective=cost, objective_of_drive=of_drive)
+
+
 def _stopped(judge: Judge) -> Candidate:
     """Brake."""
     dynamics, planner = dynamics_of(judge.problem), judge.problem.planner
     braking = dynamics.braking(judge.state, planner.step_s, planner.horizon)
     drive = rolled_out(dynamics, judge.state, braking, planner.step_s)
     rung = Rung.LATTICE if planner.name in METHODS else Rung.PLAN
-    return judge.judged(drive_candidate(judge, drive, rung, Termination.LATTICE_ONLY))
+    found = judge.judged(drive_candidate(judge, drive, rung, Termination.LATTICE_ONLY))
+    return replace(found, rung=Rung.RELAXED) if found.relaxes else found

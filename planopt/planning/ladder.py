@@ -91,6 +91,8 @@ class Ladder:
                 break
             if not any(judge.worth(c) >= judge.worth(unpolished) for c in verified):
                 unpolished = judge.judged(unpolished)
+                if unpolished.relaxes and self._problem.task == "reach":
+                    unpolished = replace(unpolished, rung=Rung.RELAXED)
                 tried.append(unpolished)
                 if unpolished.verdict is Verdict.VERIFIED:
                     verified.append(unpolished)

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
 from planopt.planning.files.belief_file import BELIEF_FILE, SavedBelief, read_belief
+from planopt.planning.files.drive_table import drive_columns
 from planopt.planning.files.run_json import PlannedRecord, RunRecord
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
 from planopt.planning.files.solution_json import REMEDY, NoPlanRecord, PlanRecord, RobotRecord
@@ -91,7 +92,7 @@ def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
     if isinstance(record, NoPlanRecord):
         return Saved(file, data, record, problem, None, None)
     require_even(file, record.robots)
-    steps = read_steps(file.parent / STEPS_FILE)
+    steps = read_steps(file.parent / STEPS_FILE, drive_columns(problem))
     require_rows(file, steps, record.robots)
     belief = read_belief(file.parent / BELIEF_FILE)
     if isinstance(record, RunRecord):

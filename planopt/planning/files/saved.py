@@ -59,7 +59,7 @@ def save_simulation(simulation: Simulation, folder: Path) -> None:
     """
     withdraw(folder)
     run = simulation.run
-    write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log)))
+    write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log, run.drive)))
     known = known_before_steps(
         simulation.belief, simulation.first_measurements, run.log.positions_m
     )

@@ -66,7 +66,8 @@ class Candidate:
         """Whether the certificate shows that no path at all meets the bound at any step."""
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
-        return max(self.certificate.best_margin_db) < 0.0
+        # Where slack is bounded, no search shows anything.
+        return max(self.certificate.best_margin_db, default=0.0) < 0.0
 
     @property
     def avoidable(self) -> tuple[int, ...]:

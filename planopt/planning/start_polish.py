@@ -6,6 +6,7 @@ from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate
@@ -192,7 +193,32 @@ class StartPolish:
             task.step_length_m,
             situation.circumstances.moving,
         )
-        return None if lines is None else replace(task, lines=lines)
+        if lines is not None:
+            return replace(task, lines=lines)
+        if candidate.drive is not None:
+            return self._about(task, situation, candidate.path_m, candidate.drive)
+        return None
+
+    def _about(
+        self, task: PathTask, situation: Situation, path_m: NDArray[np.float64], drive: Drive
+    ) -> PathTask:
+        """The task from a drive on, with lines about its way and its way of stopping.
+
+        A curve comes too near beside its chord, or in stopping: the lines of the start do not tell.
+        """
+        if task.motion is None:
+            raise AssertionError("a single integrator has no drive")
+        problem = self._problem
+        lines = lines_about(
+            self._ground.pieces,
+            situation.circumstances.moving,
+            np.vstack([task.start_m, path_m]),
+            task.lines.piece.shape[1],
+            task.clearance_m,
+            task.step_length_m,
+        )
+        motion = motion_task(problem, self._ground, task.motion.shape, drive)
+        return replace(task, path_m=path_m, lines=lines, motion=motion)
 
 
 def _counted(problem: Problem, start: Start) -> float:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from planopt.robots.carrot import Carrot
 from planopt.robots.check_casadi_map import check_casadi_map
 from planopt.robots.component_function import ComponentFunction
-from planopt.robots.dynamics import Components
+from planopt.robots.dynamics import Components, Disc
 from planopt.robots.runge_kutta import runge_kutta
 from planopt.world.ways import PointWay, Way
 
@@ -77,6 +77,11 @@ class CasadiMap:
     def kind(self) -> str:
         """What messages call it."""
         return "casadi_map"
+
+    @property
+    def discs(self) -> tuple[Disc, ...]:
+        """None: all limits are intervals."""
+        return ()
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
         """The state after a step."""

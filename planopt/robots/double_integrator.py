@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.robots.carrot import Carrot
-from planopt.robots.dynamics import Components
+from planopt.robots.dynamics import Components, Disc
 from planopt.world.ways import Parabola, PointWay, Way
 
 STOPPED_M_S = 1e-9
@@ -58,6 +58,14 @@ class DoubleIntegrator:
     def input_names(self) -> tuple[str, ...]:
         """Names with units."""
         return ("acceleration_x_m_s2", "acceleration_y_m_s2")
+
+    @property
+    def discs(self) -> tuple[Disc, ...]:
+        """Both limits."""
+        return (
+            Disc(0, ("acceleration_x_m_s2", "acceleration_y_m_s2"), self.acceleration_max_m_s2),
+            Disc(1, ("velocity_x_m_s", "velocity_y_m_s"), self.speed_max_m_s),
+        )
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
         """The state after a step of constant acceleration, exact."""

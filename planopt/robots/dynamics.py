@@ -7,6 +7,7 @@ The single integrator needs none of this: its steps are the differences of its p
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +17,25 @@ from planopt.world.ways import Way
 
 Components = tuple[Any, ...]
 """One number, array or expression for each component of a state or an input."""
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A limit that a pair of components lies in a disc: squares over the radius's, less 1.
+
+    Attributes
+    ----------
+    limit
+        Its number among the limits.
+    names
+        Of the pair: components of the state after a step, or of the input.
+    radius
+        Largest length of the pair.
+    """
+
+    limit: int
+    names: tuple[str, str]
+    radius: float
 
 
 class Dynamics(Protocol):
@@ -34,6 +54,16 @@ class Dynamics(Protocol):
     @property
     def input_names(self) -> tuple[str, ...]:
         """Names with units."""
+        ...
+
+    @property
+    def speed_max_m_s(self) -> float:
+        """It is never faster."""
+        ...
+
+    @property
+    def discs(self) -> tuple[Disc, ...]:
+        """Those of the limits that are discs."""
         ...
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.robots.carrot import Carrot
-from planopt.robots.dynamics import Components
+from planopt.robots.dynamics import Components, Disc
 from planopt.robots.elementary import cosine, sinc, sine
 from planopt.world.ways import Arc, Way
 
@@ -58,6 +58,11 @@ class Unicycle:
     def input_names(self) -> tuple[str, ...]:
         """Names with units."""
         return ("speed_m_s", "turn_rate_rad_s")
+
+    @property
+    def discs(self) -> tuple[Disc, ...]:
+        """None: all limits are intervals."""
+        return ()
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
         """The state after a step, exact."""

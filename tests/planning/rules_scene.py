@@ -31,7 +31,7 @@ def ruled_problem(form: str, **keys: Any) -> Problem:
     tables["problem"]["task"] = "track"
     tables["objective"] = {"terms": [dict(TRACKING)]}
     tables["targets"] = [{"start_m": [14.0, 18.0], "velocity_m_s": [0.9, 0.2]}]
-    tables["constraints"] |= {"connectivity": form, **RULES[form], **keys}
+    tables["constraints"] |= {"connectivity": form, **RULES.get(form, {}), **keys}
     return problem_from_tables(tables, folder=Path(), file=None)
 
 

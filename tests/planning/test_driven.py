@@ -201,12 +201,14 @@ def mirror(problem, situation, judge):
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
-@pytest.mark.parametrize("terms", [(TRACKING,), (INFORMATION,)])
-def test_convex_steps_find_what_interior_points_find(dynamics, terms) -> None:
+@pytest.mark.parametrize(
+    ("terms", "horizon"), [((TRACKING,), 5), ((TRACKING,), 15), ((INFORMATION,), 5)]
+)
+def test_convex_steps_find_what_interior_points_find(dynamics, terms, horizon) -> None:
     """Though acceleration, speed and heading bound the plan by curved rows."""
     plans = []
     for name in ("nlp", "scp"):
-        problem = driven_problem(dynamics, *terms, horizon=5, name=name)
+        problem = driven_problem(dynamics, *terms, horizon=horizon, name=name)
         plans.append(planned(problem)[0])
     assert all(plan.verdict is Verdict.VERIFIED for plan in plans)
     assert plans[1].objective == pytest.approx(plans[0].objective, rel=0.01)

@@ -8,64 +8,71 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.check.agreement import EXACT, PREDICTION
+from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import Relaxation
-from planopt.planning.explain.reach_limits import best_margin_db, best_probability, least_horizon
+from planopt.planning.explain.fault import Fault, faults_of
+from planopt.planning.explain.key import Key
+from planopt.planning.explain.keys import blamed_keys, moving_keys, other_keys
+from planopt.planning.explain.possible import is_possible
 from planopt.planning.free_space import is_joined
-from planopt.planning.plan import Plan, Verdict
+from planopt.planning.plan import Verdict
+from planopt.planning.robot_problem import problem_of_robot
 from planopt.problems.problem import Problem
 
 OBSTACLE = "world.obstacles ("
 
 
-def explanation_faults(
-    problem: Problem,
-    posterior: ChannelPosterior,
-    plan: Plan,
-    explanation: Sequence[Relaxation],
-) -> list[str]:
+def explanation_faults(case: Case, explanation: Sequence[Relaxation]) -> list[str]:
     """What in the explanation of one robot's plan cannot be so.
 
     Parameters
     ----------
-    problem
-        With this robot alone.
-    posterior, plan
-        What is believed, and the plan as it was judged again.
+    case
+        The plan as it was judged again.
     explanation
         Every change that is said to help this robot.
     """
-    if plan.verdict is Verdict.VERIFIED:
+    if case.plan.verdict is Verdict.VERIFIED:
         return ["explanation: says what would help, but the plan is verified"] * bool(explanation)
-    certificate, start = plan.certificate, plan.positions_m[0]
-    nowhere = len(certificate.relaxed_steps) == len(plan.positions_m) - 1
+    missed = faults_of(case)
     faults: list[str] = []
     for one in explanation:
-        key, relaxed = one.constraint, one.relaxed_value
-        asked = _asked(problem).get(key)
-        if asked is None or relaxed is None:
-            faults.append(f"explanation: {key} does not concern a plan that there is")
+        name = one.constraint
+        about = [(fault, key) for fault in missed for key in _keys(case, fault) if key.name == name]
+        if not about:
+            faults.append(f"explanation: {name} does not concern a plan that there is")
             continue
-        if one.value != asked[0] or one.unit != asked[1] or one.shortfall_unit != "dB":
-            faults.append(f"explanation: {key} is {asked[0]:g} {asked[1]}".rstrip())
-        if one.stages != certificate.relaxed_steps:
-            faults.append(f"explanation: stages of {key} are not the certificate's relaxed_steps")
-        short = max(certificate.relaxation_db, default=0.0)
-        if nowhere:
-            short = max(-best_margin_db(problem, posterior, start), 0.0)
-        if one.shortfall is None or abs(one.shortfall - short) > PREDICTION:
-            faults.append(f"explanation: the shortfall of {key} is {short:.6g} dB")
-        limit = asked[0] - short + PREDICTION
-        if key == "constraints.p_min":
-            limit = best_probability(problem, posterior, start) + PREDICTION if nowhere else 1.0
-        beyond = relaxed > limit or relaxed >= asked[0]
-        if key == "planner.horizon":
-            least = least_horizon(problem, posterior, start)
-            beyond = least is None or relaxed < least
-        if beyond:
-            faults.append(f"explanation: {key} {relaxed:g} does not help")
+        fitting = [fault for fault, _ in about if one.stages == fault.stages]
+        if not fitting:
+            faults.append(f"explanation: stages of {name} are not those that miss what is asked")
+        fault = (fitting or [about[0][0]])[0]
+        if one.shortfall_unit != fault.unit or not _near(one.shortfall, fault.shortfall):
+            short = f"{fault.shortfall:.6g} {fault.unit}".rstrip()
+            faults.append(f"explanation: the shortfall of {name} is {short}")
+        faults += _value_faults(case, fault, about[0][1], one)
     return faults
+
+
+def _value_faults(case: Case, fault: Fault, key: Key, one: Relaxation) -> list[str]:
+    """What is wrong with the values of an entry."""
+    if key.asked == key.limit:
+        stands = one.value is None and one.relaxed_value is None and not one.unit
+        return [] if stands else [f"explanation: {key.name} has no value"]
+    asked = f"{key.asked:g} {key.unit}".rstrip()
+    if one.value != key.asked or one.unit != key.unit:
+        return [f"explanation: {key.name} is {asked}"]
+    if one.relaxed_value is None or not 0.0 < key.amount_of(one.relaxed_value) <= key.most:
+        return [f"explanation: {key.name} has no value that is looser than {asked}"]
+    changed = problem_of_robot(key.changed(case.problem, one.relaxed_value), case.number)
+    if one.verified and fault.missed == "connection" and not is_possible(changed, case.posterior):
+        return [f"explanation: {key.name} {one.relaxed_value:g} does not help"]
+    return []
+
+
+def _keys(case: Case, fault: Fault) -> list[Key]:
+    """Every key that a fault may be explained by."""
+    return [*blamed_keys(case, fault), *other_keys(case, fault), *moving_keys(case, fault)]
 
 
 def no_way_faults(problem: Problem, explanation: Sequence[Relaxation]) -> list[str]:
@@ -76,11 +83,11 @@ def no_way_faults(problem: Problem, explanation: Sequence[Relaxation]) -> list[s
         key, relaxed = one.constraint, one.relaxed_value
         if key == "constraints.clearance_m" and relaxed is not None:
             helps = 0.0 <= relaxed < asked and is_joined(problem, relaxed)
-            fits = one.value == asked and _near(one.shortfall, asked - relaxed)
+            fits = one.value == asked and _near(one.shortfall, asked - relaxed, EXACT)
         elif key == "planner.step_s" and relaxed is not None:
             helps = 0.0 < relaxed < problem.planner.step_s and is_joined(problem, asked)
             fits = one.value == problem.planner.step_s and _near(
-                one.shortfall, problem.planner.step_s - relaxed
+                one.shortfall, problem.planner.step_s - relaxed, EXACT
             )
         else:
             named = [o for o in problem.workspace.obstacles if key == f"{OBSTACLE}{o.name})"]
@@ -93,14 +100,5 @@ def no_way_faults(problem: Problem, explanation: Sequence[Relaxation]) -> list[s
     return faults
 
 
-def _near(said: float | None, found: float) -> bool:
-    return said is not None and abs(said - found) <= EXACT
-
-
-def _asked(problem: Problem) -> dict[str, tuple[float, str]]:
-    """What a plan can be explained by, with its unit."""
-    return {
-        "constraints.p_min": (problem.constraints.p_min, ""),
-        "stations[0].threshold_dbm": (problem.stations[0].threshold_dbm, "dBm"),
-        "planner.horizon": (problem.planner.horizon, ""),
-    }
+def _near(said: float | None, found: float, within: float = PREDICTION) -> bool:
+    return said is not None and abs(said - found) <= within

@@ -13,6 +13,7 @@ from planopt.planning.check.check_explanation import explanation_faults
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import UNSOLVED, provenance_faults
 from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
+from planopt.planning.explain.case import Case
 from planopt.planning.files.belief_file import SavedBelief, first_posterior, grown_posterior
 from planopt.planning.files.explanation_json import explanation_again
 from planopt.planning.files.read_drive import drive_of
@@ -80,6 +81,7 @@ def check_plan(
         drive,
     )
     explanation = explanation_again(record.explanation)
+    case = Case(problem, 0, posterior, plan, circumstances.moving)
     found = {
         **plan_json(problem, record.seed, plan, explanation),
         # What was asked is not judged: library_remarks says what there is to say.
@@ -92,10 +94,7 @@ def check_plan(
         f"{PLAN_FILE}, key {key}: {fault}" for key, fault in provenance_faults(problem, plan, None)
     ]
     reasons += effort_faults(plan, "")
-    reasons += [
-        f"{PLAN_FILE}, key {fault}"
-        for fault in explanation_faults(problem, posterior, plan, explanation)
-    ]
+    reasons += [f"{PLAN_FILE}, key {fault}" for fault in explanation_faults(case, explanation)]
     reasons += steps_reasons(steps, steps_of_plan(plan))
     reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
     return [judgement.certificate], reasons

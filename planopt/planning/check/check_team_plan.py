@@ -13,6 +13,7 @@ from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import provenance_faults
 from planopt.planning.check.rebuilt import Effort, rebuilt_plan
 from planopt.planning.check.worth_again import worth_again
+from planopt.planning.explain.case import Case
 from planopt.planning.files.aim_json import aim_again
 from planopt.planning.files.belief_file import first_posterior, grown_posterior
 from planopt.planning.files.explanation_json import explanation_again
@@ -94,10 +95,10 @@ def check_team_plan(
             for key, fault in provenance_faults(own, plan, None)
         ]
         reasons += effort_faults(plan, where)
+        case = Case(problem, number, posterior, plan, circumstances.moving)
         own_explanation = [one for one in explanation if one.robot == plan.robot]
         reasons += [
-            f"{PLAN_FILE}, key {fault}"
-            for fault in explanation_faults(own, posterior, plan, own_explanation)
+            f"{PLAN_FILE}, key {fault}" for fault in explanation_faults(case, own_explanation)
         ]
         plans.append(plan)
         aims.append(aim)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.explain.explanation import Relaxation, towards
+from planopt.planning.explain.key import DIGITS
 from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.plan import Verdict
 from planopt.planning.scene import build_scene
@@ -15,9 +16,6 @@ from planopt.problems.problem import Problem
 
 SolveAgain = Callable[[Problem], Verdict]
 """Solves a changed problem and says what its plan is worth."""
-
-DIGITS = 5
-"""Significant digits of a value that is proposed."""
 
 BISECTIONS = 12
 """Of the clearance, where the lattice needs more room than there is."""

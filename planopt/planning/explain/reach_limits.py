@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -13,22 +12,18 @@ from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.history import BEGINNING
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reach_of_dynamics import may_reach_from
-from planopt.planning.proof.reachability import COARSE_NODES, best_margins_by_step
+from planopt.planning.proof.reachability import best_margins_by_step
+from planopt.planning.proof.rules.asked import asked_steps
 from planopt.problems.problem import Problem
-from planopt.problems.settings import MAX_HORIZON
 from planopt.world.clearance import index_obstacles
 
-MOST_PLACES = 200_000
-"""A longer horizon is not looked for where the search would have more places."""
 
-
-def best_probability(
-    problem: Problem, posterior: ChannelPosterior, start_m: NDArray[np.float64]
-) -> float:
-    """Largest probability of connection at a place that the horizon's steps come to.
+def best_probability(problem: Problem, posterior: ChannelPosterior) -> float:
+    """Largest probability of connection at a place that a step which is asked for comes to.
 
     It is the largest ``p_min`` that the verifier can find to be met at any of them.
     """
@@ -39,49 +34,38 @@ def best_probability(
             connection_probability(power.mean_db, power.deviation_db, radio.threshold_dbm) - least
         )
 
-    return least + _best(problem, posterior, start_m, beyond, [problem.planner.horizon])[0]
+    return least + float(_of_asked(problem, best_by_step(problem, posterior, beyond)).max())
 
 
-def best_margin_db(
-    problem: Problem, posterior: ChannelPosterior, start_m: NDArray[np.float64]
-) -> float:
-    """Largest margin in dB at a place that the horizon's steps come to."""
-    margin = partial(margins_asked_db, problem)
-    return _best(problem, posterior, start_m, margin, [problem.planner.horizon])[0]
+def best_margin_db(problem: Problem, posterior: ChannelPosterior) -> float:
+    """Largest margin in dB at a place that a step which is asked for comes to."""
+    margins = best_by_step(problem, posterior, partial(margins_asked_db, problem))
+    return float(_of_asked(problem, margins).max())
 
 
-def least_horizon(
-    problem: Problem, posterior: ChannelPosterior, start_m: NDArray[np.float64]
-) -> int | None:
-    """Fewest steps that come to a place that keeps the bound; None if none is found."""
-    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
-    step = problem.step_length_m
-    across = math.ceil(math.hypot(x_max - x_min, y_max - y_min) / step)
-    last = min(MAX_HORIZON, across)
-    places = (x_max - x_min) * (y_max - y_min) * (COARSE_NODES / step) ** 2
-    if last <= problem.planner.horizon or places > MOST_PLACES:
-        return None
-    steps = list(range(problem.planner.horizon + 1, last + 1))
-    margins = _best(problem, posterior, start_m, partial(margins_asked_db, problem), steps)
-    return next((n for n, margin in zip(steps, margins, strict=True) if margin >= 0.0), None)
-
-
-def _best(
+def best_by_step(
     problem: Problem,
     posterior: ChannelPosterior,
-    start_m: NDArray[np.float64],
     score: Callable[[Prediction], NDArray[np.float64]],
-    steps: Sequence[int],
-) -> tuple[float, ...]:
-    """Largest score within reach by each of some steps, searched for as margins are."""
+) -> NDArray[np.float64]:
+    """Largest score within reach by each step of the horizon, searched for as margins are; (N,).
+
+    Where it is negative, the search looks closer.
+    """
     broad = broad_prediction(problem, posterior)
-    return best_margins_by_step(
+    state = problem.robots[0].start_state
+    best = best_margins_by_step(
         index_obstacles(problem.workspace),
         problem.workspace.bounds_m,
         lambda places: score(search_prediction(posterior, places, broad)),
-        start_m,
+        state[:2],
         problem.step_length_m,
-        np.asarray(steps, dtype=np.intp),
+        np.arange(1, problem.planner.horizon + 1),
         problem.constraints.clearance_m,
-        may_reach_from(problem, problem.robots[0].start_state),
+        may_reach_from(problem, state),
     )
+    return np.array(best)
+
+
+def _of_asked(problem: Problem, best: NDArray[np.float64]) -> NDArray[np.float64]:
+    return best[asked_steps(problem, BEGINNING, len(best))]

@@ -5,12 +5,12 @@ About a point x with rows g, their Jacobian J, the objective's gradient c and a 
 semidefinite B, over the step d and what is missing, t >= 0, of each row that is missed at x::
 
     min   c.d + d'B d / 2 + penalty sum t
-    s.t.  lower - t <= g + J d <= upper + t        rows but the first K
-          |u_k + d_k - d_{k-1}| <= L_k             the first K rows, |u_k|^2 <= L_k^2
+    s.t.  lower - t <= g + J d <= upper + t        rows but the cones
+          |z_k + dz_k| <= R_k                      cones: pairs z_k of variables or of differences
           lowest <= d <= highest
 
-with u_k the k-th step of the path; that row is convex as it is and is not linearised. Where lowest
-and highest are equal they are zero: what is set stays.
+Cones are convex as they are and not linearised (:mod:`planopt.planning.programme.cone_rows`). Where
+lowest and highest are equal they are zero: what is set stays.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Termination
+from planopt.planning.programme.cone_rows import NO_VARIABLE, ConeRows
 from planopt.planning.programme.kkt import Bounds
 
 CLARABEL: Any = clarabel
@@ -61,7 +62,7 @@ class Model:
     gradient: NDArray[np.float64]
     curvature: NDArray[np.float64]
     row_bounds: Bounds
-    cones: int
+    cones: ConeRows
     lowest: NDArray[np.float64]
     highest: NDArray[np.float64]
     penalty: float
@@ -71,7 +72,7 @@ class Model:
 class Step:
     """A step and the multipliers of the rows and of the bounds on it.
 
-    Multipliers are positive at upper bounds and negative at lower ones; of the first K rows they
+    Multipliers are positive at upper bounds and negative at lower ones; of cones they
     are those of the squared form.
     """
 
@@ -89,8 +90,9 @@ class Step:
 def convex_step(model: Model) -> Step:
     """Solve the convex programme."""
     n, cones = len(model.gradient), model.cones
-    jacobian, values = model.jacobian[cones:], model.rows[cones:]
-    lower, upper = model.row_bounds.lower[cones:], model.row_bounds.upper[cones:]
+    plain = np.delete(np.arange(len(model.rows)), cones.row)
+    jacobian, values = model.jacobian[plain], model.rows[plain]
+    lower, upper = model.row_bounds.lower[plain], model.row_bounds.upper[plain]
     # What no step can change by enough is left out, as are variables that cannot move.
     moving = model.lowest < model.highest
     farthest = np.where(moving, np.maximum(-model.lowest, model.highest), 0.0)
@@ -123,7 +125,7 @@ def convex_step(model: Model) -> Step:
             np.zeros((len(limits), count)),
             np.append(model.highest[high], -model.lowest[low]),
         ),
-        _speed_block(model, count),
+        _cone_block(model, count),
     ]
     keep = np.append(moving, np.ones(count, dtype=bool))
     curvature = np.zeros((n + count, n + count))
@@ -138,37 +140,37 @@ def convex_step(model: Model) -> Step:
         [
             CLARABEL.ZeroConeT(len(equal)),
             CLARABEL.NonnegativeConeT(len(room) + count + len(limits)),
-            *[CLARABEL.SecondOrderConeT(3)] * cones,
+            *[CLARABEL.SecondOrderConeT(3)] * len(cones),
         ],
         settings,
     ).solve()
     dual = np.split(np.asarray(solution.z), np.cumsum([len(block[2]) for block in blocks])[:-1])
     rows, variables = np.zeros(len(model.rows)), np.zeros(n)
-    inner = rows[cones:]
-    inner[equal] = dual[0]
-    inner[above] = dual[1][: len(above)]
-    inner[below] -= dual[1][len(above) :]
+    rows[plain[equal]] = dual[0]
+    rows[plain[above]] = dual[1][: len(above)]
+    rows[plain[below]] -= dual[1][len(above) :]
     variables[high] = dual[3][: len(high)]
     variables[low] -= dual[3][len(high) :]
-    longest = np.sqrt(model.row_bounds.upper[:cones])
-    rows[:cones] = dual[4].reshape(-1, 3)[:, 0] / (2.0 * longest)
+    radii = cones.radii(model.row_bounds.upper)
+    rows[cones.row] = dual[4].reshape(-1, 3)[:, 0] / (2.0 * cones.weight * radii)
     step = np.zeros(n)
     step[moving] = np.asarray(solution.x)[: int(moving.sum())]
     return Step(step, rows, variables, TERMINATIONS[str(solution.status)])
 
 
-def _speed_block(
+def _cone_block(
     model: Model, missing: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Cones (L_k, u_k + d_k - d_{k-1}); the gradients of the rows |u_k|^2 have u_k."""
-    count = model.cones
-    stage = np.arange(count)
+    """Cones (R_k, z_k + dz_k)."""
+    cones, count = model.cones, len(model.cones)
+    every = np.arange(count)
     block, bounds = np.zeros((count, 3, len(model.gradient))), np.zeros((count, 3))
-    bounds[:, 0] = np.sqrt(model.row_bounds.upper[:count])
+    bounds[:, 0] = cones.radii(model.row_bounds.upper)
+    bounds[:, 1:] = cones.pairs(model.jacobian)
+    taken = every[cones.less[:, 0] != NO_VARIABLE]
     for axis in range(2):
-        bounds[:, 1 + axis] = 0.5 * model.jacobian[stage, 2 * stage + axis]
-        block[stage, 1 + axis, 2 * stage + axis] = -1.0
-        block[stage[1:], 1 + axis, 2 * stage[:-1] + axis] = 1.0
+        block[every, 1 + axis, cones.own[:, axis]] = -1.0
+        block[taken, 1 + axis, cones.less[taken, axis]] = 1.0
     return (
         block.reshape(3 * count, len(model.gradient)),
         np.zeros((3 * count, missing)),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.programme.path_value import Structure
 
@@ -48,3 +51,17 @@ class PathShape:
     def variables(self) -> int:
         """All variables: places, slacks, those of the dynamics."""
         return 2 * self.horizon + self.slacks + self.driven
+
+    @property
+    def per_m(self) -> NDArray[np.float64]:
+        """``(variables,)`` how far each may go for a metre of a place, in a trust region.
+
+        Infinite for slacks and inputs, which follow from the rest.
+        """
+        places, slacks = np.ones(2 * self.horizon), np.full(self.slacks, np.inf)
+        if self.motion is None:
+            return np.concatenate([places, slacks])
+        units = np.array(self.motion.dynamics.unit_m(self.motion.step_s)[2:])
+        inputs = np.full(self.motion.per_step - len(units), np.inf)
+        step = np.concatenate([1.0 / units, inputs])
+        return np.concatenate([places, slacks, np.tile(step, self.horizon)])

@@ -32,6 +32,7 @@ from planopt.planning.programme.methods import Method, solve_by
 from planopt.planning.programme.nlp_point import SolveNlp
 from planopt.planning.programme.path_callback import PathCallbacks, path_callbacks
 from planopt.planning.programme.path_rows import path_rows
+from planopt.planning.programme.path_shape import PathShape
 
 PIVOT_ROUNDING_M = 1e-2
 """Rounding of the distance to the pivot, so that its gradient exists at the pivot."""
@@ -120,4 +121,5 @@ def build_reach_nlp(
         hessian=hessian(x, p, lam_f, lam_g, hm),
     )
     solver = exact_solver("reach", nlp, IPOPT_OPTIONS | ipopt.time_limit(budget_s))
-    return ReachNlp(n, lines, source, solver, solve_by(method, solver, n, n, budget_s), margins)
+    shape = PathShape(n, lines, "stagewise", bounded=True)
+    return ReachNlp(n, lines, source, solver, solve_by(method, solver, shape, budget_s), margins)

@@ -1,9 +1,10 @@
 """Sequential convex programming: the same programmes as IPOPT's, by convex steps in a trust region.
 
-Speeds are kept as second-order cones; every other row is linearised and may be missed at a price
-(exact penalty), so that a step always exists; the curvature of the Lagrangian is made positive
-semidefinite. A step is taken for what it brings of what the model promised (theory 4.7; trust
-region and penalty as in Nocedal and Wright, Numerical Optimization, 18.5).
+Speeds, and discs of inputs and states, are kept as second-order cones; every other row is
+linearised and may be missed at a price (exact penalty), so that a step always exists; the curvature
+of the Lagrangian is made positive semidefinite. A step is taken for what it brings of what the
+model promised (theory 4.7; trust region and penalty as in Nocedal and Wright, Numerical
+Optimization, 18.5).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Termination
+from planopt.planning.programme.cone_rows import ConeRows
 from planopt.planning.programme.convex_step import Model, Step, convex_step
 from planopt.planning.programme.kkt import Bounds
 from planopt.planning.programme.nlp_functions import NlpFunctions
@@ -43,11 +45,16 @@ ROW_TOLERANCE = 1e-6
 """Rows are met to this, as IPOPT's."""
 
 SMALLEST_REGION = 1e-7
-"""Converged where the region is smaller, in units of the longest step."""
+"""Converged where the region is smaller, in longest steps."""
 
 
 def scp_solve(
-    functions: NlpFunctions, horizon: int, cones: int, budget_s: float | None = None
+    functions: NlpFunctions,
+    horizon: int,
+    cones: ConeRows,
+    per_m: NDArray[np.float64],
+    longest_m: float | None = None,
+    budget_s: float | None = None,
 ) -> SolveNlp:
     """Solve a programme whose first variables are the positions of `horizon` stages.
 
@@ -58,7 +65,12 @@ def scp_solve(
     horizon
         N.
     cones
-        How many of its first rows are squared lengths of the path's steps.
+        Which of its rows are cones.
+    per_m
+        ``(n,)`` how far each variable may go in a convex step for each metre of a place; infinite
+        where it follows from others.
+    longest_m
+        Of the path's steps; None where the first row has it, squared, as its upper bound.
     budget_s
         Seconds after which no new convex step begins; None for no limit.
     """
@@ -72,8 +84,9 @@ def scp_solve(
         bounds = (variable_bounds.lower, variable_bounds.upper, row_bounds.lower, row_bounds.upper)
         if any(np.isnan(bound).any() for bound in bounds):
             return lost_point(horizon, len(start), len(row_bounds.lower))
-        unit = float(np.sqrt(row_bounds.upper[0])) if cones else 1.0
-        climb = _Climb(functions, horizon, cones, unit, parameters, variable_bounds, row_bounds)
+        longest = float(np.sqrt(row_bounds.upper[0])) if longest_m is None else longest_m
+        reach = longest * per_m
+        climb = _Climb(functions, horizon, cones, reach, parameters, variable_bounds, row_bounds)
         return climb.run(start, np.inf if budget_s is None else perf_counter() + budget_s)
 
     return solve
@@ -86,8 +99,8 @@ class _Climb:
         self,
         functions: NlpFunctions,
         horizon: int,
-        cones: int,
-        unit: float,
+        cones: ConeRows,
+        reach: NDArray[np.float64],
         parameters: NDArray[np.float64],
         variable_bounds: Bounds,
         row_bounds: Bounds,
@@ -95,7 +108,7 @@ class _Climb:
         self._functions = functions
         self._horizon = horizon
         self._cones = cones
-        self._unit = unit
+        self._reach = reach
         self._parameters = parameters
         self._variable_bounds = variable_bounds
         self._row_bounds = row_bounds
@@ -168,7 +181,7 @@ class _Climb:
         correction against the effect of Maratos, Nocedal and Wright 18.3).
         """
         there = rows - model.jacobian @ step
-        there[: self._cones] = model.rows[: self._cones]
+        there[self._cones.row] = model.rows[self._cones.row]
         return convex_step(replace(model, rows=there))
 
     def _at(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -177,7 +190,7 @@ class _Climb:
     def _excess(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """By how much each row but the cones misses its bounds."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
-        return np.maximum(np.maximum(lower - rows, rows - upper), 0.0)[self._cones :]
+        return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
 
     def _missing(self, rows: NDArray[np.float64]) -> float:
         return float(self._excess(rows).max(initial=0.0))
@@ -199,11 +212,10 @@ class _Climb:
         multipliers: NDArray[np.float64],
         region: float,
     ) -> Model:
-        """What is known at x, within a region in units of the longest step."""
+        """What is known at x, within a region in longest steps."""
         curving = multipliers.copy()
-        curving[: self._cones] = 0.0
-        widest = np.full(len(x), np.inf)
-        widest[: 2 * self._horizon] = region * self._unit
+        curving[self._cones.row] = 0.0
+        widest = region * self._reach
         gradient, jacobian, hessian = self._functions.derivatives(x, self._parameters, curving)
         return Model(
             rows=rows,

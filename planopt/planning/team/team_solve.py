@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.history import BEGINNING
 from planopt.planning.loop.target_watch import aim_of, watch_target
@@ -42,7 +43,21 @@ def solve_team(
         An override or a file that the problem names cannot be used.
     """
     problem = with_overrides(problem, horizon=horizon, planner=planner)
-    belief = prepare(problem, seed).belief
+    return solve_team_on(problem, prepare(problem, seed).belief, seed)
+
+
+def solve_team_on(problem: Problem, belief: Belief, seed: int) -> TeamSolution:
+    """Plan for each robot from its start, on a belief that is given.
+
+    Parameters
+    ----------
+    problem
+        A problem whose objective is a sum of terms.
+    belief
+        Of the channel, the same for all.
+    seed
+        Of the first estimate of the target, and of planners that draw.
+    """
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
     steps = problem.planner.horizon

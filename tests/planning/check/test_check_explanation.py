@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 import shapely
+from rules_scene import ruled_problem
 from terms_scene import TRACKING, terms_problem
 
 from planopt.planning.check.check import check
@@ -66,6 +67,60 @@ def test_what_cannot_be_so(saved, key, value):
     changed = copy.deepcopy(data)
     changed["explanation"][0][key] = value
     assert blamed(folder, changed)
+
+
+HARD = {
+    "average": {"p_min": 0.999},
+    "outage": {"p_min": 0.9999, "outage_max_m": None, "outage_max_s": 1.0},
+    "data": {"data_mbit": 9.99},
+    "each_step": {"p_min": 0.99, "slack_max_db": 0.0},
+}
+
+
+@pytest.mark.parametrize("form", HARD)
+def test_rules_are_judged_again(form, tmp_path):
+    """Every key that is proposed stands; a value that is tighter, or of another rule, does not."""
+    keys = {key: value for key, value in HARD[form].items() if value is not None}
+    problem = ruled_problem(form, **keys) if form != "outage" else _outage(keys)
+    radio = replace(problem.stations[0], threshold_dbm=-33.0)
+    planner = replace(problem.planner, name="lattice", horizon=3)
+    problem = replace(problem, stations=(radio,), planner=planner)
+    solution = solve_team(problem, seed=3)
+    assert solution.verdict is Verdict.VIOLATED
+    save_team_solution(replace(solution, explanation=explain(solution)), tmp_path)
+    data = json.loads((tmp_path / "plan.json").read_text())
+    assert len(data["explanation"]) > 2 and blamed(tmp_path, data) == []
+    for number, entry in enumerate(data["explanation"]):
+        for key, value in (
+            ("relaxed_value", 2.0 * entry["value"] - entry["relaxed_value"]),
+            ("stages", [*entry["stages"], 99]),
+            ("shortfall", entry["shortfall"] + 0.1),
+            ("constraint", "constraints.deadline_h"),
+        ):
+            changed = copy.deepcopy(data)
+            changed["explanation"][number][key] = value
+            assert blamed(tmp_path, changed), (entry, key)
+
+
+def test_more_than_is_within_reach_is_no_help(tmp_path):
+    """A probability that is looser than what is asked, and still out of reach."""
+    problem = ruled_problem("average", p_min=0.999)
+    radio = replace(problem.stations[0], threshold_dbm=-25.0)
+    planner = replace(problem.planner, name="lattice", horizon=3)
+    solution = solve_team(replace(problem, stations=(radio,), planner=planner), seed=3)
+    save_team_solution(replace(solution, explanation=explain(solution)), tmp_path)
+    data = json.loads((tmp_path / "plan.json").read_text())
+    assert blamed(tmp_path, data) == []
+    entry = next(e for e in data["explanation"] if e["constraint"] == "constraints.p_min")
+    entry["relaxed_value"] = 0.99
+    assert blamed(tmp_path, data)
+
+
+def _outage(keys):
+    """The rule on outages, in seconds."""
+    problem = ruled_problem("outage", p_min=keys["p_min"])
+    rule = replace(problem.constraints.rule, outage_max_m=None, outage_max_s=keys["outage_max_s"])
+    return replace(problem, constraints=replace(problem.constraints, rule=rule))
 
 
 def test_a_verified_plan_needs_no_explanation(tmp_path, saved):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from planopt.planning.plan import Termination
+from planopt.planning.programme.cone_rows import step_cones
 from planopt.planning.programme.convex_step import TERMINATIONS, Model, convex_step
 from planopt.planning.programme.kkt import Bounds
 
@@ -44,7 +45,7 @@ def random_model(seed, missing):
         gradient=5.0 * generator.standard_normal(n),
         curvature=0.1 * root @ root.T,
         row_bounds=Bounds(lower, upper),
-        cones=N,
+        cones=step_cones(N),
         lowest=lowest,
         highest=highest,
         penalty=20.0,

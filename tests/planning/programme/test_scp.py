@@ -9,6 +9,7 @@ from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, term
 
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Termination, Verdict
+from planopt.planning.programme.cone_rows import no_cones
 from planopt.planning.programme.kkt import Bounds
 from planopt.planning.programme.nlp_functions import NlpFunctions
 from planopt.planning.programme.polish import polish
@@ -36,7 +37,8 @@ def test_the_circle_and_the_line():
     def derivatives(x, _p, multipliers):
         return 2.0 * (x - [3.0, 2.0]), 2.0 * x[None], 2.0 * np.eye(2) * (1.0 + multipliers[0])
 
-    solve = scp_solve(NlpFunctions(values, derivatives), horizon=1, cones=0)
+    functions = NlpFunctions(values, derivatives)
+    solve = scp_solve(functions, 1, no_cones(), per_m=np.ones(2), longest_m=1.0)
     free = Bounds(np.full(2, -10.0), np.full(2, 10.0))
     found = solve(np.array([0.1, 0.0]), np.zeros(0), free, Bounds(np.ones(1), np.ones(1)))
     assert found.termination is Termination.CONVERGED

@@ -1,0 +1,149 @@
+"""What a plan misses, at which steps and by how much, as the verifier found it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.prediction import Prediction
+from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.explain.case import Case
+from planopt.planning.explain.reach_limits import best_margin_db
+from planopt.planning.history import BEGINNING
+from planopt.planning.plan import Plan
+from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
+from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
+from planopt.problems.problem import Problem
+from planopt.world.moving_discs import path_distances_m
+
+Missed = Literal["connection", "separation", "moving"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A constraint that a plan does not keep.
+
+    Attributes
+    ----------
+    missed
+        The connection, the distance of other robots, or that of moving obstacles.
+    stages
+        Steps (1 is the first) that it is about.
+    shortfall, unit
+        By how much it is missed; the unit is empty for a probability.
+    """
+
+    missed: Missed
+    stages: tuple[int, ...]
+    shortfall: float
+    unit: str
+
+
+def faults_of(case: Case) -> tuple[Fault, ...]:
+    """Everything that the plan misses; empty where it is only the motion."""
+    connection = _connection(case)
+    found = [] if connection is None else [connection]
+    return (*found, *_distances(case))
+
+
+def met_nowhere(case: Case) -> bool:
+    """Whether single steps are asked for, may be missed, and all are."""
+    rule = case.problem.constraints.rule
+    steps = len(case.plan.positions_m) - 1
+    missed = case.plan.certificate.relaxed_steps
+    asked = asked_steps(case.own, BEGINNING, steps)
+    return rule.by_step and rule.slack_max_db is None and 0 < len(missed) == int(asked.sum())
+
+
+def _connection(case: Case) -> Fault | None:
+    problem, certificate = case.own, case.plan.certificate
+    rule, result = problem.constraints.rule, certificate.rule
+    if not rule.by_step:
+        if result is None or result.slack_db > 0.0 or not is_missed(result):
+            return None
+        unit = "" if result.unit == "probability" else result.unit
+        return Fault("connection", _weak_steps(problem, case.plan), result.missing, unit)
+    limit = rule.slack_max_db or 0.0
+    missed = [
+        (step, missing - limit)
+        for step, missing in zip(certificate.relaxed_steps, certificate.relaxation_db, strict=True)
+        if missing > limit + MARGIN_TOLERANCE_DB
+    ]
+    if not missed:
+        return None
+    stages = tuple(step for step, _ in missed)
+    short_db = max(missing for _, missing in missed)
+    if met_nowhere(case):
+        # The limit of what any plan could keep, unless that is not what is in the way.
+        best_db = best_margin_db(problem, case.posterior)
+        short_db = -best_db if best_db < 0.0 else short_db
+    elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
+        return None  # nothing within reach keeps these steps, which excuses them
+    return Fault("connection", stages, short_db, "dB")
+
+
+def _weak_steps(problem: Problem, plan: Plan) -> tuple[int, ...]:
+    """The steps by which a rule over the whole plan is missed.
+
+    For outages those in a row that is too long. Else steps that are less likely connected than all
+    would have to be, were they alike: of ``joint`` by Boole's bound.
+    """
+    constraints, chance = problem.constraints, plan.connectivity[1:]
+    rule, count = constraints.rule, len(chance)
+    if rule.connectivity == "outage":
+        power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
+        return _stages(
+            _long_outages(problem, plan, margin_missed(margins_asked_db(problem, power)))
+        )
+    level = np.full(count, constraints.p_min)
+    if rule.connectivity == "joint":
+        level = np.full(count, 1.0 - (1.0 - constraints.p_min) / count)
+    if rule.connectivity == "data":
+        each, total = data_asked_mbit(problem, BEGINNING, count)
+        share = total / max(float(each.sum()), 1e-9)
+        level = np.where(each > 0.0, max(constraints.p_min, share), 0.0)
+    return _stages(chance < level)
+
+
+def _long_outages(problem: Problem, plan: Plan, missed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Steps in rows of `missed` ones (n,) that are longer than is allowed."""
+    rule = problem.constraints.rule
+    sizes = np.full(len(missed), problem.planner.step_s)
+    limit = rule.outage_max_s
+    if rule.outage_max_m is not None:
+        sizes = np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1)
+        limit = rule.outage_max_m
+    row = np.cumsum(np.diff(missed, prepend=False))
+    long = [
+        number for number in np.unique(row[missed]) if sizes[row == number].sum() > (limit or 0.0)
+    ]
+    return missed & np.isin(row, long)
+
+
+def _distances(case: Case) -> list[Fault]:
+    """Distances at equal times that are not kept, of robots and of moving obstacles."""
+    discs = case.moving
+    if not len(discs) or case.problem.robots[case.number].dynamics is not None:
+        return []
+    away = path_distances_m(discs, case.plan.positions_m) - discs.radius_m - discs.least_m[:, None]
+    found: list[Fault] = []
+    kinds: list[tuple[Missed, NDArray[np.bool_]]] = [
+        ("separation", discs.is_robot),
+        ("moving", ~discs.is_robot),
+    ]
+    for missed, which in kinds:
+        if not which.any():
+            continue
+        least = away[which].min(axis=0)
+        if least.min() < -CLEARANCE_TOLERANCE_M:
+            stages = _stages(least < -CLEARANCE_TOLERANCE_M)
+            found.append(Fault(missed, stages, float(-least.min()), "m"))
+    return found
+
+
+def _stages(which: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple((np.flatnonzero(which) + 1).tolist())

@@ -1,0 +1,91 @@
+"""Whether some plan could keep the rule of connectivity, by what there is within reach at most.
+
+Necessary, not sufficient: the best place within reach by each step is taken for the step's own, as
+if all could be had together. What it denies, no planner needs to try.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import connection_probability
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
+from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.explain.reach_limits import best_by_step
+from planopt.planning.history import BEGINNING
+from planopt.planning.proof.reachability import COARSE_NODES
+from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
+from planopt.planning.proof.rules.outage import longest_run
+from planopt.problems.problem import Problem
+
+GRID_ERROR_DB = 0.1
+GRID_ERROR_STEPS = 1.0 / 32.0
+"""A place between the nodes of the search may be better by so many dB, or farther by so many
+steps."""
+
+MOST_PLACES = 50_000
+"""Where the search would have more places, everything is taken as possible."""
+
+
+def is_possible(problem: Problem, posterior: ChannelPosterior) -> bool:
+    """Whether what is within reach by each step does not rule the rule out.
+
+    Parameters
+    ----------
+    problem
+        With one robot.
+    posterior
+        What is believed of the channel.
+    """
+    constraints, steps = problem.constraints, problem.planner.horizon
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    places = (x_max - x_min) * (y_max - y_min) * (COARSE_NODES / problem.step_length_m) ** 2
+    if min(places, 4.0 * (steps * COARSE_NODES) ** 2) > MOST_PLACES:
+        return True
+    rule = constraints.rule
+    problem = _eased(problem, (rule.slack_max_db or 0.0) + GRID_ERROR_DB)
+    if rule.by_step or rule.connectivity == "outage":
+        best = best_by_step(problem, posterior, lambda power: margins_asked_db(problem, power))
+        if rule.connectivity == "outage":
+            longest = longest_run(np.full(steps, problem.planner.step_s), best < 0.0, 0.0)
+            return rule.outage_max_s is None or longest <= rule.outage_max_s * (1.0 + 1e-9)
+        kept = best[asked_steps(problem, BEGINNING, steps)] >= 0.0
+        return bool(kept.any() if rule.slack_max_db is None else kept.all())
+    return _sums_possible(problem, _chances(problem, posterior))
+
+
+def _sums_possible(problem: Problem, chance: NDArray[np.float64]) -> bool:
+    """The same from the best chance (N,) within reach by each step."""
+    p_min = problem.constraints.p_min
+    match problem.constraints.rule.connectivity:
+        case "joint":
+            return bool(chance.min() >= p_min)
+        case "average":
+            return bool(chance.mean() >= p_min)
+        case _:
+            each, asked = data_asked_mbit(problem, BEGINNING, len(chance))
+            # Markov's inequality, where a probability is asked.
+            return float(each @ chance) >= asked * (p_min or 1.0)
+
+
+def _chances(problem: Problem, posterior: ChannelPosterior) -> NDArray[np.float64]:
+    threshold = problem.stations[0].threshold_dbm
+
+    def chance(power: Prediction) -> NDArray[np.float64]:
+        # Below zero, so that the search goes on to refine.
+        return connection_probability(power.mean_db, power.deviation_db, threshold) - 1.0
+
+    return best_by_step(problem, posterior, chance) + 1.0
+
+
+def _eased(problem: Problem, by_db: float) -> Problem:
+    """The problem with thresholds lower, and a robot that turns at will a little faster."""
+    stations = tuple(replace(s, threshold_dbm=s.threshold_dbm - by_db) for s in problem.stations)
+    robot = problem.robots[0]
+    if robot.dynamics is None:
+        robot = replace(robot, speed_max_m_s=robot.speed_max_m_s * (1.0 + GRID_ERROR_STEPS))
+    return replace(problem, stations=stations, robots=(robot,))

@@ -1,0 +1,40 @@
+"""A problem with what an explanation proposes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from planopt.problems.problem import Problem
+
+
+def with_value(problem: Problem, name: str, value: float) -> Problem:
+    """`problem` with another value of a key of its file."""
+    table, key = name.split(".")
+    constraints = problem.constraints
+    if table == "constraints":
+        if hasattr(constraints, key):
+            return replace(problem, constraints=replace(constraints, **{key: value}))
+        rule: Any = replace(constraints.rule, **{key: value})
+        return replace(problem, constraints=replace(constraints, rule=rule))
+    if table == "planner":
+        return replace(problem, planner=replace(problem.planner, horizon=int(value)))
+    number = int(table.split("[")[1].rstrip("]"))
+    if key == "threshold_dbm":
+        stations = list(problem.stations)
+        stations[number] = replace(stations[number], threshold_dbm=value)
+        return replace(problem, stations=tuple(stations))
+    robots = list(problem.robots)
+    robot = robots[number]
+    dynamics: Any = robot.dynamics
+    if key == "speed_max_m_s":
+        robot = replace(robot, speed_max_m_s=value)
+    if dynamics is not None:
+        robot = replace(robot, dynamics=replace(dynamics, **{key: value}))
+    robots[number] = robot
+    return replace(problem, robots=tuple(robots))
+
+
+def shorter(asked: float, relaxed: float, share: float = 0.05) -> float:
+    """What is short of the relaxation by a share of it."""
+    return asked + (1.0 - share) * (relaxed - asked)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
 
 from planopt.planning.budget import budget_from
@@ -12,6 +13,7 @@ from planopt.planning.ladder import Ladder
 from planopt.planning.plan import Plan
 from planopt.planning.search.start_search import StartSearch
 from planopt.planning.shifted import shifted_path
+from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
@@ -60,4 +62,10 @@ class HorizonPlanner:
             starts = driven_starts(judge, situation, starts, warm)
         budget = budget_from(self.problem, begun)
         chosen = self.ladder.climb(situation, judge, starts, warm, budget)
+        if chosen.kkt_residual is None:
+            # The search predicted its places with others; whoever judges the plan will not.
+            alone = PathWorth(replace(situation))(chosen.path_m)
+            same = chosen.lattice_objective == chosen.objective
+            found = alone if same else chosen.lattice_objective
+            chosen = replace(chosen, objective=alone, lattice_objective=found)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)

@@ -13,13 +13,39 @@ FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
 )
 SOLVE, MULTIPLY = get_blas_funcs(("trsm", "trmm"), dtype=np.float64)
 
+PUT_ROWS = 64
+"""Rows of a factor that are copied together, up to their diagonal."""
+
 
 def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
-    factor, info = FACTOR(matrix, lower=True)
+    return np.tril(_half_factor(matrix, overwrite=False))
+
+
+def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L^-1 `right` (n, m) with the L of :func:`lower_factor`; `matrix` is overwritten."""
+    return solve_lower(_half_factor(matrix, overwrite=True), right)
+
+
+def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> None:
+    """Write :func:`lower_factor` of `matrix`, which is overwritten, to the zeros `into` (n, n)."""
+    factor = _half_factor(matrix, overwrite=True)
+    for start in range(0, len(into), PUT_ROWS):
+        rows = slice(start, start + PUT_ROWS)
+        into[rows, :start] = factor[rows, :start]
+        into[rows, rows] = np.tril(factor[rows, rows])
+
+
+def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.float64]:
+    """L in C's order, numbers of `matrix` left above its diagonal.
+
+    LAPACK is given the transpose, which is the same matrix and in its own order, and does not clear
+    the other half: at 512 rows these two take as long as the factor.
+    """
+    factor, info = FACTOR(matrix.T, lower=False, clean=False, overwrite_a=overwrite)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
-    return factor
+    return factor.T
 
 
 def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:

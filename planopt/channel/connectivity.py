@@ -35,5 +35,9 @@ def connection_probability(
     """
     above = mean_db - threshold_dbm
     certain = np.where(above >= 0.0, np.inf, -np.inf)
-    score = np.divide(above, deviation_db, out=certain, where=deviation_db != 0.0)
+    return score_probability(np.divide(above, deviation_db, out=certain, where=deviation_db != 0.0))
+
+
+def score_probability(score: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Phi(score): how probable power above the threshold is, (mean - threshold) / deviation."""
     return np.asarray(ndtr(score), dtype=np.float64)

@@ -14,10 +14,12 @@ MIN_DISTANCE_M = 0.1
 def station_distance_m(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
     """Three-dimensional distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
     offset = positions_m - np.asarray(station.position_m)
-    return np.maximum(np.sqrt((offset**2).sum(-1) + station.height_m**2), MIN_DISTANCE_M)
+    square = np.einsum("...i,...i->...", offset, offset)
+    return np.sqrt(np.maximum(square + station.height_m**2, MIN_DISTANCE_M**2))
 
 
 def regressors(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
     """Rows gamma(q) = [1, -10 log10 d(q)] (seed, section II-A); (n, 2) -> (n, 2)."""
-    distance = station_distance_m(positions_m, station)
-    return np.stack([np.ones_like(distance), -10.0 * np.log10(distance)], axis=-1)
+    rows = np.ones(np.shape(positions_m))
+    rows[..., 1] = -10.0 * np.log10(station_distance_m(positions_m, station))
+    return rows

@@ -9,6 +9,7 @@ measurements near it, so that one more measurement costs the same whatever there
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -138,7 +139,7 @@ class ChannelPosterior:
             )
         return self.buffer.lower[:count, :count]
 
-    @property
+    @cached_property
     def origins(self) -> Origins:
         """Where, when and by whom the measurements were taken."""
         return measured_origins(self.measurements, self.parameters)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.path_loss import MIN_DISTANCE_M
-from planopt.targets.rounding import Derivatives, radial_hessian
+from planopt.targets.rounding import Derivatives, radial
 
 CUSP_ROUNDING = 0.01
 """Rounding of the kernel's cusp as a share of the decorrelation distance."""
@@ -38,9 +38,17 @@ def rounded_kernel(
         ``(...)`` of position errors.
     """
     rows = np.empty((6, *offset_m.shape[:-1]))
-    fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, blur_m2)
+    soft_m2 = softened_m2(blur_m2, parameters)
+    fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, soft_m2)
     inner = tuple(range(1, rows.ndim))
     return Derivatives(rows[0], rows[1:3].transpose(*inner, 0), rows[3:].transpose(*inner, 0))
+
+
+def softened_m2(
+    blur_m2: NDArray[np.float64] | float, parameters: ChannelParameters
+) -> NDArray[np.float64] | float:
+    """What the squared distances of the rounded kernel have more than the offsets'."""
+    return blur_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
 
 
 def fill_rounded_kernel(
@@ -48,38 +56,39 @@ def fill_rounded_kernel(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     parameters: ChannelParameters,
-    blur_m2: NDArray[np.float64] | float = 0.0,
+    soft_m2: NDArray[np.float64] | float,
 ) -> None:
     """Write the kernel of offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy.
 
-    `rows` are ``(6, ...)``; a solver asks again and again and keeps them.
+    `rows` are ``(6, ...)``; a solver asks again and again and keeps them. `soft_m2` is of
+    :func:`softened_m2`.
     """
     beta = parameters.decorrelation_m
     value, by_x, by_y, by_xx, by_xy, by_yy = rows
     r = x * x
     r += y * y
-    r += blur_m2 + (CUSP_ROUNDING * beta) ** 2
+    r += soft_m2
     np.sqrt(r, out=r)
     np.multiply(r, -1.0 / beta, out=value)
     np.exp(value, out=value)
     value *= parameters.shadow_std_db**2
-    inverse = np.reciprocal(r, out=r)
-    slope = value * inverse
-    slope *= -1.0 / beta
-    # (-slope) (1 / (beta r) + 1 / r^2)
-    bend = inverse + 1.0 / beta
-    bend *= inverse
+    # -1 / (beta r); the slope is its product with the value.
+    fall = np.divide(-1.0 / beta, r, out=r)
+    slope = value * fall
+    # -slope (1 / (beta r) + 1 / r^2)
+    bend = fall * (-(beta**2))
+    bend += 1.0
+    bend *= fall
     bend *= slope
     np.multiply(slope, x, out=by_x)
     np.multiply(slope, y, out=by_y)
     bent = bend * x
     np.multiply(bent, y, out=by_xy)
-    np.negative(by_xy, out=by_xy)
     bent *= x
-    np.subtract(slope, bent, out=by_xx)
+    np.add(bent, slope, out=by_xx)
     bend *= y
     bend *= y
-    np.subtract(slope, bend, out=by_yy)
+    np.add(bend, slope, out=by_yy)
 
 
 def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> Derivatives:
@@ -87,7 +96,4 @@ def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> 
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("ni,ni->n", offset, offset) + (station.height_m**2 + MIN_DISTANCE_M**2)
     slope = (-10.0 / math.log(10.0)) / square
-    bend = -2.0 * slope / square
-    return Derivatives(
-        -5.0 * np.log10(square), slope[:, None] * offset, radial_hessian(offset, slope, bend)
-    )
+    return radial(offset, -5.0 * np.log10(square), slope, -2.0 * slope / square)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.connectivity import score_probability
 from planopt.targets.rounding import Derivatives, add_products
 
 
@@ -30,21 +30,18 @@ def connectivity_derivatives(
     threshold_dbm
         Upsilon_TH.
     """
-    sigma = deviation_db.value
-    z = (mean_db.value - threshold_dbm) / sigma
-    by_sigma, across = (1.0 / sigma)[:, None], z[:, None]
-    z1 = mean_db.gradient - across * deviation_db.gradient
-    z1 *= by_sigma
-    z2 = mean_db.hessian - across * deviation_db.hessian
-    # The turned parts, and those of the density's slope, are products with z1.
-    turned = deviation_db.gradient * by_sigma
-    turned += (0.5 * across) * z1
-    z2 *= by_sigma
-    add_products(z2, z1, -turned)
-    density = (np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))[:, None]
-    z1 *= density
-    z2 *= density
-    return Derivatives(connection_probability(mean_db.value, sigma, threshold_dbm), z1, z2)
+    by_sigma = 1.0 / deviation_db.value
+    z = (mean_db.value - threshold_dbm) * by_sigma
+    across = z[:, None]
+    rows = mean_db.rows - across * deviation_db.rows
+    rows *= by_sigma[:, None]
+    # The turned parts, and those of the density's slope, are products with the gradient of z.
+    turned = deviation_db.gradient * by_sigma[:, None]
+    turned += (0.5 * across) * rows[:, 1:3]
+    add_products(rows[:, 3:], rows[:, 1:3], -turned)
+    rows *= (np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))[:, None]
+    rows[:, 0] = score_probability(z)
+    return Derivatives.of(rows)
 
 
 def tracking_reward_derivatives(
@@ -63,10 +60,9 @@ def tracking_reward_derivatives(
     """
     p, s = connectivity, sensing
     # A step's weight goes with its sensing.
-    sensed, felt = (weight * s.value)[:, None], (weight * p.value)[:, None]
-    gradient = sensed * p.gradient
-    gradient += felt * s.gradient
-    hessian = sensed * p.hessian
-    hessian += felt * s.hessian
-    add_products(hessian, p.gradient, weight[:, None] * s.gradient)
-    return Derivatives(felt[:, 0] * s.value, gradient, hessian)
+    sensed = weight[:, None] * s.rows
+    rows = sensed[:, :1] * p.rows
+    rows += p.value[:, None] * sensed
+    rows[:, 0] *= 0.5
+    add_products(rows[:, 3:], p.gradient, sensed[:, 1:3])
+    return Derivatives.of(rows)

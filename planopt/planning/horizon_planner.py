@@ -19,6 +19,7 @@ from planopt.planning.search.good_place import ways_to_good_place
 from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.start_polish import StartPolish
+from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
@@ -81,6 +82,12 @@ class HorizonPlanner:
             starts = driven_starts(judge, situation, starts, warm)
         budget = budget_from(self.problem, begun)
         chosen = self._climb(situation, judge, starts, warm, budget)
+        if chosen.kkt_residual is None:
+            # The search predicted its places with others; whoever judges the plan will not.
+            alone = PathWorth(replace(situation))(chosen.path_m)
+            same = chosen.lattice_objective == chosen.objective
+            found = alone if same else chosen.lattice_objective
+            chosen = replace(chosen, objective=alone, lattice_objective=found)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _climb(

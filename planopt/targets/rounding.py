@@ -31,25 +31,53 @@ class Derivatives:
     gradient: NDArray[np.float64]
     hessian: NDArray[np.float64]
 
+    @staticmethod
+    def of(rows: NDArray[np.float64]) -> Derivatives:
+        """Those whose :attr:`rows` are `rows`, which they keep."""
+        found = Derivatives(rows[..., 0], rows[..., 1:3], rows[..., 3:])
+        object.__setattr__(found, "_rows", rows)
+        return found
+
+    @property
+    def rows(self) -> NDArray[np.float64]:
+        """``(..., 6)``: value, x, y, xx, xy, yy; what is linear treats them alike."""
+        rows: NDArray[np.float64] | None = getattr(self, "_rows", None)
+        if rows is None:
+            return np.concatenate([self.value[..., None], self.gradient, self.hessian], axis=-1)
+        return rows
+
 
 def rounded_length(offset_m: NDArray[np.float64], width_m: float) -> Derivatives:
     """Length of `offset_m` (..., 2), rounded within `width_m` > 0 of zero, with derivatives."""
-    value, slope, bend = _profile(np.hypot(offset_m[..., 0], offset_m[..., 1]), width_m)
-    return Derivatives(value, slope[..., None] * offset_m, radial_hessian(offset_m, slope, bend))
+    distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
+    return radial(offset_m, *rounded_radius(distance, width_m))
 
 
-def radial_hessian(
-    offset_m: NDArray[np.float64], slope: NDArray[np.float64], bend: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """``slope I + bend x x'`` of offsets x (..., 2), as xx, xy, yy (..., 3)."""
-    x, y = offset_m[..., 0], offset_m[..., 1]
-    hessian = np.empty((*x.shape, 3))
+def radial(
+    offset_m: NDArray[np.float64],
+    value: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    bend: NDArray[np.float64],
+) -> Derivatives:
+    """Derivatives of f(|x|) at offsets x (..., 2).
+
+    Parameters
+    ----------
+    offset_m
+        x.
+    value, slope, bend
+        ``(...)`` f, f' / r and (f'' - f' / r) / r^2: the gradient is ``slope x``, the Hessian
+        ``slope I + bend x x'``.
+    """
+    rows = np.empty((*value.shape, 6))
+    rows[..., 0] = value
+    steep = slope[..., None]
+    np.multiply(steep, offset_m, out=rows[..., 1:3])
     bent = bend[..., None] * offset_m
-    hessian[..., :2] = bent * offset_m[..., :1]
-    hessian[..., 0] += slope
-    np.multiply(bent[..., 1], y, out=hessian[..., 2])
-    hessian[..., 2] += slope
-    return hessian
+    np.multiply(bent, offset_m[..., :1], out=rows[..., 3:5])
+    np.multiply(bent[..., 1], offset_m[..., 1], out=rows[..., 5])
+    rows[..., 3::2] += steep
+    return Derivatives.of(rows)
 
 
 def add_products(
@@ -70,14 +98,14 @@ def rounded_positive_part(
 
     Larger than max{0, x} by at most 3/16 of `width`. Shapes as `x`.
     """
-    value, slope, bend = _profile(np.abs(x), width)
+    value, slope, bend = rounded_radius(np.abs(x), width)
     return 0.5 * (x + value), 0.5 * (1.0 + slope * x), 0.5 * (slope + bend * x * x)
 
 
-def _profile(
+def rounded_radius(
     r: NDArray[np.float64], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """rho(r), rho' / r and (rho'' - rho' / r) / r^2: finite at 0, where the last two are needed."""
+    """A rounded radius rho(r) with slope and bend as for :func:`radial`; finite at 0."""
     if r.min(initial=np.inf) >= width:
         inverse = 1.0 / r
         return r, inverse, -inverse * inverse * inverse

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.targets.rounding import Derivatives, add_products, rounded_length
+from planopt.targets.rounding import Derivatives, radial, rounded_radius
 
 CUSP_SHARE = 0.1
 """The derivatives round the cusp at the target within this share of the sweet spot's radius."""
@@ -118,14 +118,16 @@ def sensing_derivatives(
     """
     offset = positions_m - target_m
     sweet = sensor.sweet_spot_m
-    # Without a sweet spot g has no cusp, and the length's factor below is zero.
-    length = rounded_length(offset, CUSP_SHARE * sweet if sweet > 0.0 else 1.0)
     square = np.einsum("...i,...i->...", offset, offset)
-    loss = sensor.growth * (square - 2.0 * sweet * length.value + sweet**2) + sensor.least_noise_m2
+    # Without a sweet spot g has no cusp, and the length's factor below is zero.
+    width = CUSP_SHARE * sweet if sweet > 0.0 else 1.0
+    length, slope, bend = rounded_radius(np.sqrt(square), width)
+    growth = 2.0 * sensor.growth
+    loss = growth * (0.5 * square - sweet * length + 0.5 * sweet**2) + sensor.least_noise_m2
     information = 1.0 / loss
-    slope = (-2.0 * sensor.growth * information * information)[..., None]
-    gradient = slope * (offset - sweet * length.gradient)
-    hessian = (-sweet * slope) * length.hessian
-    hessian[..., ::2] += slope
-    add_products(hessian, gradient, loss[..., None] * gradient)
-    return Derivatives(information, gradient, hessian)
+    # Slope and bend of g, then of its reciprocal.
+    steep, bent = growth - (growth * sweet) * slope, (-growth * sweet) * bend
+    falling = -information * information
+    slope = falling * steep
+    bend = falling * bent - 2.0 * slope * steep * information
+    return radial(offset, information, slope, bend)

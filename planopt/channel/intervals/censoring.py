@@ -58,7 +58,6 @@ def intervals(measurements: Measurements) -> Intervals:
     return Intervals(measurements.power_dbm + 0.5 * resolution, width)
 
 
-@one_blas_thread()
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
     """Replace censored and rounded measurements by Gaussian ones, given the channel's parameters.
 
@@ -82,9 +81,21 @@ def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) ->
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)
     is_interval = needs_site(measurements, omega2)
-    if not is_interval.any():
-        return Sites(values, variances)
-    omega2 = max(omega2, MIN_NOISE_VARIANCE_DB2)
+    if is_interval.any():
+        _put_sites(parameters, measurements, is_interval, values, variances)
+    return Sites(values, variances)
+
+
+@one_blas_thread()
+def _put_sites(
+    parameters: ChannelParameters,
+    measurements: Measurements,
+    is_interval: NDArray[np.bool_],
+    values: NDArray[np.float64],
+    variances: NDArray[np.float64],
+) -> None:
+    """Write the sites of those that `is_interval` (n,) to `values` and `variances` (n,)."""
+    omega2 = max(parameters.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
     theta = np.array([parameters.k_pl_db, parameters.n_pl])
     path_loss = regressors(measurements.positions_m, parameters.station) @ theta
     # A site is about what the receiver gets where it truly is.
@@ -111,4 +122,3 @@ def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) ->
     ).as_measurements()
     values[is_interval] = found.values_db
     variances[is_interval] = found.noise_variance_db2
-    return Sites(values, variances)

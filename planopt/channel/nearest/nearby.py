@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import lower_factor, solve_lower
+from planopt.channel.cholesky import whitened_by
 from planopt.channel.factor import whiten
 from planopt.channel.measurement_covariance import (
     covariance_db2,
@@ -120,7 +120,7 @@ def _of_group(
             received,
         ]
     )
-    whitened = solve_lower(lower_factor(covariance), columns)
+    whitened = whitened_by(covariance, columns)
     across, received = np.split(whitened[:, 3:], [len(places_m)], axis=1)
     return _terms(posterior, offsets, places_m, whitened[:, :3], across, received)
 

@@ -65,9 +65,6 @@ def margins_of(
     z: float | NDArray[np.float64],
 ) -> StageMargins:
     """``mean - z deviation - threshold`` of every stage, z one for all or ``(n,)``."""
-    each = np.broadcast_to(z, len(mean.value))
-    return StageMargins(
-        value=mean.value - each * deviation.value - threshold_dbm,
-        gradient=mean.gradient - each[:, None] * deviation.gradient,
-        hessian=mean.hessian - each[:, None] * deviation.hessian,
-    )
+    rows = mean.rows - np.reshape(z, (-1, 1)) * deviation.rows
+    rows[:, 0] -= threshold_dbm
+    return StageMargins(rows[:, 0], rows[:, 1:3], rows[:, 3:])

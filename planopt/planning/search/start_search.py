@@ -116,6 +116,8 @@ class StartSearch:
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
         self._field.refresh(situation, reach)
+        if shifted_m is not None:
+            situation.soon(shifted_m)
         paths = self._lattice_paths(situation)
         if shifted_m is not None:
             paths.append(shifted_m)

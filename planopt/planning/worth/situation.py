@@ -69,20 +69,39 @@ class Situation:
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
+    _soon: dict[bytes, NDArray[np.float64]] = field(
+        default_factory=dict[bytes, NDArray[np.float64]], init=False, repr=False
+    )
     _tracking: dict[TrackingTerm, Tracking] = field(
         default_factory=dict[TrackingTerm, Tracking], init=False, repr=False
     )
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Prediction at `places_m` (n, 2) as searches look at it, made once for each place."""
+        """Prediction at `places_m` (n, 2) as searches look at it, made once for each place.
+
+        Beyond some number of measurements it is a little off, by how much depends on which places
+        it was made with: what is released is valued by itself.
+        """
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
-        new = [row for row, key in enumerate(keys) if key not in self._power]
+        new = {
+            key: place for key, place in zip(keys, places_m, strict=True) if key not in self._power
+        }
         if new:
-            found = search_prediction(self.posterior, places_m[new], self.circumstances.broad)
+            new |= self._soon
+            self._soon.clear()
+            found = search_prediction(
+                self.posterior, np.array(list(new.values())), self.circumstances.broad
+            )
             values = zip(found.mean_db.tolist(), found.deviation_db.tolist(), strict=True)
-            self._power.update(zip([keys[row] for row in new], values, strict=True))
+            self._power.update(zip(new, values, strict=True))
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)
         return Prediction(both[:, 0], both[:, 1])
+
+    def soon(self, places_m: NDArray[np.float64]) -> None:
+        """Predict `places_m` (n, 2) with the next new places: near ones share measurements."""
+        for place in np.asarray(places_m, dtype=np.float64):
+            if place.tobytes() not in self._power:
+                self._soon[place.tobytes()] = place
 
     @cached_property
     def near_region(self) -> Region:

@@ -15,8 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.nearest.neighbours import NeighbourModel
-from planopt.objectives.rounded_kernel import fill_rounded_kernel, rounded_log_distance
-from planopt.targets.rounding import Derivatives, add_products
+from planopt.objectives.rounded_kernel import (
+    fill_rounded_kernel,
+    rounded_log_distance,
+    softened_m2,
+)
+from planopt.targets.rounding import Derivatives
 
 LEAST_VARIANCE_DB2 = float(np.finfo(float).tiny)
 """Rounding alone can leave none."""
@@ -44,8 +48,7 @@ class StagePredictor:
         self._quadratic[:, :m, m:] = along
         self._quadratic[:, m:, :m] = along.swapaxes(1, 2)
         self._quadratic[:, m:, m:] = -model.theta_covariance
-        # Columns: w, and Q f.
-        self._linear = np.empty((n, m + 2, 2))
+        self._linear = np.empty((n, m + 2, 1))
         self._linear[:, :m, 0] = model.weights - model.trend @ model.theta
         self._linear[:, m:, 0] = model.theta
         # f by derivative: value, x, y, xx, xy, yy.
@@ -54,36 +57,35 @@ class StagePredictor:
         self._kernel = self._f[:, :, :m].swapaxes(0, 1)
         self._x_m = np.ascontiguousarray(model.positions_m[:, :, 0])
         self._y_m = np.ascontiguousarray(model.positions_m[:, :, 1])
+        self._soft_m2 = softened_m2(model.blur_m2, model.parameters)
 
     def __call__(self, positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
         """Mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""
-        model, f, linear = self._model, self._f, self._linear
-        parameters = model.parameters
+        f, parameters = self._f, self._model.parameters
         fill_rounded_kernel(
             self._kernel,
             positions_m[:, :1] - self._x_m,
             positions_m[:, 1:] - self._y_m,
             parameters,
-            model.blur_m2,
+            self._soft_m2,
         )
-        gamma = rounded_log_distance(positions_m, parameters.station)
-        f[:, 0, -1], f[:, 1:3, -1], f[:, 3:, -1] = gamma.value, gamma.gradient, gamma.hessian
-        half = f[:, :3] @ self._quadratic
-        linear[:, :, 1] = half[:, 0]
-        forms = f @ linear
-        crossed = half[:, 1:] @ f[:, 1:3].swapaxes(1, 2)
-
-        variance = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 - forms[:, 0, 1]
+        f[:, :, -1] = rounded_log_distance(positions_m, parameters.station).rows
+        mean = (f @ self._linear)[:, :, 0]
+        # Of f, f_x and f_y with all six.
+        forms = (f[:, :3] @ self._quadratic) @ f.swapaxes(1, 2)
+        variance = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 - forms[:, 0, 0]
         deviation = np.sqrt(np.maximum(variance, LEAST_VARIANCE_DB2))
+        by_deviation = (1.0 / deviation)[:, None]
         # Derivatives of half of the variance, over the deviation.
-        s = forms[:, 1:, 1]
-        s[:, 2:4] += crossed[:, 0]
-        s[:, 4] += crossed[:, 1, 1]
-        s = s * (-1.0 / deviation)[:, None]
-        d1, d2 = s[:, :2], s[:, 2:]
-        add_products(d2, d1, d1 * (-0.5 / deviation)[:, None])
-        mean = Derivatives(forms[:, 0, 0], forms[:, 1:3, 0], forms[:, 3:, 0])
-        return mean, Derivatives(deviation, d1, d2)
+        rows = forms[:, 0] * -by_deviation
+        gradient = rows[:, 1:3]
+        crossed = gradient[:, :, None] * gradient[:, None]
+        crossed += forms[:, 1:, 1:3]
+        crossed *= by_deviation[:, None]
+        rows[:, 3:5] -= crossed[:, 0]
+        rows[:, 5] -= crossed[:, 1, 1]
+        rows[:, 0] = deviation
+        return Derivatives.of(mean), Derivatives.of(rows)
 
 
 def stage_prediction(

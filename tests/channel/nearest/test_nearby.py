@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planopt.channel.cholesky import lower_factor
+from planopt.channel.cholesky import whitened_by
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest import nearby
@@ -60,11 +60,11 @@ def test_places_far_apart_do_not_share(posterior, monkeypatch):
     """Factors stay small where places are spread out; each place has its nearest all the same."""
     sizes = []
 
-    def recorded(covariance):
+    def recorded(covariance, columns):
         sizes.append(len(covariance))
-        return lower_factor(covariance)
+        return whitened_by(covariance, columns)
 
-    monkeypatch.setattr(nearby, "lower_factor", recorded)
+    monkeypatch.setattr(nearby, "whitened_by", recorded)
     known = condition(posterior.parameters, posterior.measurements, theta="known")
     axes = np.meshgrid([0.0, 70.0, 130.0, 200.0], [0.0, 100.0, 200.0])
     spread = np.stack(axes, axis=-1).reshape(-1, 2)

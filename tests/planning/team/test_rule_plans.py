@@ -16,7 +16,8 @@ from planopt.channel.joint import sample_power
 from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_run, save_team_solution
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Termination, Verdict
+from planopt.planning.plan import Verdict
+from planopt.planning.start_polish import RETURNED
 from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.team.team_solve import solve_team
 from planopt.planning.worth.path_worth import PathWorth
@@ -47,7 +48,7 @@ def test_plan_keeps_a_rule_that_binds(form):
     # The bound is used, not only kept: little of what is asked is left over.
     if form not in ("stated_times", "outage"):
         assert -result.missing < 0.02 * result.asked
-    assert plan.termination is Termination.CONVERGED
+    assert plan.termination in RETURNED and plan.iterations > 0
     assert plan.objective >= plan.lattice_objective
 
 

@@ -26,6 +26,7 @@ NAMES = [
     "open_field",
     "outdoor_map",
     "outdoor_track",
+    "two_station_courier",
 ]
 
 

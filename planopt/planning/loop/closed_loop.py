@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
 from planopt.planning.history import history_of
@@ -17,6 +16,7 @@ from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Run
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.loop.step_log import step_log
+from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.reach_planner import ReachPlanner
@@ -54,20 +54,20 @@ def simulate(
     """
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     prepared = prepared if prepared is not None else prepare(problem, seed)
-    if prepared.truth is None:
+    if not prepared.truths:
         raise InputError(
             "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
         )
     scene = scene if scene is not None else build_scene(problem)
     planning = ReachPlanner(problem, scene)
-    belief, truth = prepared.belief, prepared.truth
+    belief, truths = prepared.belief, prepared.truths
     position = np.asarray(problem.robots[0].start_m)
     track = [position]
     plans: list[Plan] = []
     learnt: list[bool] = []
     ended = ending(problem, track, learnt, None)
     while ended is None:
-        here = true_power_dbm(truth, np.array(track[1:]).reshape(-1, 2))
+        here = true_serving_dbm(problem, truths, np.array(track[1:]).reshape(-1, 2))
         connected = here >= problem.stations[0].threshold_dbm
         history = history_of(problem, np.array(track), connected)
         plan = planning.plan(belief, position, plans[-1] if plans else None, history)
@@ -75,14 +75,14 @@ def simulate(
         position = plan.positions_m[1]
         track.append(position)
         before = len(belief.posterior.measurements)
-        belief = learn_here(problem, truth, belief, position)
+        belief = learn_here(problem, truths, belief, position)
         learnt.append(len(belief.posterior.measurements) > before)
         if on_step is not None:
             on_step(len(plans))
         ended = ending(problem, track, learnt, plan)
     outcome, reason = ended
     places = np.array(track)
-    log = step_log(problem, places, true_power_dbm(truth, places), plans)
+    log = step_log(problem, places, true_serving_dbm(problem, truths, places), plans)
     run = Run(
         robot=problem.robots[0].name,
         horizon=problem.planner.horizon,
@@ -96,4 +96,4 @@ def simulate(
         rule=rule_metrics(problem, [log]),
     )
     first = len(prepared.belief.posterior.measurements)
-    return Simulation(problem, seed, belief, first, run, tuple(plans), truth)
+    return Simulation(problem, seed, belief, first, run, tuple(plans), truths[0], truths[1:])

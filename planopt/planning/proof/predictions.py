@@ -9,7 +9,8 @@ from planopt.channel.kriging import predict
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, predict_nearby
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.broad_prediction import Broad
+from planopt.planning.proof.serving import Serving
 
 KEPT_ERROR_DB = 1e-3
 """Predictions from groups of neighbours that were kept, and have grown, are off those from groups
@@ -26,7 +27,7 @@ many there are."""
 def certified_prediction(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
-    broad: BroadPrediction | None = None,
+    broad: Broad | None = None,
     *,
     keep: bool = True,
 ) -> tuple[Prediction, str]:
@@ -34,6 +35,10 @@ def certified_prediction(
 
     With `keep` the groups of neighbours may be those of an earlier step, grown.
     """
+    if isinstance(broad, Serving):
+        found = [certified_prediction(each, positions_m, keep=keep) for each in broad.posteriors]
+        kind = next((kind for _, kind in found if kind != "exact"), "exact")
+        return broad.law([prediction for prediction, _ in found]), kind
     if broad is not None:
         exact = len(posterior.measurements) <= EXACT_LIMIT
         return broad(positions_m), "exact" if exact else f"neighbours:{NEIGHBOURS_BEYOND}"
@@ -46,9 +51,11 @@ def certified_prediction(
 def search_prediction(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
-    broad: BroadPrediction | None = None,
+    broad: Broad | None = None,
 ) -> Prediction:
     """Prediction that searches look at; what they find is certified afterwards."""
+    if isinstance(broad, Serving):
+        return broad.law([search_prediction(each, positions_m) for each in broad.posteriors])
     if broad is not None:
         return broad(positions_m)
     if len(posterior.measurements) <= SEARCH_EXACT_LIMIT:

@@ -11,8 +11,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.local_channel import LocalGrid, local_channel, local_grid
-from planopt.planning.search.ranked_terms import legs_m, ranked_value
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.local_channel import (
+    LocalChannel,
+    LocalGrid,
+    local_channel,
+    local_grid,
+)
+from planopt.planning.search.ranked_terms import RankedWays, ranked_value
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.search.ways_missing import ways_missing
 from planopt.planning.worth.situation import Situation
@@ -47,30 +53,51 @@ class LocalRanking:
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), MOST_NEIGHBOURS)
-        self._channel = local_channel(situation.posterior, _anchors(about_m), count)
-        self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
-        self._grid: LocalGrid | None = None
-        if any(isinstance(t, MappingTerm) and t.form == "average" for t in situation.problem.terms):
-            region = situation.near_region
+        averages = any(
+            isinstance(t, MappingTerm) and t.form == "average" for t in situation.problem.terms
+        )
+        self._stations = [
+            self._station(posterior, _anchors(about_m), count, averages=averages)
+            for posterior in situation.stations
+        ]
+
+    def _station(
+        self,
+        posterior: ChannelPosterior,
+        anchors_m: NDArray[np.float64],
+        count: int,
+        *,
+        averages: bool,
+    ) -> tuple[LocalChannel, NDArray[np.float32], LocalGrid | None]:
+        """One station's channel near the ways, its precision, and where its map is wanted."""
+        channel, grid = local_channel(posterior, anchors_m, count), None
+        if averages:
+            region = self._situation.near_region
             every = max(1, round(len(region.weight) / RANKED_PLACES))
-            grid, weight = region.grid_m[::every], region.weight[::every]
-            self._grid = local_grid(self._channel, grid, every * weight)
+            grid = local_grid(channel, region.grid_m[::every], every * region.weight[::every])
+        return channel, channel.precision.astype(np.float32), grid
 
     def __call__(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weighted sum of the terms of each way ``(c, N, 2)``, near its exact worth; ``(c,)``.
 
         Where connectivity is bounded, ways that miss the bound come after all others.
         """
-        at, batch = self._situation, WayBatch(self._channel, self._precision, ways_m)
+        at = self._situation
+        ways = RankedWays(
+            at,
+            ways_m,
+            [WayBatch(channel, precision, ways_m) for channel, precision, _ in self._stations],
+            [grid for _, _, grid in self._stations],
+        )
         worth = np.zeros(len(ways_m))
         for term in at.problem.terms:
-            worth += term.weight * ranked_value(term, at, batch, self._grid)
+            worth += term.weight * ranked_value(term, ways)
         if not at.problem.constraints.asks_connection:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
-        missing = ways_missing(at, legs_m(at, ways_m), batch.power())
+        missing = ways_missing(at, ways.legs_m, ways.power)
         return worth - self._missing_db_cost * missing
 
 

@@ -78,6 +78,8 @@ class TeamRun:
         None where nothing is tracked.
     channel
         How well it was known.
+    further_truths
+        As `truth`, of further stations.
     """
 
     problem: Problem
@@ -90,6 +92,7 @@ class TeamRun:
     first_measurements: int
     target: TargetLog | None
     channel: ChannelLog
+    further_truths: tuple[Truth, ...] = ()
 
     @property
     def metrics(self) -> dict[str, float]:

@@ -22,7 +22,7 @@ from planopt.planning.programme.offenders import LINE_REACH_STEPS
 from planopt.planning.proof.motion import judge_motion
 from planopt.planning.search.start_search import Start
 from planopt.planning.shifted import shifted_drive
-from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
@@ -66,23 +66,31 @@ def driven_starts(
     for start in starts:
         inputs = dynamics.following(judge.state, start.path_m, step_s)
         drive = rolled_out(dynamics, judge.state, inputs, step_s)
-        found.append(_start(judge, situation, drive))
-    shifted = shifted_drive(problem, warm)
-    if shifted is not None and warm is not None and warm.verdict is Verdict.VERIFIED:
-        if len(shifted.inputs) == problem.planner.horizon:
-            found.append(_start(judge, situation, shifted))
+        found.append(driven_start(judge, situation, drive))
+    last = last_drive(problem, warm)
+    if last is not None:
+        found.append(driven_start(judge, situation, last))
     found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.worth))
     return found
 
 
-def _start(judge: Judge, situation: Situation, drive: Drive) -> Start:
-    path = drive.positions_m[1:]
+def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
+    """A verified last plan, one step later and then stopping; None if there is none."""
+    shifted = shifted_drive(problem, warm)
+    if shifted is None or warm is None or warm.verdict is not Verdict.VERIFIED:
+        return None
+    return shifted if len(shifted.inputs) == problem.planner.horizon else None
+
+
+def driven_start(judge: Judge, situation: Situation, drive: Drive) -> Start:
+    """A drive as a start."""
+    candidate = drive_candidate(judge, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
+    path = candidate.path_m
     clear = not judge_motion(
         judge.problem, judge.index, judge.state, drive.positions_m, drive
     ).reasons
-    margins = judge.margins_db(situation.power(path))
-    missing = float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())
-    return Start(path, judge.objective(path), missing, drive, clear)
+    missing = rule_missing(situation, path)
+    return Start(path, judge.worth(candidate), missing, drive, clear)
 
 
 def motion_task(problem: Problem, ground: Ground, shape: MotionShape, drive: Drive) -> MotionTask:
@@ -120,16 +128,17 @@ def without_start(judge: Judge, warm: Plan | None) -> Candidate:
     shifted = shifted_drive(problem, warm)
     rest: Candidate | None = None
     if shifted is not None and warm is not None and len(shifted.inputs) == horizon:
-        rest = judge.judged(_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
+        rest = judge.judged(drive_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
         if rest.verdict is Verdict.VERIFIED and warm.verdict is Verdict.VERIFIED:
             return rest
     inputs = dynamics.braking(judge.state, step_s, horizon)
     braked = rolled_out(dynamics, judge.state, inputs, step_s)
-    stop = judge.judged(_candidate(judge, braked, Rung.STOP, Termination.NO_PATH))
+    stop = judge.judged(drive_candidate(judge, braked, Rung.STOP, Termination.NO_PATH))
     if not stop.sound and rest is not None and rest.sound:
         return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH)
     return stop
 
 
-def _candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
+def drive_candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
+    """A drive as a candidate, not yet verified."""
     return judge.candidate(drive.positions_m[1:], rung, termination, drive)

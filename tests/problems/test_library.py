@@ -19,6 +19,7 @@ from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [
     "crowded_track",
+    "harbour_reach",
     "harbour_track",
     "indoor_learn",
     "munich_courier",

@@ -21,6 +21,7 @@ NAMES = [
     "crowded_track",
     "harbour_reach",
     "harbour_track",
+    "harbour_traffic",
     "indoor_learn",
     "munich_courier",
     "munich_hard",

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.objectives.expression import expression_values
@@ -19,9 +18,6 @@ from planopt.objectives.filter_gain import (
     first_steps,
     information_gain,
     sensing_of,
-)
-from planopt.objectives.local_channel import (
-    LocalGrid,
 )
 from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.path_loss_learning import theta_information
@@ -51,18 +47,17 @@ class RankedWays:
     ----------
     at
         What is known.
-    ways_m
-        ``(c, N, 2)``.
     stations
         Each station's power along all of them.
-    grids
-        Where each station's map is wanted, for a map's average alone.
     """
 
     at: Situation
-    ways_m: NDArray[np.float64]
     stations: Sequence[WayBatch]
-    grids: Sequence[LocalGrid | None]
+
+    @property
+    def ways_m(self) -> NDArray[np.float64]:
+        """``(c, N, 2)``."""
+        return self.stations[0].ways_m
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -72,7 +67,7 @@ class RankedWays:
     @cached_property
     def each(self) -> list[Prediction]:
         """Each station's power at every place, those of a way together; ``(c N,)``."""
-        return [batch.power() for batch in self.stations]
+        return [batch.power for batch in self.stations]
 
     @cached_property
     def power(self) -> Prediction:
@@ -145,7 +140,7 @@ def _tracking(term: TrackingTerm, ways: RankedWays) -> NDArray[np.float64]:
 def _until_connected(term: UntilConnectedTerm, ways: RankedWays) -> NDArray[np.float64]:
     settings = ways.at.search(term)
     (above, covariance), *further = [
-        (power.mean_db.reshape(ways.shape) - threshold, batch.universal())
+        (power.mean_db.reshape(ways.shape) - threshold, batch.universal)
         for power, batch, threshold in zip(
             ways.each, ways.stations, settings.thresholds_dbm, strict=True
         )
@@ -183,42 +178,37 @@ def _learning(
 def _mapping(term: MappingTerm, ways: RankedWays) -> NDArray[np.float64]:
     at = ways.at
     if term.form != "two_layer":
-        return _added(
-            _mapped(term, ways, batch, grid)
-            for batch, grid in zip(ways.stations, ways.grids, strict=True)
-        )
+        return _added(_mapped(term, ways, batch) for batch in ways.stations)
     if at.steering_m is None:
         return np.zeros(ways.shape[0])
     start = float(np.linalg.norm(at.position_m - at.steering_m))
     return (start - np.linalg.norm(ways.ways_m - at.steering_m, axis=2)).sum(axis=1)
 
 
-def _mapped(
-    term: MappingTerm, ways: RankedWays, batch: WayBatch, grid: LocalGrid | None
-) -> NDArray[np.float64]:
+def _mapped(term: MappingTerm, ways: RankedWays, batch: WayBatch) -> NDArray[np.float64]:
     """What the measurements of one station tell."""
     if term.form == "path":
-        settings = ways.at.uncertainty(term)
-        variance = np.diagonal(batch.factor(), axis1=1, axis2=2) ** 2
-        near = np.exp(-settings.decay_per_m * np.cumsum(ways.legs_m, axis=1))
-        return (np.maximum(variance - settings.threshold_db2, 0.0) * near).sum(axis=1)
+        _, excess, near = path_form_parts(term, ways, batch)
+        return (excess * near).sum(axis=1)
     if term.form == "information":
-        diagonal = np.diagonal(batch.factor(), axis1=1, axis2=2)
+        diagonal = np.diagonal(batch.factor, axis1=1, axis2=2)
         return np.log(diagonal / batch.channel.parameters.multipath_std_db).sum(axis=1)
-    if grid is None:
-        raise AssertionError("the spatial average needs a grid")
-    return _average(batch, grid)
+    return _average(batch)
 
 
-def _average(batch: WayBatch, grid: LocalGrid) -> NDArray[np.float64]:
+def path_form_parts(
+    term: MappingTerm, ways: RankedWays, batch: WayBatch
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """L_ii^2, what of it is above the threshold, and psi of the way there; each ``(c, N)``."""
+    settings = ways.at.uncertainty(term)
+    variance = np.diagonal(batch.factor, axis1=1, axis2=2) ** 2
+    near = np.exp(-settings.decay_per_m * np.cumsum(ways.legs_m, axis=1))
+    return variance, np.maximum(variance - settings.threshold_db2, 0.0), near
+
+
+def _average(batch: WayBatch) -> NDArray[np.float64]:
     """sum_g w_g c(g)' S^-1 c(g), both with what is not known of theta (theory 4.5)."""
-    channel = batch.channel
-    places = batch.ways_m.reshape(-1, 2)
-    across = shadow_covariance_db2(places, grid.positions_m, channel.parameters)
-    across -= batch.single @ grid.solved.astype(np.float32)
-    across += batch.trend.reshape(-1, 2) @ (channel.theta_covariance @ grid.trend.T)
-    across *= grid.root_weight
-    across = across.reshape(*batch.shape, -1)
+    _, _, across = batch.across
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)
-    return np.trace(np.linalg.solve(batch.universal(), gathered), axis1=1, axis2=2)
+    return np.trace(np.linalg.solve(batch.universal, gathered), axis1=1, axis2=2)

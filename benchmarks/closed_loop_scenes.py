@@ -174,7 +174,8 @@ def _terms(generator: np.random.Generator, task: str) -> list[Tables]:
         }
         drawn = generator.permutation(4)[: generator.integers(1, 3)]
         terms += [[*others, energy][index] for index in drawn]
-    return terms
+    steering = [term for term in terms if term.get("form") == "two_layer"]
+    return [term for term in terms if term not in steering[1:]]
 
 
 def _weight(generator: np.random.Generator) -> float:
@@ -200,13 +201,16 @@ def _learning(generator: np.random.Generator) -> Tables:
 
 
 def _mapping(generator: np.random.Generator) -> Tables:
-    return {
+    table = {
         "kind": "mapping",
         "weight": _weight(generator),
         "form": str(generator.choice(FORMS)),
+    }
+    own = {
         "variance_threshold_db2": float(generator.choice([0.0, 5.0, 50.0])),
         "closeness_per_m": float(generator.choice([0.0, 0.1])),
     }
+    return table | own if table["form"] in ("path", "two_layer") else table
 
 
 def _target(generator: np.random.Generator, bounds: np.ndarray, speed_m_s: float) -> Tables:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.parameters import ChannelParameters
+
+Real = TypeVar("Real", np.float32, np.float64)
 
 
 def pairwise_distance_m(
@@ -40,10 +44,8 @@ def shadow_covariance_db2(
     return decayed_db2(pairwise_distance_m(a, b, blur_m2), parameters)
 
 
-def decayed_db2(
-    distance_m: NDArray[np.float64], parameters: ChannelParameters
-) -> NDArray[np.float64]:
-    """Covariance of shadowing over distances, of any shape, which it replaces."""
+def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDArray[Real]:
+    """Covariance of shadowing over distances, of any shape and precision, which it replaces."""
     covariance = distance_m
     covariance *= -1.0 / parameters.decorrelation_m
     np.exp(covariance, out=covariance)

@@ -54,8 +54,7 @@ def path_loss_derivatives(
         return PathDerivatives(float(criterion.value(gained, None)), gradient, hessian)
     before = np.asarray(np.linalg.inv(channel.theta_covariance), dtype=np.float64)
     spread = np.asarray(np.linalg.inv(before + gained), dtype=np.float64)
-    goal = {"D": before + gained, "A": np.eye(2), "V": criterion.goal}[criterion.kind]
-    by_n = spread @ goal @ spread
+    by_n = criterion.slope(gained, before)
     gradient, hessian = _trace_form(batch, weight, batch.trend.times(_root(by_n)))
     # dN = x_i u' + u x_i', see _trace_form.
     x = weight @ batch.trend.value

@@ -71,6 +71,20 @@ class Criterion:
         goal = np.eye(2) if self.kind == "A" else self.goal
         return np.asarray(-np.einsum("ij,...ji->...", goal, spread))
 
+    def slope(
+        self, gained: NDArray[np.float64], before: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        """The derivative of :meth:`value` by `gained`, symmetric; ``(..., 2, 2)``.
+
+        I for T, N^-1 for D, N^-1 G N^-1 for V, with G = I for A.
+        """
+        if self.kind == "T" or before is None:
+            return np.broadcast_to(np.eye(2), gained.shape)
+        spread = np.asarray(np.linalg.inv(before + gained), dtype=np.float64)
+        if self.kind == "D":
+            return spread
+        return np.asarray(spread @ (np.eye(2) if self.kind == "A" else self.goal) @ spread)
+
 
 def goal_criterion(
     posterior: ChannelPosterior, goals_m: NDArray[np.float64], weight: NDArray[np.float64]

@@ -19,7 +19,9 @@ from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.programme.motion_task import MotionTask
 from planopt.planning.programme.offenders import LINE_REACH_STEPS
+from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.motion import judge_motion
+from planopt.planning.proof.swept_motion import swept_motion
 from planopt.planning.search.start_search import Start
 from planopt.planning.shifted import shifted_drive
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
@@ -27,7 +29,7 @@ from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
 from planopt.robots.dynamics import Dynamics
-from planopt.world.separation import separating_lines
+from planopt.world.separation import SeparatingLines, joined_lines, separating_lines
 
 
 def dynamics_of(problem: Problem) -> Dynamics:
@@ -49,7 +51,7 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 def driven_starts(
     judge: Judge, situation: Situation, starts: list[Start], warm: Plan | None
 ) -> list[Start]:
-    """Starts that the robot can drive, best first; those that come too near to obstacles last.
+    """Starts that the robot can drive, best first; those that come too near to something last.
 
     Parameters
     ----------
@@ -77,23 +79,37 @@ def driven_starts(
 
 def _start(judge: Judge, situation: Situation, drive: Drive) -> Start:
     path = drive.positions_m[1:]
-    clear = not judge_motion(
-        judge.problem, judge.index, judge.state, drive.positions_m, drive
-    ).reasons
+    moved = judge_motion(judge.problem, judge.index, judge.state, drive.positions_m, drive)
+    apart = judge_apart(
+        judge.circumstances.moving, swept_motion(judge.problem, drive.positions_m, drive)
+    )
+    clear = not (moved.reasons or apart.reasons)
     margins = judge.margins_db(situation.power(path))
     missing = float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())
     return Start(path, judge.objective(path), missing, drive, clear)
 
 
-def motion_task(problem: Problem, ground: Ground, shape: MotionShape, drive: Drive) -> MotionTask:
-    """What a polish from a drive needs."""
+def motion_task(
+    problem: Problem,
+    ground: Ground,
+    shape: MotionShape,
+    drive: Drive,
+    still: SeparatingLines | None,
+) -> MotionTask:
+    """What a polish from a drive needs; `still` are lines of standstill from what moves."""
     last = drive.states[-1]
-    points = shape.dynamics.stop_points(tuple(last), problem.planner.step_s)
-    end = np.array([points[-1] if points else last[:2]], dtype=np.float64)
-    lines = separating_lines(
-        ground.pieces, last[None, :2], end, shape.lines, LINE_REACH_STEPS * problem.step_length_m
-    )
-    return MotionTask(shape, drive, lines)
+    end = standstill_m(problem, last)[None]
+    reach = LINE_REACH_STEPS * problem.step_length_m
+    count = shape.lines - (0 if still is None else int(still.piece.shape[1]))
+    lines = separating_lines(ground.pieces, last[None, :2], end, count, reach)
+    return MotionTask(shape, drive, lines if still is None else joined_lines(lines, still))
+
+
+def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the robot stands (2,) that stops from `state` (s,), or a little beyond."""
+    dynamics = problem.robots[0].dynamics
+    points = () if dynamics is None else dynamics.stop_points(tuple(state), problem.planner.step_s)
+    return np.array(points[-1] if points else state[:2], dtype=np.float64)
 
 
 def polished_drive(
@@ -109,7 +125,7 @@ def without_start(judge: Judge, warm: Plan | None) -> Candidate:
     """Take the last verified plan, one step later and checked again; else stop.
 
     It stops straight away where that is clear, and else at the end of the last plan, which was
-    clear whatever is believed of the channel now.
+    clear whatever is believed of the channel now, and which no other robot is in the way of.
     """
     problem = judge.problem
     dynamics, step_s, horizon = (
@@ -126,9 +142,11 @@ def without_start(judge: Judge, warm: Plan | None) -> Candidate:
     inputs = dynamics.braking(judge.state, step_s, horizon)
     braked = rolled_out(dynamics, judge.state, inputs, step_s)
     stop = judge.judged(_candidate(judge, braked, Rung.STOP, Termination.NO_PATH))
-    if not stop.sound and rest is not None and rest.sound:
-        return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH)
-    return stop
+    if stop.sound or rest is None:
+        return stop
+    if len(judge.circumstances.moving):
+        return replace(rest, rung=Rung.RESERVED)
+    return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH) if rest.sound else stop
 
 
 def _candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.errors import InputError
 from planopt.planning.search.road_map import RoadMap, build_road_map
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.problems.problem import Problem
@@ -35,13 +36,24 @@ class Ground:
 
 
 def build_ground(problem: Problem, anchor_m: NDArray[np.float64]) -> Ground:
-    """Build the geometry of a problem, with a node of the lattice at `anchor_m` (2,)."""
-    lattice = build_lattice(
-        problem.workspace,
-        anchor_m,
-        problem.step_length_m - STEP_PAD_M,
-        problem.constraints.clearance_m + CLEARANCE_PAD_M,
-    )
+    """Build the geometry of a problem, with a node of the lattice at `anchor_m` (2,).
+
+    Raises
+    ------
+    InputError
+        The step is too short, or too long, for the bounds.
+    """
+    try:
+        lattice = build_lattice(
+            problem.workspace,
+            anchor_m,
+            problem.step_length_m - STEP_PAD_M,
+            problem.constraints.clearance_m + CLEARANCE_PAD_M,
+        )
+    except InputError as error:
+        raise InputError(
+            error.message, file=problem.file, key="planner.step_s", remedy=error.remedy
+        ) from None
     return Ground(
         index_obstacles(problem.workspace),
         pack_pieces(problem.workspace),

@@ -16,6 +16,8 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.search.good_place import ways_to_good_place
+from planopt.planning.search.local_ranking import can_climb
+from planopt.planning.search.next_start import is_worth_following
 from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.start_polish import StartPolish
@@ -123,8 +125,7 @@ class HorizonPlanner:
                 tried.append(unpolished)
                 if unpolished.verdict is Verdict.VERIFIED:
                     verified.append(unpolished)
-            settled = number + 1 >= self._followed and not (self._thorough or self._driven)
-            if verified and settled:
+            if verified and self._is_settled(starts, number + 1, verified):
                 break
         if not verified and not self._driven:
             found = self._by_way_to_good_place(situation, judge, tried, budget)
@@ -152,6 +153,19 @@ class HorizonPlanner:
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
         return with_effort(chosen, tried)
+
+    def _is_settled(self, starts: list[Start], number: int, verified: list[Candidate]) -> bool:
+        """Whether start `number` need not be followed, there being verified candidates."""
+        if self._thorough or self._driven:
+            return False
+        if number >= min(self._followed, len(starts)):
+            return True
+        # Only of ways that have climbed does the worth tell where they lead.
+        polished = [candidate.path_m for candidate in verified]
+        longest = self.problem.step_length_m
+        return can_climb(self.problem) and not is_worth_following(
+            starts[number], starts[0], polished, longest
+        )
 
     def _by_way_to_good_place(
         self, situation: Situation, judge: Judge, tried: list[Candidate], budget: Budget

@@ -1,4 +1,4 @@
-"""What moves over a plan's steps: the problem's moving obstacles."""
+"""What moves over a plan's steps, and while robots brake after them: moving obstacles."""
 
 from __future__ import annotations
 
@@ -7,8 +7,19 @@ from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 from planopt.world.moving_obstacle import predicted_discs
 
 
+def steps_ahead(problem: Problem) -> int:
+    """Steps for which it counts where everything is: planned ones, then the longest braking."""
+    settings = problem.planner
+    braking = [
+        robot.dynamics.longest_stop_steps(settings.step_s)
+        for robot in problem.robots
+        if robot.dynamics is not None
+    ]
+    return settings.horizon + max(braking, default=0)
+
+
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
-    """Where moving obstacles are predicted over the horizon, after `driven` steps of a run.
+    """Where moving obstacles are predicted over the steps ahead, after `driven` steps of a run.
 
     They are predicted anew at every step: what is not known of their way counts from then on.
     """
@@ -19,6 +30,6 @@ def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
         problem.workspace.moving,
         driven * settings.step_s,
         settings.step_s,
-        settings.horizon,
+        steps_ahead(problem),
         problem.constraints.clearance_m,
     )

@@ -13,20 +13,16 @@ from planopt.planning.candidate import Candidate
 from planopt.planning.driven import motion_shape, motion_task, polished_drive
 from planopt.planning.ground import Ground
 from planopt.planning.judge import Judge
+from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Rung, Termination
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.offenders import (
-    MOVING_LINES,
-    REPAIRS,
-    lines_about,
-    lines_with_offenders,
-    moving_count,
-)
+from planopt.planning.programme.offenders import REPAIRS
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
 from planopt.planning.search.start_search import Start
+from planopt.planning.start_lines import lines_count, lines_of_start, lines_repaired
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.risk_allocation import Allocation
 from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rule_rows
@@ -34,6 +30,7 @@ from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
+from planopt.world.moving_discs import MovingDiscs
 
 LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
@@ -63,13 +60,13 @@ class StartPolish:
         self._problem = problem
         self._ground = ground
         self._built: dict[int, PathNlp] = {}
-        self._nlp_for(min(len(problem.workspace.moving), MOVING_LINES))
+        self._nlp_for(obstacles_ahead(problem, 0))
 
-    def _nlp_for(self, moving: int) -> PathNlp:
-        """The programme with so many lines for what moves, built when first asked for."""
+    def _nlp_for(self, discs: MovingDiscs) -> PathNlp:
+        """The programme with lines for so much that moves, built when first asked for."""
         settings = self._problem.planner
-        if moving not in self._built:
-            lines = LINES_PER_SEGMENT + moving
+        lines = lines_count(LINES_PER_SEGMENT, discs, settings.horizon)
+        if lines not in self._built:
             shape = PathShape(
                 settings.horizon,
                 lines,
@@ -78,10 +75,10 @@ class StartPolish:
                 has_sum_row(self._problem),
                 motion_shape(self._problem, lines),
             )
-            self._built[moving] = build_path_nlp(
+            self._built[lines] = build_path_nlp(
                 shape, METHODS[settings.name], settings.budget_s, until_settled=True
             )
-        return self._built[moving]
+        return self._built[lines]
 
     def candidates(
         self,
@@ -105,23 +102,20 @@ class StartPolish:
             Of the step; None for no limit.
         """
         budget = Budget() if budget is None else budget
-        problem, nlp = self._problem, self._nlp_for(moving_count(situation.circumstances.moving))
+        problem, moving = self._problem, situation.circumstances.moving
+        nlp = self._nlp_for(moving)
         if budget.spent:
             return []
         rows = rule_rows(situation, start.path_m)
         evaluate = local_worth(situation, start.path_m, rows)
         ends = np.vstack([situation.position_m, start.path_m])
+        lines = lines_of_start(
+            problem, self._ground.pieces, moving, ends, start.drive, nlp.shape.lines
+        )
         task = PathTask(
             start_m=situation.position_m,
             path_m=start.path_m,
-            lines=lines_about(
-                self._ground.pieces,
-                situation.circumstances.moving,
-                ends,
-                nlp.shape.lines,
-                problem.constraints.clearance_m,
-                problem.step_length_m,
-            ),
+            lines=lines.path,
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
@@ -129,7 +123,7 @@ class StartPolish:
             scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
         )
         if nlp.shape.motion is not None and start.drive is not None:
-            motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive)
+            motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive, lines.still)
             task = replace(task, motion=motion)
         task = with_bounds(task, situation, rows)
         allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
@@ -183,14 +177,13 @@ class StartPolish:
         """The task with what a path came too near to built in; None if nothing."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
-        lines = lines_with_offenders(
+        lines = lines_repaired(
+            self._problem,
             self._ground.pieces,
+            situation.circumstances.moving,
             task.lines,
             np.vstack([task.start_m, task.path_m]),
             np.vstack([task.start_m, candidate.path_m]),
-            task.clearance_m,
-            task.step_length_m,
-            situation.circumstances.moving,
         )
         if lines is not None:
             return replace(task, lines=lines)
@@ -208,16 +201,16 @@ class StartPolish:
         if task.motion is None:
             raise AssertionError("a single integrator has no drive")
         problem = self._problem
-        lines = lines_about(
+        lines = lines_of_start(
+            problem,
             self._ground.pieces,
             situation.circumstances.moving,
             np.vstack([task.start_m, path_m]),
-            task.lines.piece.shape[1],
-            task.clearance_m,
-            task.step_length_m,
+            drive,
+            task.motion.shape.lines,
         )
-        motion = motion_task(problem, self._ground, task.motion.shape, drive)
-        return replace(task, path_m=path_m, lines=lines, motion=motion)
+        motion = motion_task(problem, self._ground, task.motion.shape, drive, lines.still)
+        return replace(task, path_m=path_m, lines=lines.path, motion=motion)
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:

@@ -1,4 +1,4 @@
-"""Robots start apart from each other and from what moves."""
+"""Robots start apart from each other and from what moves, and can stop apart from each other."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import numpy as np
 
 from planopt.errors import InputError
 from planopt.problems.problem import Problem
+from planopt.robots.braked_motion import standing_motion
+from planopt.world.least_distance import CLOSE_M, step_distances_m
 from planopt.world.moving_obstacle import centres_at
 
 
 def check_apart(problem: Problem) -> None:
     """Robots start apart from each other, and from where moving obstacles are at time 0."""
     separation = problem.constraints.separation_m
-    _check_who_keeps_apart(problem)
     starts = np.array([robot.start_m for robot in problem.robots])
     for number, robot in enumerate(problem.robots):
         for other in range(number):
@@ -25,6 +26,7 @@ def check_apart(problem: Problem) -> None:
                     key=f"robots[{number}].start_m",
                     remedy="move it, or lessen constraints.separation_m",
                 )
+            _check_stopping_apart(problem, number, other)
         for obstacle in problem.workspace.moving:
             centre = centres_at(obstacle, np.zeros(1))[0]
             distance = float(np.linalg.norm(starts[number] - centre)) - obstacle.radius_m
@@ -39,16 +41,24 @@ def check_apart(problem: Problem) -> None:
                 )
 
 
-def _check_who_keeps_apart(problem: Problem) -> None:
-    """Distances at equal times are known of ways that are straight and even, not of others."""
-    asked = "constraints.separation_m" if problem.constraints.separation_m else None
-    asked = "world.moving" if problem.workspace.moving else asked
-    for number, robot in enumerate(problem.robots):
-        if asked is not None and robot.dynamics is not None:
-            raise InputError(
-                "is for robots that move straight and evenly in a step, which "
-                f"robots[{number}] ({robot.name}) does not",
-                file=problem.file,
-                key=asked,
-                remedy=f"leave it out, or use the dynamics single_integrator for {robot.name}",
-            )
+def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
+    """Robots that move at the start keep apart if all stop, so that there is always a way out."""
+    separation, step_s = problem.constraints.separation_m, problem.planner.step_s
+    moving = {
+        one: standing_motion(robot.dynamics, robot.start_state, step_s)
+        for one, robot in ((one, problem.robots[one]) for one in (number, other))
+    }
+    steps = max(motion.steps for motion in moving.values())
+    if separation == 0.0 or steps == 0:
+        return
+    distance = float(step_distances_m(moving[number], moving[other], steps).min())
+    if distance + CLOSE_M < separation:
+        fast, slow = (number, other) if moving[number].steps else (other, number)
+        raise InputError(
+            f"is {list(problem.robots[fast].start_rest)}: stopping from there leads within "
+            f"{distance:.3g} m of {problem.robots[slow].name}, less than the separation of "
+            f"{separation:g} m",
+            file=problem.file,
+            key=f"robots[{fast}].start_velocity_m_s",
+            remedy="lessen it, start elsewhere, or lessen constraints.separation_m",
+        )

@@ -6,6 +6,7 @@ the key to change.
 
 from __future__ import annotations
 
+from planopt.errors import InputError
 from planopt.problems.check_apart import check_apart
 from planopt.problems.check_channel import check_channel
 from planopt.problems.check_expression import check_expression
@@ -16,6 +17,9 @@ from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import check_rule
 from planopt.world.clearance import index_obstacles
 
+LEAST_STEP_M = 1e-3
+"""Shorter steps are lost in the tolerances of planning."""
+
 
 def check(problem: Problem) -> None:
     """Raise the first fault of `problem`.
@@ -24,8 +28,8 @@ def check(problem: Problem) -> None:
     ------
     InputError
         Bounds are reversed, a start or goal is out of bounds or too near to an obstacle, a robot
-        cannot stop in time from its start, the channel's tables do not fit each other, or the truth
-        would be too large.
+        cannot stop in time from its start or moves less than a millimetre in a step, the channel's
+        tables do not fit each other, or the truth would be too large.
     """
     check_bounds(problem)
     index = index_obstacles(problem.workspace)
@@ -34,9 +38,23 @@ def check(problem: Problem) -> None:
         if robot.goal_m is not None:
             check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
         check_stopping(problem, index, number)
+        _check_step(problem, number)
     check_apart(problem)
     check_channel(problem)
     check_rule(problem)
     for number, term in enumerate(problem.terms):
         if isinstance(term, CasadiTerm):
             check_expression(problem, term, f"objective.terms[{number}]")
+
+
+def _check_step(problem: Problem, number: int) -> None:
+    """A step is long enough to be one."""
+    speed_m_s = problem.robots[number].speed_max_m_s
+    step_m = speed_m_s * problem.planner.step_s
+    if step_m < LEAST_STEP_M:
+        raise InputError(
+            f"is {speed_m_s:g}, which makes steps of {step_m:.3g} m, less than {LEAST_STEP_M:g} m",
+            file=problem.file,
+            key=f"robots[{number}].speed_max_m_s",
+            remedy="raise it, or planner.step_s",
+        )

@@ -20,6 +20,9 @@ from pydantic_core import ErrorDetails
 
 from planopt.errors import InputError
 
+LIKE_WORDS = 0.9
+"""Keys of words so alike, in whatever order, are taken for each other."""
+
 KeyPath = tuple[str | int, ...]
 
 _ALLOWED = {
@@ -106,8 +109,15 @@ def shown(value: object) -> str:
 
 def nearest(word: str, known: Sequence[str]) -> str:
     """What to write instead of the unknown `word`."""
-    close = difflib.get_close_matches(word, known, n=1)
+    # max_speed_m_s is speed_max_m_s with its words in another order.
+    by_words = {_sorted_words(key): key for key in known}
+    same = difflib.get_close_matches(_sorted_words(word), list(by_words), n=1, cutoff=LIKE_WORDS)
+    close = [by_words[key] for key in same] or difflib.get_close_matches(word, known, n=1)
     return f"did you mean {close[0]}?" if close else f"known: {', '.join(sorted(known))}"
+
+
+def _sorted_words(key: str) -> str:
+    return "_".join(sorted(key.lower().split("_")))
 
 
 def _kind_message(fault: ErrorDetails) -> str:

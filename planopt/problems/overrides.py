@@ -9,12 +9,12 @@ from pydantic import ValidationError
 
 from planopt.errors import InputError
 from planopt.problems.check_motion import check_dynamics
+from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
 from planopt.problems.messages import input_error
 from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
 from planopt.problems.schema import PlannerTable
-from planopt.problems.schema_constraints import ConstraintsTable, constraints_table
 from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.settings import BASELINES, PlannerSettings
 from planopt.problems.tables import Table
@@ -54,8 +54,15 @@ def with_overrides(
         PlannerTable, "planner", asdict(problem.planner), {"horizon": horizon, "name": planner}
     )
     changed = replace(problem, planner=PlannerSettings(**planner_table.model_dump()))
-    _changed(ConstraintsTable, "constraints", constraints_table(problem.constraints), {})
     check_dynamics(changed)
+    if isinstance(problem.objective, ReachObjective) and changed.planner.name in BASELINES:
+        raise InputError(
+            f"is {changed.planner.name}, which has no way to a goal",
+            file=problem.file,
+            key="planner.name",
+            remedy="use auto, nlp, scp or lattice for the task reach",
+        )
+    check_tables(problem)
     check(changed)
     if not isinstance(problem.objective, ReachObjective):
         if cost_to_go is not None:
@@ -65,13 +72,6 @@ def with_overrides(
                 remedy="leave it out",
             )
         return changed
-    if changed.planner.name in BASELINES:
-        raise InputError(
-            f"is {changed.planner.name}, which has no way to a goal",
-            file=problem.file,
-            key="planner.name",
-            remedy="use auto, nlp, scp or lattice for the task reach",
-        )
     objective_table = _changed(
         ObjectiveTable, "objective", asdict(problem.objective), {"cost_to_go": cost_to_go}
     )

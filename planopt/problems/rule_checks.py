@@ -19,8 +19,8 @@ def check_rule(problem: Problem) -> None:
     Raises
     ------
     InputError
-        The task has no price for slack, a time is none at which a step ends, or more data are asked
-        for than the link could deliver, or more surely than can be shown.
+        The task has no price for slack, a time is none at which a step of a run ends, or more data
+        are asked for than the link could deliver, or more surely than can be shown.
     """
     rule, planner = problem.constraints.rule, problem.planner
     if rule.connectivity == "data":
@@ -32,8 +32,16 @@ def check_rule(problem: Problem) -> None:
             key="constraints.slack_price",
             remedy="leave it out: slack_max_db alone bounds the slack",
         )
+    last = max(planner.max_steps, planner.horizon)
     for number, time_s in enumerate(rule.connected_times_s):
         steps = time_s / planner.step_s
+        if round(steps) > last:
+            raise InputError(
+                f"is {time_s:g}, and a run ends after {last * planner.step_s:g} s",
+                file=problem.file,
+                key=f"constraints.connected_times_s[{number}]",
+                remedy="state earlier times, or raise planner.max_steps",
+            )
         if round(steps) < 1 or abs(steps - round(steps)) > WHOLE_STEPS:
             raise InputError(
                 f"is {time_s:g}, which is no multiple of planner.step_s {planner.step_s:g}",

@@ -22,6 +22,7 @@ from planopt.problems.objective import (
     LearningTerm,
     MappingTerm,
     MotionEnergyTerm,
+    Term,
     TrackingTerm,
     TransmissionEnergyTerm,
     UntilConnectedTerm,
@@ -30,6 +31,7 @@ from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.problems.schema_constraints import constraints_table
+from planopt.problems.schema_objective import FORM_KEYS, FORMS_WITH_KEYS
 from planopt.problems.schema_robot import robot_table
 from planopt.world.moving_obstacle import MovingObstacle
 from planopt.world.workspace import Obstacle
@@ -63,7 +65,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "stations": [_station(station) for station in problem.stations],
         "targets": [_plain(asdict(target)) for target in problem.targets],
         "objective": _objective(problem),
-        "constraints": constraints_table(problem.constraints),
+        "constraints": _constraints(problem),
         "planner": _plain(asdict(problem.planner)),
         "report": asdict(problem.report),
     }
@@ -103,9 +105,21 @@ KINDS = {
 def _objective(problem: Problem) -> dict[str, Any]:
     if problem.task == "reach":
         return asdict(problem.reach)
-    return {
-        "terms": [{"kind": KINDS[type(term)], **_plain(asdict(term))} for term in problem.terms]
-    }
+    return {"terms": [_term(term) for term in problem.terms]}
+
+
+def _term(term: Term) -> dict[str, Any]:
+    table = {"kind": KINDS[type(term)], **_plain(asdict(term))}
+    if isinstance(term, MappingTerm) and term.form not in FORMS_WITH_KEYS:
+        table = {key: value for key, value in table.items() if key not in FORM_KEYS}
+    return table
+
+
+def _constraints(problem: Problem) -> dict[str, Any]:
+    table = constraints_table(problem.constraints)
+    if problem.task != "reach":
+        del table["goal_radius_m"]
+    return table
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:
@@ -167,10 +181,13 @@ def _obstacle(obstacle: Obstacle) -> dict[str, Any]:
 
 
 def _moving(obstacle: MovingObstacle) -> dict[str, Any]:
-    return {
+    table = {
         **_plain(asdict(obstacle)),
         "positions_m": [list(place) for place in obstacle.positions_m],
     }
+    if not obstacle.is_uncertain:
+        del table["probability"]
+    return table
 
 
 def _ring(ring: shapely.LinearRing) -> list[list[float]]:

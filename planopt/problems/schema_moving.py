@@ -68,6 +68,10 @@ class MovingTable(Table):
             raise PydanticCustomError(
                 "one_of", "needs either start_m and velocity_m_s, or times_s and positions_m"
             )
+        if "probability" in self.model_fields_set and not self.obstacle.is_uncertain:
+            raise PydanticCustomError(
+                "one_of", "has probability, which needs position_std_m or acceleration_std_m_s2"
+            )
         if self.times_s is not None and self.positions_m is not None:
             if len(self.times_s) != len(self.positions_m):
                 raise PydanticCustomError(

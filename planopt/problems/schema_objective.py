@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from planopt.problems.objective import (
     CostToGo,
@@ -25,6 +26,15 @@ from planopt.problems.schema_terms import (
 )
 from planopt.problems.tables import Name, Pair, Table
 from planopt.problems.target import Target
+
+FORMS_WITH_KEYS: tuple[MappingForm, ...] = ("path", "two_layer")
+"""The forms of mapping that look at J_CH."""
+
+FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
+"""The keys of a mapping term that only these have."""
+
+LEAST_STD = 1e-6
+"""Of a first estimate in metres or m/s: its information is still a number that can be inverted."""
 
 Deviation = Annotated[float, Field(ge=0, le=1e6)]
 
@@ -94,6 +104,17 @@ class MappingTable(Table):
         default=0.0, description="zeta of exp(-zeta d), in 1/m: how much near places are preferred."
     )
 
+    @model_validator(mode="after")
+    def _keys_of_the_form(self) -> MappingTable:
+        for key in FORM_KEYS:
+            if key in self.model_fields_set and self.form not in FORMS_WITH_KEYS:
+                raise PydanticCustomError(
+                    "one_of",
+                    'has {key}, which goes only with form = "path" and "two_layer"',
+                    {"key": key},
+                )
+        return self
+
     @property
     def term(self) -> Term:
         """The plain term."""
@@ -159,10 +180,16 @@ class TargetTable(Table):
         default=0.03, description="Deviation of its white acceleration along an axis, in m/s^2."
     )
     position_std_m: float = Field(
-        default=1.0, gt=0, le=1e6, description="Deviation of its first estimated position, in m."
+        default=1.0,
+        ge=LEAST_STD,
+        le=1e6,
+        description="Deviation of its first estimated position, in m.",
     )
     velocity_std_m_s: float = Field(
-        default=0.3, gt=0, le=1e6, description="Deviation of its first estimated velocity, in m/s."
+        default=0.3,
+        ge=LEAST_STD,
+        le=1e6,
+        description="Deviation of its first estimated velocity, in m/s.",
     )
 
     @property

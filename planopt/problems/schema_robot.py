@@ -30,6 +30,9 @@ NEEDED: dict[DynamicsName, str | None] = {
 }
 """The key that each cannot do without."""
 
+LEAST_LIMIT = 1e-6
+"""In m/s^2 or rad/s: solvers divide by the square of it."""
+
 
 class RobotTable(Table):
     """``[[robots]]``: one robot, how it moves, and where it must go."""
@@ -75,6 +78,8 @@ class RobotTable(Table):
         needed = NEEDED[self.dynamics]
         if needed is not None and getattr(self, needed) is None:
             raise _fault(f"has dynamics {self.dynamics}, which needs {needed}")
+        if needed is not None and getattr(self, needed) < LEAST_LIMIT:
+            raise _fault(f"has {needed} below {LEAST_LIMIT:g}, with which it hardly moves")
         if self.start_velocity_m_s is not None:
             vx, vy = self.start_velocity_m_s
             if vx * vx + vy * vy > self.speed_max_m_s**2:

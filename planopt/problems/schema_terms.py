@@ -38,7 +38,7 @@ class TransmissionEnergyTable(Table):
     kind: Literal["transmission_energy"] = Field(description="Send where it takes little power.")
     weight: Weight = Field(default=1.0, description="In the sum of terms, per joule.")
     bits: float = Field(gt=0, le=1e15, description="Bits sent at the end of each step.")
-    bandwidth_hz: float = Field(gt=0, le=1e12, description="Symbols per second.")
+    bandwidth_hz: float = Field(ge=1e-3, le=1e12, description="Symbols per second.")
     bits_per_symbol: float = Field(
         default=2.0, gt=0, le=16, description="Of the M-ary QAM, R in bit/s/Hz."
     )

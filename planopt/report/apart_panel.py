@@ -11,6 +11,7 @@ from planopt.planning.team.least_distances import least_moving_clearances_m, lea
 from planopt.problems.problem import Problem
 from planopt.report.panel import Panel
 from planopt.report.style import BLUE, VERMILLION, dress, legend_above
+from planopt.world.timed_motion import TimedMotion
 
 TIME = "time [s]"
 
@@ -24,7 +25,7 @@ def has_apart(problem: Problem) -> bool:
 def draw_apart(
     panel: Panel,
     problem: Problem,
-    tracks_m: Sequence[NDArray[np.float64]],
+    motions: Sequence[TimedMotion],
     t_s: NDArray[np.float64],
 ) -> None:
     """Draw the least distances during each step, and what must be kept.
@@ -33,18 +34,18 @@ def draw_apart(
     ----------
     panel, problem
         Where, and of what.
-    tracks_m
-        ``(n + 1, 2)`` where each robot is, or is planned to be, from time 0 on.
+    motions
+        Where each robot is, or is planned to be, over n steps from time 0 on.
     t_s
         ``(n + 1,)`` when.
     """
     lowest = 0.0
     curves: list[tuple[str, str, float, NDArray[np.float64]]] = []
-    if len(tracks_m) > 1:
+    if len(motions) > 1:
         separation = problem.constraints.separation_m
-        curves.append(("two robots", BLUE, separation, least_separations_m(tracks_m)))
+        curves.append(("two robots", BLUE, separation, least_separations_m(motions)))
     if problem.workspace.moving:
-        least = least_moving_clearances_m(problem, tracks_m)
+        least = least_moving_clearances_m(problem, motions)
         curves.append(("moving obstacle", VERMILLION, problem.constraints.clearance_m, least))
     for label, colour, asked, least in curves:
         # The value of a step stands over the whole of it.

@@ -38,6 +38,7 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
     from matplotlib.patches import Circle
 
     artists: list[Artist] = []
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     end_s = problem.planner.step_s * steps
     every = max(-(-steps // (DISCS - 1)), 1)
     times = problem.planner.step_s * np.arange(0, steps + 1, every, dtype=np.float64)
@@ -72,6 +73,8 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
         panel.plot(*way.T, color=WHITE, linewidth=2.6, zorder=MARGIN_Z)
         panel.plot(*way.T, color=FRAME, linewidth=1.1, linestyle="dashdot", zorder=MARGIN_Z + 0.1)
         for (x, y), time in zip(centres, times.tolist(), strict=True):
+            if not (x_min <= x <= x_max and y_min <= y <= y_max):
+                continue  # text far outside cannot be rendered, nor seen
             panel.text(
                 x,
                 y,

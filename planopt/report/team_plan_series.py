@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Plan
+from planopt.planning.team.least_distances import driven_motion
 from planopt.problems.objective import TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.report.apart_panel import draw_apart, has_apart
@@ -33,7 +34,9 @@ def plan_series_of(
         _draw_connectivity(panel, problem, plans)
 
     def apart(panel: Panel, plans: Sequence[Plan]) -> None:
-        draw_apart(panel, problem, [plan.positions_m for plan in plans], plans[0].t_s)
+        step_s = problem.planner.step_s
+        motions = [driven_motion(plan.positions_m, plan.drive, step_s) for plan in plans]
+        draw_apart(panel, problem, motions, plans[0].t_s)
 
     last = (apart,) if has_apart(problem) else ()
     if target_m is None:

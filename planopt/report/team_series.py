@@ -8,6 +8,7 @@ import numpy as np
 
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.team.least_distances import driven_motion
 from planopt.planning.team.team_run import TeamRun
 from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.panel import Panel
@@ -54,7 +55,9 @@ def series_of(run: TeamRun) -> tuple[tuple[Drawer, float], ...]:
 def _draw_apart(panel: Panel, run: TeamRun) -> None:
     """How far robots keep from each other and from what moves."""
     log = run.runs[0].log
-    draw_apart(panel, run.problem, [one.log.positions_m for one in run.runs], log.t_s)
+    step_s = run.problem.planner.step_s
+    motions = [driven_motion(one.log.positions_m, one.drive, step_s) for one in run.runs]
+    draw_apart(panel, run.problem, motions, log.t_s)
 
 
 def _draw_target_variance(panel: Panel, run: TeamRun) -> None:

@@ -4,7 +4,8 @@
 From Python only: a problem file cannot hold a function. Of the way within a step nothing is known
 but samples and the largest speed: between two samples that are d metres and t seconds apart the
 robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse of all ways that are
-not too long. A plan must end in a state in which the robot can rest.
+not too long; at equal times it is no farther from even motion on that line (Stewart's theorem). A
+plan must end in a state in which the robot can rest.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from planopt.robots.check_casadi_map import check_casadi_map
 from planopt.robots.component_function import ComponentFunction
 from planopt.robots.dynamics import Components, Disc
 from planopt.robots.runge_kutta import runge_kutta
-from planopt.world.ways import PointWay, Way
+from planopt.world.ways import PointWay, StepWay
 
 DENSER = 8
 """How many times as many samples a way is proven from as planned with."""
@@ -108,6 +109,10 @@ class CasadiMap:
         """Half of what it drives in a part of a step at most."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
 
+    def timed_pad_m(self, step_s: float) -> float:
+        """None: that far it may be from even motion between the places, too."""
+        return 0.0
+
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """None: a plan ends at rest."""
         return ()
@@ -119,6 +124,14 @@ class CasadiMap:
         """What the rest input changes."""
         after = self.step(state, self.rest_input, step_s)
         return tuple(there - here for there, here in zip(after, state, strict=True))
+
+    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+        """None: a plan ends at rest."""
+        return 0
+
+    def longest_stop_steps(self, step_s: float) -> int:
+        """None."""
+        return 0
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
         """The rest input."""
@@ -161,7 +174,7 @@ class CasadiMap:
 
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[Way]:
+    ) -> list[StepWay]:
         """Samples of each step, and how far from the lines between them the robot can be."""
         count = self.substeps * DENSER if self.continuous else 1
         before, control = tuple(states.T), tuple(inputs.T)
@@ -169,7 +182,7 @@ class CasadiMap:
         places = np.array([[sample[0], sample[1]] for sample in samples]).transpose(2, 0, 1)
         end = np.column_stack(self.step(before, control, step_s)[:2])
         longest = self.speed_max_m_s * step_s / count
-        found: list[Way] = []
+        found: list[StepWay] = []
         for way, planned in zip(places, end, strict=True):
             apart = np.linalg.norm(np.diff(way, axis=0), axis=1)
             within = 0.5 * math.sqrt(max(0.0, longest**2 - float(apart.min()) ** 2))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components, Disc
-from planopt.world.ways import Parabola, PointWay, Way
+from planopt.world.ways import Parabola, PointWay, StepWay
 
 STOPPED_M_S = 1e-9
 """A speed up to this is standing still."""
@@ -94,6 +94,10 @@ class DoubleIntegrator:
         """None: the hull is exact."""
         return 0.0
 
+    def timed_pad_m(self, step_s: float) -> float:
+        """None: the middle Bezier point belongs to the middle of the step."""
+        return 0.0
+
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """A point on the straight way ahead, at or beyond where braking by whole steps ends.
 
@@ -108,28 +112,34 @@ class DoubleIntegrator:
 
     def stop_way(self, state: NDArray[np.float64], step_s: float) -> PointWay:
         """Straight ahead, as far as braking by whole steps goes."""
-        stop_s = 0.5 * step_s * self._braking_steps(state, step_s)
+        stop_s = 0.5 * step_s * self.stop_steps(state, step_s)
         return PointWay(np.array([state[:2], state[:2] + stop_s * state[2:]]), 0.0)
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
         """None: it can always brake."""
         return ()
 
+    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+        """Least number of steps to stop in."""
+        return self._steps_from(float(np.hypot(state[2], state[3])), step_s)
+
+    def longest_stop_steps(self, step_s: float) -> int:
+        """From full speed."""
+        return self._steps_from(self.speed_max_m_s, step_s)
+
+    def _steps_from(self, speed_m_s: float, step_s: float) -> int:
+        if speed_m_s <= STOPPED_M_S:
+            return 0
+        # Round-off must not make it a step more than the last plan had left.
+        return max(1, math.ceil(speed_m_s / (self.acceleration_max_m_s2 * step_s) - 1e-6))
+
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
         """Even deceleration over as few steps as it takes, straight ahead."""
         inputs = np.zeros((steps, 2))
-        takes = self._braking_steps(state, step_s)
+        takes = self.stop_steps(state, step_s)
         if takes:
             inputs[:takes] = -state[2:] / (takes * step_s)
         return inputs
-
-    def _braking_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Least number of steps to stop in."""
-        speed = float(np.hypot(state[2], state[3]))
-        if speed <= STOPPED_M_S:
-            return 0
-        # Round-off must not make it a step more than the last plan had left.
-        return max(1, math.ceil(speed / (self.acceleration_max_m_s2 * step_s) - 1e-6))
 
     def following(
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
@@ -171,7 +181,7 @@ class DoubleIntegrator:
 
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[Way]:
+    ) -> list[StepWay]:
         """The parabola of each step."""
         half = 0.5 * step_s * step_s
         return [

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.world.ways import Way
+from planopt.world.ways import StepWay, Way
 
 Components = tuple[Any, ...]
 """One number, array or expression for each component of a state or an input."""
@@ -84,6 +84,13 @@ class Dynamics(Protocol):
         """How far outside that hull the way of a step may be, in metres."""
         ...
 
+    def timed_pad_m(self, step_s: float) -> float:
+        """How much farther the way may be from where the hull's points have it at equal times.
+
+        The points are as far apart in time as they are in number, as those of Bezier curves are.
+        """
+        ...
+
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """Points that with the place have the way of stopping from a state in their hull."""
         ...
@@ -97,6 +104,14 @@ class Dynamics(Protocol):
 
         Differences of the components of the state.
         """
+        ...
+
+    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+        """How many steps of :meth:`braking` it takes to stop."""
+        ...
+
+    def longest_stop_steps(self, step_s: float) -> int:
+        """The most that it takes from any state within the limits."""
         ...
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
@@ -124,8 +139,8 @@ class Dynamics(Protocol):
 
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[Way]:
-        """The ways of steps from states (n, s) with inputs (n, m), for clearance."""
+    ) -> list[StepWay]:
+        """The ways of steps from states (n, s) with inputs (n, m)."""
         ...
 
     def excess_m(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components, Disc
 from planopt.robots.elementary import cosine, sinc, sine
-from planopt.world.ways import Arc, Way
+from planopt.world.ways import Arc, StepWay
 
 PIECE_TURN_RAD = math.pi / 4.0
 """A step is cut into arcs that turn no more than this: its hull is then near to the arc."""
@@ -86,7 +86,7 @@ class Unicycle:
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
         """Where the tangents of each piece of the arc meet, and where pieces meet."""
-        pieces = max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
+        pieces = self._pieces(step_s)
         piece_s = step_s / pieces
         speed, rate = control
         half = 0.5 * piece_s * rate
@@ -100,9 +100,27 @@ class Unicycle:
                 points.append((state[0], state[1]))
         return tuple(points)
 
+    def _pieces(self, step_s: float) -> int:
+        return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
+
     def way_pad_m(self, step_s: float) -> float:
         """None: the hull is exact."""
         return 0.0
+
+    def timed_pad_m(self, step_s: float) -> float:
+        """How far a place on a piece is from that of its hull's Bezier curve at the same time.
+
+        With r the radius, z half the turn and time u from -1 to 1, the arc is at ``r sin(u z)``
+        along the chord and ``r (cos(u z) - cos z)`` across, the curve at ``r u sin(z)`` and
+        ``r (1 - u^2) sin^2(z) / (2 cos z)``. Along, they are farthest apart where
+        ``cos(u z) = sin(z) / z``; across, at u = 0; both the more the faster it drives and turns.
+        """
+        half = 0.5 * self.turn_rate_max_rad_s * step_s / self._pieces(step_s)
+        speed = max(self.speed_max_m_s, -self.speed_min_m_s)
+        farthest = math.acos(math.sin(half) / half)
+        along = math.sin(farthest) - farthest / half * math.sin(half)
+        across = 0.5 * math.sin(half) * math.tan(half) - (1.0 - math.cos(half))
+        return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """None: it stops at once."""
@@ -114,6 +132,14 @@ class Unicycle:
     def stop_rows(self, state: Components, step_s: float) -> Components:
         """None."""
         return ()
+
+    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+        """None: it stops at once."""
+        return 0
+
+    def longest_stop_steps(self, step_s: float) -> int:
+        """None."""
+        return 0
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
         """Nothing moves."""
@@ -176,7 +202,7 @@ class Unicycle:
 
     def ways(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[Way]:
+    ) -> list[StepWay]:
         """The arc of each step."""
         return [
             Arc(state[:2], float(state[2]), step_s * float(speed), step_s * float(rate))

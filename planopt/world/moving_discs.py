@@ -1,31 +1,36 @@
-"""Discs that move straight during each step: moving obstacles, and the other robots."""
+"""Discs that move: obstacles straight during each step, and the other robots as they drive."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.world.closest_approach import closest_approach_m
+from planopt.world.timed_motion import TimedMotion, TimedWay
 
 
 @dataclass(frozen=True, eq=False)
 class MovingDiscs:
-    """Where m discs are predicted over the next N steps.
+    """Where m discs are predicted over the next T steps: the planned ones, and those of braking.
 
     Attributes
     ----------
     names
         What messages call them.
     centres_m
-        ``(m, N + 1, 2)`` now and at each step's end; straight and even between.
+        ``(m, T + 1, 2)`` now and at each step's end.
     radius_m
-        ``(m, N)`` during each step.
+        ``(m, T)`` during each step.
     least_m
         ``(m,)`` how far a robot must stay from the disc.
     is_robot
         ``(m,)`` whether it is another robot; robots are points.
+    ways
+        ``(m,)`` of each disc the ways of its T steps; none where it goes straight and evenly.
+    bulges_m
+        ``(m, T)`` how far each may be from that.
     """
 
     names: tuple[str, ...]
@@ -33,6 +38,12 @@ class MovingDiscs:
     radius_m: NDArray[np.float64]
     least_m: NDArray[np.float64]
     is_robot: NDArray[np.bool_]
+    ways: tuple[tuple[TimedWay, ...], ...] = ()
+    bulges_m: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        bulges = [self.motion(number).bulges_m for number in range(len(self))]
+        object.__setattr__(self, "bulges_m", np.reshape(bulges, self.radius_m.shape))
 
     def __len__(self) -> int:
         """How many there are, m."""
@@ -40,8 +51,24 @@ class MovingDiscs:
 
     @property
     def apart_m(self) -> NDArray[np.float64]:
-        """``(m, N)`` least distance of a robot from each centre during each step."""
-        return self.radius_m + self.least_m[:, None]
+        """``(m, T)`` least distance of a robot from each centre as if that went straight."""
+        return self.radius_m + self.least_m[:, None] + self.bulges_m
+
+    @property
+    def steps(self) -> int:
+        """How many, T."""
+        return int(self.radius_m.shape[1])
+
+    def counted_steps(self, number: int, motion: TimedMotion) -> int:
+        """For how many steps a motion must keep from disc number `number`.
+
+        From other robots until all stand, from moving obstacles until it stands itself.
+        """
+        return self.steps if self.is_robot[number] else min(motion.steps, self.steps)
+
+    def motion(self, number: int) -> TimedMotion:
+        """How disc number `number` moves."""
+        return TimedMotion(self.centres_m[number], self.ways[number] if self.ways else ())
 
 
 NOTHING_MOVES = MovingDiscs(
@@ -54,12 +81,14 @@ def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
     """The discs of both, over as many steps."""
     if not len(first) or not len(second):
         return first if len(first) else second
+    ways = [discs.ways or ((),) * len(discs) for discs in (first, second)]
     return MovingDiscs(
         (*first.names, *second.names),
         np.concatenate([first.centres_m, second.centres_m]),
         np.concatenate([first.radius_m, second.radius_m]),
         np.concatenate([first.least_m, second.least_m]),
         np.concatenate([first.is_robot, second.is_robot]),
+        (*ways[0], *ways[1]),
     )
 
 
@@ -88,10 +117,12 @@ def passing_gaps_m(
 
 
 def path_distances_m(discs: MovingDiscs, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least distance of a path (N + 1, 2) from each centre during each step; ``(m, N)``."""
-    return closest_approach_m(
-        path_m[:-1], path_m[1:], discs.centres_m[:, :-1], discs.centres_m[:, 1:]
-    )
+    """Least distance of a path (N + 1, 2) from each centre during each step; ``(m, N)``.
+
+    As if both went straight and evenly.
+    """
+    centres = discs.centres_m[:, : len(path_m)]
+    return closest_approach_m(path_m[:-1], path_m[1:], centres[:, :-1], centres[:, 1:])
 
 
 def ways_gap_m(discs: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -111,7 +142,9 @@ def ways_gap_m(discs: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.fl
     """
     if not len(discs):
         return np.full(len(ways_m), np.inf)
+    places = int(ways_m.shape[1])
+    centres = discs.centres_m[:, :places]
     near = closest_approach_m(
-        ways_m[:, None, :-1], ways_m[:, None, 1:], discs.centres_m[:, :-1], discs.centres_m[:, 1:]
+        ways_m[:, None, :-1], ways_m[:, None, 1:], centres[:, :-1], centres[:, 1:]
     )
-    return (near - discs.apart_m).min(axis=(1, 2))
+    return (near - discs.apart_m[:, : places - 1]).min(axis=(1, 2))

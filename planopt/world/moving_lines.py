@@ -29,6 +29,7 @@ def moving_lines(
     count: int,
     reach_m: float,
     needed: NDArray[np.bool_] | None = None,
+    pad_m: float = 0.0,
 ) -> SeparatingLines:
     """Lines of every segment from the discs nearest to it.
 
@@ -49,6 +50,8 @@ def moving_lines(
         Discs farther away than this are left out.
     needed
         ``(m, N)`` which discs come before all others, whatever their distance.
+    pad_m
+        How much larger discs count, for what is not known of where the robot is on its way when.
     """
     steps = len(path_m) - 1
     lines = SeparatingLines(
@@ -58,7 +61,7 @@ def moving_lines(
         piece=np.full((steps, count), -1, dtype=np.int64),
         start_offsets=np.full((steps, count), EMPTY_OFFSET_M),
     )
-    relative = path_m - discs.centres_m
+    relative = path_m - discs.centres_m[:, : len(path_m)]
     begin, end = relative[:, :-1], relative[:, 1:]
     nearest = nearest_to_origin_m(begin, end)
     distance = np.linalg.norm(nearest, axis=-1)
@@ -68,7 +71,7 @@ def moving_lines(
     length = np.linalg.norm(normal, axis=-1)
     normal = np.where(length[..., None] > 0.0, normal, [1.0, 0.0])
     normal = normal / np.where(length > 0.0, length, 1.0)[..., None]
-    size = discs.apart_m - clearance_m
+    size = discs.apart_m[:, :steps] - clearance_m + pad_m
     gaps = distance - size
     first = np.zeros(gaps.shape) if needed is None else np.where(needed, -np.inf, 0.0)
     order = np.argsort(np.minimum(gaps, np.inf) + first, axis=0, kind="stable")[:count]

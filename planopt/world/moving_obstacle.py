@@ -49,6 +49,11 @@ class MovingObstacle:
     acceleration_std_m_s2: float = 0.0
     probability: float = 0.99
 
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether its way is not known for sure: only then does the probability matter."""
+        return self.position_std_m > 0.0 or self.acceleration_std_m_s2 > 0.0
+
 
 def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
     """Predicted centres at times (n,); ``(n, 2)``."""

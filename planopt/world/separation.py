@@ -96,6 +96,21 @@ def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingL
     )
 
 
+def split_lines(lines: SeparatingLines, count: int) -> tuple[SeparatingLines, SeparatingLines]:
+    """The first `count` lines of every segment, and the others."""
+    first, others = (
+        SeparatingLines(
+            normals=lines.normals[:, some],
+            offsets=lines.offsets[:, some],
+            gaps=lines.gaps[:, some],
+            piece=lines.piece[:, some],
+            start_offsets=lines.at_start[:, some],
+        )
+        for some in (slice(count), slice(count, None))
+    )
+    return first, others
+
+
 def pack_pieces(workspace: Workspace) -> PackedPieces:
     """Cut every obstacle of `workspace` into convex pieces and pack them, once per workspace."""
     cut = [convex_pieces(obstacle.polygon) for obstacle in workspace.obstacles]

@@ -1,7 +1,8 @@
 """Curved ways of one step: their distance to the obstacles, and how far they reach.
 
 Straight ways and arcs are exact; a parabola's distance is a bound from below that is less than a
-micrometre off; any other way is given by points that it is within a known distance of.
+micrometre off; any other way is given by points that it is within a known distance of. Ways also
+say when the robot is where: see :mod:`planopt.world.timed_motion`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from planopt.world.arc_distance import arc_segment_distances_m
 from planopt.world.clearance import ObstacleIndex, clearance_m, containing_obstacle
+from planopt.world.timed_motion import WHOLE_STEP, TimedWay
 
 SAG_M = 5e-7
 """Curves are given by points so near to each other that straight lines between them are off by no
@@ -34,6 +36,10 @@ class Way(Protocol):
         ...
 
 
+class StepWay(Way, TimedWay, Protocol):
+    """A way that a robot takes in one step."""
+
+
 @dataclass(frozen=True, eq=False)
 class PointWay:
     """A way of which only points are known.
@@ -41,13 +47,29 @@ class PointWay:
     Attributes
     ----------
     places_m
-        ``(k, 2)``, k at least 1.
+        ``(k, 2)``, k at least 1; of a timed way at equal times, from begin to end.
     within_m
-        The way is nowhere farther than this from the straight lines between them.
+        The way is nowhere farther than this from the straight lines between them; of a timed way,
+        from even motion on them.
     """
 
     places_m: NDArray[np.float64]
     within_m: float
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """The times of its points."""
+        return np.linspace(0.0, 1.0, len(self.places_m))
+
+    @property
+    def curving_m(self) -> float:
+        """It is straight between them."""
+        return 0.0
+
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """On the lines between them."""
+        x, y = (np.interp(share, self.breaks, self.places_m[:, axis]) for axis in (0, 1))
+        return np.stack([x, y], axis=1)
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
         """Its points."""
@@ -71,6 +93,26 @@ class Parabola:
     start_m: NDArray[np.float64]
     along_m: NDArray[np.float64]
     bend_m: NDArray[np.float64]
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """It is smooth."""
+        return WHOLE_STEP
+
+    @property
+    def curving_m(self) -> float:
+        """Its second derivative, which is constant."""
+        return 2.0 * float(np.hypot(*self.bend_m))
+
+    @property
+    def within_m(self) -> float:
+        """It is exact."""
+        return 0.0
+
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """By its formula."""
+        t = share[:, None]
+        return self.start_m + t * self.along_m + t * t * self.bend_m
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
         """Points whose lines are off by at most |bend| / (4 n^2)."""
@@ -110,16 +152,31 @@ class Arc:
     @property
     def bulge_m(self) -> float:
         """About how far the middle is from the chord, a bound above."""
-        return abs(self.length_m * self.turn_rad) / 8.0
+        return self.curving_m / 8.0
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """It is smooth."""
+        return WHOLE_STEP
+
+    @property
+    def curving_m(self) -> float:
+        """Its second derivative, towards the centre: speed is constant."""
+        return abs(self.length_m * self.turn_rad)
+
+    @property
+    def within_m(self) -> float:
+        """It is exact."""
+        return 0.0
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
         """Points whose lines are off by at most length turn / (8 n^2)."""
         count = max(1, math.ceil(math.sqrt(self.bulge_m / SAG_M)))
-        return self._at(np.linspace(0.0, 1.0, count + 1)), self.bulge_m / (count * count)
+        return self.at(np.linspace(0.0, 1.0, count + 1)), self.bulge_m / (count * count)
 
     def clearance_m(self, index: ObstacleIndex) -> float:
         """Exact, but for arcs as straight as round-off."""
-        ends = self._at(np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
+        ends = self.at(np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
         if self.bulge_m <= 1e-9:
             return max(0.0, _polyline_m(index, ends[[0, -1]]) - self.bulge_m)
         if not index.obstacles:
@@ -137,7 +194,7 @@ class Arc:
         )
         return float(distances.min())
 
-    def _at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
         """Places (k, 2) at shares (k,) of the arc."""
         half = 0.5 * share * self.turn_rad
         # NumPy's sinc is that of pi times its argument.

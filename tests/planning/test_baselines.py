@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner, lawn_tour, stops_along
 from planopt.planning.baselines.one_step import OneStepPlanner
@@ -48,9 +48,12 @@ def test_every_planner_gives_verified_plans(name, horizon):
     [
         (TRACKING,),
         ({"kind": "mapping", "form": "two_layer"},),
-        *[({**LEARNING, "criterion": kind},) for kind in "TDA"],
+        *[({**LEARNING, "criterion": kind},) for kind in "TDAV"],
         (INFORMATION,),
+        ({"kind": "mapping", "form": "average"},),
         (PATH,),
+        *[({**TRACKING, "form": form},) for form in ("information", "covariance")],
+        (CONNECT,),
         (TRACKING, LEARNING, ENERGY),
     ],
 )

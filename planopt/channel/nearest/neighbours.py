@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.cholesky import inverse, lower_factor
 from planopt.channel.measurement_covariance import ageing, own_covariance_db2
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
@@ -115,7 +116,11 @@ def local_precision(
     origins = posterior.origins.at(indices).without_offsets()
     covariance = own_covariance_db2(origins, posterior.parameters)
     np.einsum("kii->ki", covariance)[...] += posterior.noise_variance_db2[indices]
-    precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    if len(covariance) == 1:
+        # Of one large matrix the factor costs half; of many small ones the batch does.
+        precision = inverse(lower_factor(covariance[0]))[None]
+    else:
+        precision = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     columns = np.empty((*indices.shape, 3))
     columns[:, :, 0] = posterior.values_db[indices]
     columns[:, :, 1:] = regressors(origins.positions_m, posterior.parameters.station)

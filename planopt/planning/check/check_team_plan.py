@@ -34,6 +34,7 @@ from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.region import workspace_region
+from planopt.robots.braked_motion import braked_motion
 from planopt.world.clearance import index_obstacles
 
 
@@ -68,16 +69,27 @@ def check_team_plan(
         for one in explanation
         if one.robot not in names
     ]
-    paths = [steps.positions_m for steps in saved.steps]
+    drives = [
+        drive_of(
+            robot.dynamics,
+            steps.positions_m,
+            steps.motion,
+            saved.file.parent / STEPS_FILE,
+            f"robot {robot.name}",
+        )
+        for robot, steps in zip(problem.robots, saved.steps, strict=True)
+    ]
+    motions = [
+        braked_motion(steps.positions_m, drive, problem.planner.step_s)
+        for steps, drive in zip(saved.steps, drives, strict=True)
+    ]
     plans: list[Plan] = []
     aims: list[Aim] = []
     for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
         own, path = problem_of_robot(problem, number), steps.positions_m
         one = own.robots[0]
-        drive = drive_of(
-            one.dynamics, path, steps.motion, saved.file.parent / STEPS_FILE, f"robot {one.name}"
-        )
-        circumstances = replace(alone, moving=beside(problem, 0, others_of(paths, number)))
+        drive = drives[number]
+        circumstances = replace(alone, moving=beside(problem, 0, others_of(motions, number)))
         residual = robot.certificate.kkt_residual
         judgement = judge(
             own, index, posterior, one.start_state, path, residual, circumstances, drive

@@ -49,7 +49,10 @@ from planopt.planning.team.team_tables import (
 )
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.region import workspace_region
+from planopt.robots.braked_motion import braked_motion
+from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles
+from planopt.world.timed_motion import TimedMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +93,9 @@ def check_team_run(
     delivered = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
     seeds = team_seeds(problem, seed)
     watches = watched(watch_target(problem, seeds.target), tracks, delivered, seeds.target)
-    paths = [
-        [np.stack([released.x_m, released.y_m], axis=1) for released in robot.released]
-        for robot in record.plans
-    ]
+    released = [_released(saved, record, number) for number in range(len(problem.robots))]
     driven = [
-        _driven(saved, record, number, index, region, watches, paths, delivered[:, number])
+        _driven(saved, record, number, index, region, watches, released, delivered[:, number])
         for number in range(len(problem.robots))
     ]
     runs = [
@@ -140,6 +140,27 @@ def check_team_run(
     ], reasons
 
 
+@dataclass(frozen=True, eq=False)
+class _Released:
+    """A released plan as it was saved: places (N + 1, 2), how they are driven, and when."""
+
+    path_m: NDArray[np.float64]
+    drive: Drive | None
+    motion: TimedMotion
+
+
+def _released(saved: SavedTeam, record: TeamRunRecord, number: int) -> list[_Released]:
+    """Every plan of robot number `number`."""
+    dynamics, step_s = saved.problem.robots[number].dynamics, saved.problem.planner.step_s
+    found: list[_Released] = []
+    for step, plan in enumerate(record.plans[number].released):
+        path = np.stack([plan.x_m, plan.y_m], axis=1)
+        key = f"plans[{number}].released[{step}].drive"
+        drive = drive_of(dynamics, path, plan.drive, saved.file, key)
+        found.append(_Released(path, drive, braked_motion(path, drive, step_s)))
+    return found
+
+
 def _driven(
     saved: SavedTeam,
     record: TeamRunRecord,
@@ -147,10 +168,10 @@ def _driven(
     index: ObstacleIndex,
     region: Region,
     watches: Sequence[TargetWatch | None],
-    paths: Sequence[Sequence[NDArray[np.float64]]],
+    released_by: Sequence[Sequence[_Released]],
     connected: NDArray[np.bool_],
 ) -> _Driven:
-    """Every plan of robot number `number` on what it knew, beside the `paths` of all robots."""
+    """Every plan of robot number `number` on what it knew, beside all that were released."""
     own = problem_of_robot(saved.problem, number)
     robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
     place = f"plans[{number}].released"
@@ -172,10 +193,10 @@ def _driven(
         watch = watches[step - 1]
         posterior = grown_posterior(belief, posteriors[-1], count)
         posteriors[-1] = posterior
-        path = paths[number][step - 1]
-        drive = drive_of(dynamics, path, released.drive, saved.file, f"{place}[{step - 1}].drive")
+        own_plan = released_by[number][step - 1]
+        path, drive = own_plan.path_m, own_plan.drive
         history = history_of(own, track[:step], connected[: step - 1])
-        others = others_of([made[step - 1] for made in paths], number)
+        others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
         circumstances = circumstances_of(own, posterior, history, moving)
         here, residual = states[step - 1], released.kkt_residual

@@ -62,7 +62,7 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
         or not _is_shifted(problem, plan, previous)
     ):
         faults.append("the path is not the rest of a verified plan before it")
-    if rung is Rung.RESERVED and not _is_rest(plan, previous):
+    if rung is Rung.RESERVED and not (previous and _is_shifted(problem, plan, previous)):
         faults.append("the path is not the rest of the plan before it")
     if rung is Rung.RELAXED and not plan.certificate.relaxed_steps:
         faults.append("every step meets constraints.p_min")

@@ -18,7 +18,7 @@ from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solution import Solution
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.reservations import beside, others_of
+from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_solution import TeamSolution
 from planopt.planning.team.team_solve import solve_team_on
@@ -70,11 +70,12 @@ def _explain_one(solution: Solution) -> tuple[Relaxation, ...]:
 @one_blas_thread()
 def _explain_team(solution: TeamSolution) -> tuple[Relaxation, ...]:
     found: list[Relaxation] = []
-    problem, paths = solution.problem, [plan.positions_m for plan in solution.plans]
+    problem = solution.problem
+    motions = [planned_motion(problem, plan) for plan in solution.plans]
     for number, plan in enumerate(solution.plans):
         if plan.verdict is Verdict.VERIFIED:
             continue
-        moving = beside(problem, 0, others_of(paths, number))
+        moving = beside(problem, 0, others_of(motions, number))
         case = Case(problem, number, solution.belief.posterior, plan, moving)
 
         def plan_again(changed: Problem, number: int = number) -> Plan:

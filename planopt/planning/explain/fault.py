@@ -18,7 +18,8 @@ from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
 from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
-from planopt.world.moving_discs import path_distances_m
+from planopt.robots.braked_motion import braked_motion
+from planopt.world.least_distance import step_distances_m
 
 Missed = Literal["connection", "separation", "moving"]
 
@@ -125,11 +126,18 @@ def _long_outages(problem: Problem, plan: Plan, missed: NDArray[np.bool_]) -> ND
 
 
 def _distances(case: Case) -> list[Fault]:
-    """Distances at equal times that are not kept, of robots and of moving obstacles."""
-    discs = case.moving
-    if not len(discs) or case.problem.robots[case.number].dynamics is not None:
-        return []
-    away = path_distances_m(discs, case.plan.positions_m) - discs.radius_m - discs.least_m[:, None]
+    """Distances at equal times that are not kept, of robots and of moving obstacles.
+
+    What is not kept while robots stop after the last step counts as of the last.
+    """
+    discs, planned = case.moving, len(case.plan.positions_m) - 1
+    motion = braked_motion(case.plan.positions_m, case.plan.drive, case.problem.planner.step_s)
+    away = np.full((len(discs), planned), np.inf)
+    for number in range(len(discs)):
+        count = discs.counted_steps(number, motion)
+        gaps = step_distances_m(motion, discs.motion(number), count)
+        gaps -= discs.radius_m[number, :count] + discs.least_m[number]
+        np.minimum.at(away[number], np.minimum(np.arange(count), planned - 1), gaps)
     found: list[Fault] = []
     kinds: list[tuple[Missed, NDArray[np.bool_]]] = [
         ("separation", discs.is_robot),

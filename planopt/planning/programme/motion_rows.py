@@ -7,10 +7,12 @@ input of it. With the state x_k = (q_k, r_k), c a convex hull's points of a step
     step(x_{k-1}, u_k) - x_k   = 0     k = 1..N            "defect"
     limits(u_k, x_k)          <= 0     k = 1..N            "limit"
     stop_rows(x_N)             = 0                         "stop"
-    n_kj . c_ki               >= b_kj  k = 1..N, all i, j  "line_way"
+    n_kj . c_ki               >= b_kji k = 1..N, all i, j  "line_way"
     c_ki within the workspace          k = 1..N, all i     "box"
 
-The way of stopping after the last step is as another step, with lines of its own.
+A line that keeps from something that moves has another offset at every point: I - 1 points of a way
+belong to equal parts of the step, b_kji = (1 - i / I) a_kj + i / I b_kj. The way of stopping after
+the last step is as another step, with lines of its own, which it keeps all the time.
 """
 
 from __future__ import annotations
@@ -154,10 +156,13 @@ def _hull_rows(
     segment: int,
 ) -> None:
     """What the points of one way must keep."""
-    for x, y in points:
+    for number, (x, y) in enumerate(points, start=1):
+        share = number / (len(points) + 1)
         for j in range(shape.lines):
             at = 4 * (segment * shape.lines + j)
-            rows.line_way.append(line[at] * x + line[at + 1] * y - line[at + 2])
+            end, start = line[at + 2], line[at + 3]
+            offset = end + (1.0 - share) * (start - end)
+            rows.line_way.append(line[at] * x + line[at + 1] * y - offset)
         rows.box_x.append(x)
         rows.box_y.append(y)
 

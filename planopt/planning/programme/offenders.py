@@ -39,6 +39,7 @@ def lines_about(
     count: int,
     clearance_m: float,
     step_length_m: float,
+    pad_m: float = 0.0,
 ) -> SeparatingLines:
     """Lines of a start path from the convex pieces and the moving discs nearest to its segments.
 
@@ -52,13 +53,16 @@ def lines_about(
         Lines a segment in all.
     clearance_m, step_length_m
         Limits.
+    pad_m
+        What is not known of where the robot is on its way when.
     """
     reach = LINE_REACH_STEPS * step_length_m
     standing = count - moving_count(discs)
     lines = separating_lines(pieces, path_m[:-1], path_m[1:], standing, reach)
     if not len(discs):
         return lines
-    return joined_lines(lines, moving_lines(discs, path_m, clearance_m, moving_count(discs), reach))
+    moving = moving_lines(discs, path_m, clearance_m, moving_count(discs), reach, pad_m=pad_m)
+    return joined_lines(lines, moving)
 
 
 def lines_with_offenders(
@@ -69,6 +73,7 @@ def lines_with_offenders(
     clearance_m: float,
     step_length_m: float,
     discs: MovingDiscs = NOTHING_MOVES,
+    pad_m: float = 0.0,
 ) -> SeparatingLines | None:
     """Lines of the start path with what the result comes too near to put in.
 
@@ -84,8 +89,8 @@ def lines_with_offenders(
         ``(N + 1, 2)`` the path that the lines are of, and the result, the robot's place first.
     clearance_m, step_length_m
         Limits.
-    discs
-        What moves.
+    discs, pad_m
+        What moves, and as in :func:`lines_about`.
     """
     standing = lines.piece.shape[1] - moving_count(discs)
     chosen = lines.piece[:, :standing].copy()
@@ -106,8 +111,13 @@ def lines_with_offenders(
     reach = LINE_REACH_STEPS * step_length_m
     return joined_lines(
         again,
-        moving_lines(discs, start_path_m, clearance_m, moving_count(discs), reach, needed),
+        moving_lines(discs, start_path_m, clearance_m, moving_count(discs), reach, needed, pad_m),
     )
+
+
+def tail_count(discs: MovingDiscs, horizon: int) -> int:
+    """Lines of the last segment, and of stopping, that are for what moves after the plan."""
+    return moving_count(discs) if discs.steps > horizon else 0
 
 
 def _discs_met(
@@ -116,6 +126,7 @@ def _discs_met(
     """Which discs a path comes too near to in steps that have no line from them; (m, N)."""
     if not len(discs):
         return np.zeros((0, len(path_m) - 1), dtype=np.bool_)
-    near = path_distances_m(discs, path_m) < discs.apart_m - CLEARANCE_TOLERANCE_M
+    apart = discs.apart_m[:, : len(path_m) - 1]
+    near = path_distances_m(discs, path_m) < apart - CLEARANCE_TOLERANCE_M
     numbers = np.arange(len(discs))[:, None, None]
     return near & ~(chosen == numbers).any(axis=2)

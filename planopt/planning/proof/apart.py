@@ -1,4 +1,8 @@
-"""How far a path keeps from what moves, at equal times and all the way."""
+"""How far a motion keeps from what moves, at equal times and all the way.
+
+A robot that cannot stop at will brakes after the last step, which counts at its own times. So do
+the other robots, until all stand; moving obstacles count until this one does.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.world.moving_discs import MovingDiscs, path_distances_m
+from planopt.world.least_distance import least_gap
+from planopt.world.moving_discs import MovingDiscs
+from planopt.world.timed_motion import TimedMotion
 
 
 @dataclass(frozen=True)
 class Apart:
-    """What is found of a path.
+    """What is found of a motion.
 
     Attributes
     ----------
@@ -31,32 +37,39 @@ class Apart:
     reasons: tuple[str, ...]
 
 
-def judge_apart(discs: MovingDiscs, path_m: NDArray[np.float64], straight: bool = True) -> Apart:
-    """Judge a path (N + 1, 2) against what moves during its N steps.
+def judge_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = None) -> Apart:
+    """Judge a motion against what moves.
 
-    Distances are of ways that are straight and even in each step. Of any other nothing is known, so
-    that it is objected to where something is asked.
+    Parameters
+    ----------
+    discs
+        What moves, over T steps.
+    motion
+        Of the robot, over at most T steps; after them it stands.
+    planned
+        Of how many of them the plan is, N; the others brake. None for all of them.
     """
     if not len(discs):
         return Apart(None, None, ())
-    away = path_distances_m(discs, path_m) - discs.radius_m
+    planned = motion.steps if planned is None else planned
+    gaps = np.zeros(len(discs))
     reasons: list[str] = []
-    if not straight and (~discs.is_robot | (discs.least_m > 0.0)).any():
-        reasons.append("how far the path keeps from what moves is known of single integrators only")
-    for number in np.flatnonzero(
-        (away - discs.least_m[:, None]).min(axis=1) < -CLEARANCE_TOLERANCE_M
-    ):
-        step = int(np.argmin(away[number]))
+    for number in range(len(discs)):
+        radius = discs.radius_m[number, : discs.counted_steps(number, motion)]
+        gaps[number], step = least_gap(motion, discs.motion(number), radius)
+        if gaps[number] - discs.least_m[number] >= -CLEARANCE_TOLERANCE_M:
+            continue
         kind, key = (
             ("robot", "separation_m")
             if discs.is_robot[number]
             else ("moving obstacle", "clearance_m")
         )
+        when = f"in step {step + 1}" if step < planned else "while robots stop after the last step,"
         reasons.append(
-            f"in step {step + 1} the path comes within {away[number, step]:.3f} m of the {kind} "
+            f"{when} the path comes within {gaps[number]:.3f} m of the {kind} "
             f"{discs.names[number]}, constraints.{key} is {discs.least_m[number]:g}"
         )
-    return Apart(_least(away[discs.is_robot]), _least(away[~discs.is_robot]), tuple(reasons))
+    return Apart(_least(gaps[discs.is_robot]), _least(gaps[~discs.is_robot]), tuple(reasons))
 
 
 def _least(away_m: NDArray[np.float64]) -> float | None:

@@ -63,16 +63,24 @@ def judge_motion(
     dynamics = problem.robots[0].dynamics
     if dynamics is None:
         return _straight(problem, index, start, positions_m)
+    fault = drive_fault(dynamics, positions_m, drive)
+    if drive is None or fault:
+        return MotionJudgement(0.0, np.inf, (fault,))
+    return _driven(problem, index, start, positions_m, drive, dynamics)
+
+
+def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Drive | None) -> str:
+    """Why a drive can be none along a finite path; empty if it may be one."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None
         or drive.states.shape != (len(positions_m), states)
         or drive.inputs.shape != (len(positions_m) - 1, inputs)
     ):
-        return MotionJudgement(0.0, np.inf, ("the states and inputs of the robot are missing",))
+        return "the states and inputs of the robot are missing"
     if not (np.isfinite(drive.states).all() and np.isfinite(drive.inputs).all()):
-        return MotionJudgement(0.0, np.inf, ("not finite",))
-    return _driven(problem, index, start, positions_m, drive, dynamics)
+        return "not finite"
+    return ""
 
 
 def _straight(

@@ -27,6 +27,7 @@ from planopt.planning.proof.motion import judge_motion
 from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
+from planopt.planning.proof.swept_motion import swept_motion
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
@@ -106,8 +107,8 @@ def judge(
     under = circumstances or Circumstances(obstacles_ahead(problem, 0))
     motion = judge_motion(problem, index, start_m, positions_m, drive)
     reasons = list(motion.reasons)
-    straight = problem.robots[0].dynamics is None
-    apart = judge_apart(under.moving, positions_m, straight=straight)
+    swept = swept_motion(problem, positions_m, drive)
+    apart = judge_apart(under.moving, swept, len(positions_m) - 1)
     reasons += apart.reasons
 
     power, kind = certified_prediction(

@@ -8,29 +8,46 @@ two, the largest products being in single precision; what is chosen here is valu
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.local_channel import LocalGrid, local_channel, local_grid
+from planopt.planning.search.missing_slopes import missing_slope
+from planopt.planning.search.ranked_slopes import SlopedTerm, has_slope, ranked_slope
 from planopt.planning.search.ranked_terms import legs_m, ranked_value
 from planopt.planning.search.way_batch import WayBatch
+from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
+from planopt.planning.worth.region import region_along
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import MappingTerm
+from planopt.problems.problem import Problem
 
-ANCHORS = 64
-"""Places among those of all ways that measurements are chosen near to."""
+ANCHORS, REGION_ANCHORS = 24, 64
+"""Places among those of all ways that measurements are chosen near to, and places of a map."""
 
-LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 384
+LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
 """Measurements shared by all ways: so many, so many more for each step, and never more. They cover
-all that can be reached, so that they are more than a polish needs about one way: with 128 of 400,
-the ways of 20 steps that were chosen lost a tenth of the best worth."""
+all that can be reached, so that they are more than a polish needs about one way."""
 
-RANKED_PLACES = 300
-"""Of the places where a map is wanted, about so many are looked at, evenly among them."""
+MAPPED_NEIGHBOURS = 384
+"""Never more than these where a map is averaged, which is wanted beyond the ways: with 256 the best
+ways of 20 steps seemed to be those at the edge of what was measured."""
+
+RANKED_PLACES, CLIMBED_PLACES = 300, 1000
+"""Of the places where a map is wanted, about so many are looked at, evenly among them: when ways
+are ranked, and when they climb, which would lead them from one place to the next if these were
+few."""
 
 MISSING_DB_SHARE = 10.0
 """What a missing dB costs, in units of the largest worth of the ways first valued."""
+
+
+def can_climb(problem: Problem) -> bool:
+    """Whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
+    return all(has_slope(term) for term in problem.terms)
 
 
 class LocalRanking:
@@ -46,35 +63,82 @@ class LocalRanking:
 
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
-        count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), MOST_NEIGHBOURS)
-        self._channel = local_channel(situation.posterior, _anchors(about_m), count)
+        most = MAPPED_NEIGHBOURS if _averages_map(situation.problem) else MOST_NEIGHBOURS
+        count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
+        anchors = _anchors(about_m, ANCHORS)
+        self._channel = local_channel(situation.posterior, anchors, count)
         self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
-        self._grid: LocalGrid | None = None
-        if any(isinstance(t, MappingTerm) and t.form == "average" for t in situation.problem.terms):
-            region = situation.near_region
-            every = max(1, round(len(region.weight) / RANKED_PLACES))
-            grid, weight = region.grid_m[::every], region.weight[::every]
-            self._grid = local_grid(self._channel, grid, every * weight)
+        self._fine = self._grid(_anchors(about_m, REGION_ANCHORS))
+        self._coarse = None if self._fine is None else _thinned(self._fine)
+
+    def _grid(self, about_m: NDArray[np.float64]) -> LocalGrid | None:
+        """About `CLIMBED_PLACES` of the map that ways about `about_m` (a, 2) can change.
+
+        None where none is averaged. Of places farther away the measurements at hand know too
+        little, and ways would seem to tell much of them.
+        """
+        at = self._situation
+        if not _averages_map(at.problem):
+            return None
+        region = region_along(at.problem, at.near_region, about_m)
+        every = max(1, round(len(region.weight) / CLIMBED_PLACES))
+        return local_grid(self._channel, region.grid_m[::every], every * region.weight[::every])
 
     def __call__(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weighted sum of the terms of each way ``(c, N, 2)``, near its exact worth; ``(c,)``.
 
         Where connectivity is bounded, ways that miss the bound come after all others.
         """
-        at, batch = self._situation, WayBatch(self._channel, self._precision, ways_m)
-        worth = np.zeros(len(ways_m))
+        return self._value(self._batch(ways_m, self._coarse))
+
+    def slopes(
+        self, ways_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The same values, and their derivatives by the places ``(c, N, 2)``."""
+        at, batch = self._situation, self._batch(ways_m, self._fine)
+        value, pull = self._value(batch), Pull()
         for term in at.problem.terms:
-            worth += term.weight * ranked_value(term, at, batch, self._grid)
+            if not isinstance(term, SlopedTerm):
+                raise AssertionError("ways climb only where the slopes of all terms are known")
+            pull = pull.plus(ranked_slope(term, at, batch), term.weight)
+        if self._missing_db_cost is not None:
+            missing = missing_slope(at, batch)
+            pull = pull.plus(missing, -self._missing_db_cost)
+        return value, slopes_of(batch, pull)
+
+    def _batch(self, ways_m: NDArray[np.float64], grid: LocalGrid | None) -> WayBatch:
+        return WayBatch(self._channel, self._precision, ways_m, grid)
+
+    def _value(self, batch: WayBatch) -> NDArray[np.float64]:
+        at, ways = self._situation, batch.ways_m
+        worth = np.zeros(len(ways))
+        for term in at.problem.terms:
+            worth += term.weight * ranked_value(term, at, batch)
         if not at.problem.constraints.asks_connection:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
-        missing = ways_missing(at, legs_m(at, ways_m), batch.power())
-        return worth - self._missing_db_cost * missing
+        return worth - self._missing_db_cost * ways_missing(at, legs_m(at, ways), batch.power)
 
 
-def _anchors(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Up to `ANCHORS` of the ways' places, evenly among them; (a, 2)."""
+def _averages_map(problem: Problem) -> bool:
+    """Whether a term is the spatial average of the map."""
+    return any(isinstance(t, MappingTerm) and t.form == "average" for t in problem.terms)
+
+
+def _thinned(grid: LocalGrid) -> LocalGrid:
+    """About `RANKED_PLACES` of a grid, evenly among them, for all."""
+    every = max(1, round(len(grid.root_weight) / RANKED_PLACES))
+    return LocalGrid(
+        grid.positions_m[::every],
+        math.sqrt(every) * grid.root_weight[::every],
+        grid.solved[:, ::every],
+        grid.trend[::every],
+    )
+
+
+def _anchors(ways_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Up to `count` of the ways' places, evenly among them; (a, 2)."""
     places = ways_m.reshape(-1, 2)
-    return places[np.linspace(0, len(places) - 1, min(ANCHORS, len(places))).astype(np.intp)]
+    return places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(np.intp)]

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.objectives.energy import expected_transmit_power_w
 from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import (
@@ -14,9 +13,6 @@ from planopt.objectives.filter_gain import (
     first_steps,
     information_gain,
     sensing_of,
-)
-from planopt.objectives.local_channel import (
-    LocalGrid,
 )
 from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.path_loss_learning import theta_information
@@ -37,17 +33,15 @@ from planopt.problems.objective import (
 )
 
 
-def ranked_value(
-    term: Term, at: Situation, batch: WayBatch, grid: LocalGrid | None
-) -> NDArray[np.float64]:
-    """What `term` is worth of each way, ``(c,)``; `grid` for a map's average alone."""
+def ranked_value(term: Term, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
+    """What `term` is worth of each way, ``(c,)``."""
     match term:
         case TrackingTerm():
             return _tracking(term, at, batch)
         case LearningTerm():
             return _learning(term, at, batch)
         case MappingTerm():
-            return _mapping(term, at, batch, grid)
+            return _mapping(term, at, batch)
         case MotionEnergyTerm():
             legs = legs_m(at, batch.ways_m)
             moving = (legs > STANDSTILL_M).sum(axis=1) * at.problem.planner.step_s
@@ -55,7 +49,7 @@ def ranked_value(
         case UntilConnectedTerm():
             return _until_connected(term, at, batch)
         case TransmissionEnergyTerm():
-            power, radio = batch.power(), at.radio(term)
+            power, radio = batch.power, at.radio(term)
             each = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
             return -radio.send_s * each.reshape(batch.shape).sum(axis=1)
         case CasadiTerm():
@@ -64,7 +58,7 @@ def ranked_value(
 
 def _tracking(term: TrackingTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
     settings = at.tracking(term)
-    power = batch.power()
+    power = batch.power
     chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
     chance = chance.reshape(batch.shape)
     if term.form != "additive":
@@ -85,14 +79,14 @@ def _until_connected(
     term: UntilConnectedTerm, at: Situation, batch: WayBatch
 ) -> NDArray[np.float64]:
     settings = at.search(term)
-    above = batch.power().mean_db.reshape(batch.shape) - settings.threshold_dbm
+    above = batch.power.mean_db.reshape(batch.shape) - settings.threshold_dbm
     legs = legs_m(at, batch.ways_m)
-    return -charged_distances_m(above, batch.universal(), legs, settings.beyond_m)
+    return -charged_distances_m(above, batch.universal, legs, settings.beyond_m)
 
 
 def _expression(term: CasadiTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
     """Ways for which the expression has no finite value come last."""
-    power = batch.power()
+    power = batch.power
     threshold = at.problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     known = known_inputs(term, at, batch.shape[1])
@@ -118,9 +112,7 @@ def _learning(term: LearningTerm, at: Situation, batch: WayBatch) -> NDArray[np.
     return criterion.value(gained, before) - criterion.value(np.zeros((2, 2)), before)
 
 
-def _mapping(
-    term: MappingTerm, at: Situation, batch: WayBatch, grid: LocalGrid | None
-) -> NDArray[np.float64]:
+def _mapping(term: MappingTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
     match term.form:
         case "two_layer":
             if at.steering_m is None:
@@ -128,31 +120,31 @@ def _mapping(
             start = float(np.linalg.norm(at.position_m - at.steering_m))
             return (start - np.linalg.norm(batch.ways_m - at.steering_m, axis=2)).sum(axis=1)
         case "path":
-            settings = at.uncertainty(term)
-            variance = np.diagonal(batch.factor(), axis1=1, axis2=2) ** 2
-            near = np.exp(-settings.decay_per_m * np.cumsum(legs_m(at, batch.ways_m), axis=1))
-            return (np.maximum(variance - settings.threshold_db2, 0.0) * near).sum(axis=1)
+            _, excess, near = path_form_parts(term, at, batch)
+            return (excess * near).sum(axis=1)
         case "information":
-            diagonal = np.diagonal(batch.factor(), axis1=1, axis2=2)
+            diagonal = np.diagonal(batch.factor, axis1=1, axis2=2)
             return np.log(diagonal / batch.channel.parameters.multipath_std_db).sum(axis=1)
         case "average":
-            if grid is None:
-                raise AssertionError("the spatial average needs a grid")
-            return _average(batch, grid)
+            return _average(batch)
 
 
-def _average(batch: WayBatch, grid: LocalGrid) -> NDArray[np.float64]:
+def path_form_parts(
+    term: MappingTerm, at: Situation, batch: WayBatch
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """L_ii^2, what of it is above the threshold, and psi of the way there; each ``(c, N)``."""
+    settings = at.uncertainty(term)
+    variance = np.diagonal(batch.factor, axis1=1, axis2=2) ** 2
+    near = np.exp(-settings.decay_per_m * np.cumsum(legs_m(at, batch.ways_m), axis=1))
+    return variance, np.maximum(variance - settings.threshold_db2, 0.0), near
+
+
+def _average(batch: WayBatch) -> NDArray[np.float64]:
     """sum_g w_g c(g)' S^-1 c(g), both with what is not known of theta (theory 4.5)."""
-    channel = batch.channel
-    places = batch.ways_m.reshape(-1, 2)
-    across = shadow_covariance_db2(places, grid.positions_m, channel.parameters)
-    across -= batch.single @ grid.solved.astype(np.float32)
-    across += batch.trend.reshape(-1, 2) @ (channel.theta_covariance @ grid.trend.T)
-    across *= grid.root_weight
-    across = across.reshape(*batch.shape, -1)
+    _, _, across = batch.across
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)
-    return np.trace(np.linalg.solve(batch.universal(), gathered), axis1=1, axis2=2)
+    return np.trace(np.linalg.solve(batch.universal, gathered), axis1=1, axis2=2)
 
 
 def legs_m(at: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -40,7 +40,7 @@ ENDS_APART_STEPS = 2.0
 """How far apart such ends are along an axis, in longest steps (fast.md: 4 m)."""
 
 COUPLED_STARTS = 3
-"""The same where terms couple places, and values have more maxima: of these all are followed."""
+"""The same where terms couple places, and values have more maxima: of these more are followed."""
 
 CORRECTIONS = 6
 """How often the lattice is searched again after the nodes of its path got better values."""
@@ -118,11 +118,14 @@ class StartSearch:
         self._field.refresh(situation, reach)
         if shifted_m is not None:
             situation.soon(shifted_m)
-        paths = self._lattice_paths(situation)
+        paths = self._lattice_paths(situation, 1)
         if shifted_m is not None:
             paths.append(shifted_m)
         if self._coupled is not None:
             paths += self._coupled.find_ways(situation, paths)
+        if self._ends > 1:
+            # Besides what is found otherwise, so that being thorough loses no start.
+            paths += self._lattice_paths(situation, self._ends)
         paths = self._apart(situation, paths)
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), rule_missing(situation, path)) for path in paths]
@@ -151,15 +154,17 @@ class StartSearch:
         ]
         return kept or paths
 
-    def _lattice_paths(self, situation: Situation) -> list[NDArray[np.float64]]:
+    def _lattice_paths(self, situation: Situation, ends: int) -> list[NDArray[np.float64]]:
         """The best paths on the lattice, under every guide that suits the rule of connectivity."""
         return find_guided(
             situation,
-            lambda guide: self._guided_paths(situation, guide),
+            lambda guide: self._guided_paths(situation, guide, ends),
             lambda path: rule_missing(situation, path) == 0.0,
         )
 
-    def _guided_paths(self, situation: Situation, guide: Guide) -> list[NDArray[np.float64]]:
+    def _guided_paths(
+        self, situation: Situation, guide: Guide, ends: int
+    ) -> list[NDArray[np.float64]]:
         """The best paths under a guide; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
         road_map = self._ground.road_map
@@ -183,7 +188,7 @@ class StartSearch:
         for _ in range(CORRECTIONS + 1):
             found = search(rewards)
             apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
-            paths = [path_to(found, end) for end in best_ends(found, self._ends, apart)]
+            paths = [path_to(found, end) for end in best_ends(found, ends, apart)]
             if not paths or not self._loses(rewards, paths[0], guide):
                 break
         return [self._field.places_m(path) for path in paths]

@@ -19,7 +19,7 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.world.clearance import ObstacleIndex, inside_bounds, segment_clearance_m
 
-HEADINGS = 24
+HEADINGS = 16
 """Directions of the fan."""
 
 TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
@@ -83,14 +83,45 @@ def driven_ways(
     problem = situation.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     longest = problem.step_length_m - STEP_PAD_M
-    aside = np.asarray(ASIDE_RAD)
     shares = np.asarray(SAMPLES)[:, None]
-    horizon, count = turn_rad.shape
-    ways = np.empty((count, horizon + 1, 2))
+    heading = np.cumsum(turn_rad, axis=0)
+    moves = _direction(heading) * (longest * speed)[:, :, None]
+    ways = np.empty((turn_rad.shape[1], len(turn_rad) + 1, 2))
     ways[:, 0] = situation.position_m
-    heading = np.zeros(count)
-    for k in range(horizon):
-        heading += turn_rad[k]
+    np.cumsum(moves.transpose(1, 0, 2), axis=1, out=ways[:, 1:])
+    ways[:, 1:] += situation.position_m
+    places = ways[:, :-1, None] + moves.transpose(1, 0, 2)[:, :, None] * shares
+    free = np.asarray(rough.is_free(places, clear).all(axis=2))
+    for k in range(len(turn_rad) if len(situation.circumstances.moving) else 0):
+        free[:, k] &= steps_apart(situation.circumstances.moving, k, ways[:, k], ways[:, k + 1])
+    rest = np.flatnonzero(~free.all(axis=1))
+    if len(rest):
+        first = int(free[rest].argmin(axis=1).min())
+        ways[rest] = _turned_aside(
+            situation, rough, ways[rest], heading[:, rest], speed[:, rest], first
+        )
+    return _stopped(situation, index, rough, ways, clear)
+
+
+def _turned_aside(
+    situation: Situation,
+    rough: RoughClearance,
+    ways_m: NDArray[np.float64],
+    heading_rad: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    first: int,
+) -> NDArray[np.float64]:
+    """The ways (c, N + 1, 2), turned aside where they are not free; until step `first` they are.
+
+    `heading_rad` and `speed` (N, c) are those commanded.
+    """
+    problem = situation.problem
+    clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    longest = problem.step_length_m - STEP_PAD_M
+    aside, shares = np.asarray(ASIDE_RAD), np.asarray(SAMPLES)[:, None]
+    ways, turned = ways_m.copy(), np.zeros(len(ways_m))
+    for k in range(first, len(speed)):
+        heading = heading_rad[k] + turned
         step = longest * speed[k]
         ahead = _direction(heading) * step[:, None]
         ways[:, k + 1] = ways[:, k] + ahead
@@ -108,9 +139,9 @@ def driven_ways(
         free &= steps_apart(situation.circumstances.moving, k, begins, begins + moves)
         chosen = free.argmax(axis=1)
         rows = np.arange(len(blocked))
-        heading[blocked] = angles[rows, chosen]
+        turned[blocked] += aside[chosen]
         ways[blocked, k + 1] = ways[blocked, k] + moves[rows, chosen]
-    return _stopped(situation, index, rough, ways, clear)
+    return ways
 
 
 def _stopped(

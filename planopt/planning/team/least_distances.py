@@ -9,27 +9,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.problems.problem import Problem
-from planopt.world.closest_approach import closest_approach_m
-from planopt.world.moving_discs import path_distances_m
+from planopt.robots.drive import Drive
+from planopt.world.least_distance import step_distances_m
 from planopt.world.moving_obstacle import predicted_discs
+from planopt.world.timed_motion import TimedMotion
 
 
-def least_separations_m(tracks_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Least distance of any two robots during each step; ``(n,)`` of at least two tracks."""
-    pairs = [closest_approach_m(a[:-1], a[1:], b[:-1], b[1:]) for a, b in combinations(tracks_m, 2)]
-    return np.min(pairs, axis=0)
+def least_separations_m(motions: Sequence[TimedMotion]) -> NDArray[np.float64]:
+    """Least distance of any two robots during each step; ``(n,)`` of at least two motions."""
+    steps = motions[0].steps
+    return np.min([step_distances_m(a, b, steps) for a, b in combinations(motions, 2)], axis=0)
 
 
 def least_moving_clearances_m(
-    problem: Problem, tracks_m: Sequence[NDArray[np.float64]]
+    problem: Problem, motions: Sequence[TimedMotion]
 ) -> NDArray[np.float64]:
     """Least distance of any robot from any moving obstacle during each step of a run; ``(n,)``.
 
     From the discs as they are, not grown by what was unknown of their way when plans were made.
     """
-    steps, clearance = len(tracks_m[0]) - 1, problem.constraints.clearance_m
-    discs = predicted_discs(problem.workspace.moving, 0.0, problem.planner.step_s, steps, clearance)
-    sizes = np.array([[one.radius_m] for one in problem.workspace.moving])
+    steps, clearance = motions[0].steps, problem.constraints.clearance_m
+    obstacles = problem.workspace.moving
+    discs = predicted_discs(obstacles, 0.0, problem.planner.step_s, steps, clearance)
     return np.min(
-        [(path_distances_m(discs, track) - sizes).min(axis=0) for track in tracks_m], axis=0
+        [
+            step_distances_m(motion, discs.motion(number), steps) - obstacle.radius_m
+            for motion in motions
+            for number, obstacle in enumerate(obstacles)
+        ],
+        axis=0,
     )
+
+
+def driven_motion(track_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
+    """What was driven, or is planned, over the steps of a track (n + 1, 2) alone."""
+    if drive is None:
+        return TimedMotion(track_m)
+    ways = drive.dynamics.ways(drive.states[:-1], drive.inputs, step_s)
+    return TimedMotion(track_m, tuple(ways))

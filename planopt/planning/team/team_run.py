@@ -13,7 +13,11 @@ from planopt.channel.fields.truth import Truth
 from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
-from planopt.planning.team.least_distances import least_moving_clearances_m, least_separations_m
+from planopt.planning.team.least_distances import (
+    driven_motion,
+    least_moving_clearances_m,
+    least_separations_m,
+)
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 
@@ -121,10 +125,11 @@ def team_metrics(
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
     found |= rule_metrics(problem, [run.log for run in runs])
     found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
-    tracks = [run.log.positions_m for run in runs]
-    if len(tracks) > 1 and problem.constraints.separation_m > 0.0:
-        found["min_separation_m"] = float(least_separations_m(tracks).min())
+    step_s = problem.planner.step_s
+    motions = [driven_motion(run.log.positions_m, run.drive, step_s) for run in runs]
+    if len(motions) > 1 and problem.constraints.separation_m > 0.0:
+        found["min_separation_m"] = float(least_separations_m(motions).min())
     if problem.workspace.moving:
-        clearances = least_moving_clearances_m(problem, tracks)
+        clearances = least_moving_clearances_m(problem, motions)
         found["min_moving_clearance_m"] = float(clearances.min())
     return found

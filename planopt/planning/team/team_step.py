@@ -22,7 +22,8 @@ from planopt.planning.team.crew import Member
 from planopt.planning.team.reservations import (
     beside,
     beside_each_other,
-    reserved_path,
+    planned_motion,
+    reserved_motion,
 )
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.worth.aim import Aim
@@ -87,13 +88,13 @@ def _in_order(
 ) -> tuple[list[Plan], list[Aim]]:
     """Let robots plan in this order, each beside the plans made, and what is reserved if asked."""
     reserved = [
-        reserved_path(place, None if plan is None else plan.positions_m, problem.planner.horizon)
-        for place, plan in zip((state[:2] for state in moment.states), moment.warm, strict=True)
+        reserved_motion(problem, number, state, plan)
+        for number, (state, plan) in enumerate(zip(moment.states, moment.warm, strict=True))
     ]
     made: dict[int, tuple[Plan, Aim]] = {}
     for number in order:
         others = {
-            other: made[other][0].positions_m if other in made else reserved[other]
+            other: planned_motion(problem, made[other][0]) if other in made else reserved[other]
             for other in range(len(crew))
             if other != number and (keep_reserved or other in made)
         }
@@ -103,7 +104,7 @@ def _in_order(
             moment.watched[number],
             moment.warm[number],
             beside(problem, moment.driven, others),
-            reserved[number],
+            reserved[number].places_m[: problem.planner.horizon + 1],
             moment.histories[number],
         )
     plans = [made[number][0] for number in range(len(crew))]

@@ -5,6 +5,7 @@ import pytest
 
 from planopt.planning.proof.apart import judge_apart
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.world.timed_motion import TimedMotion
 
 STEPS = 4
 
@@ -29,7 +30,7 @@ def test_least_distances_are_those_of_dense_samples(seed):
     path = np.cumsum(generator.normal(scale=2.0, size=(STEPS + 1, 2)), axis=0)
     radius, least = np.array([0.0, 0.0, 0.4, 0.9]), np.array([1.5, 1.5, 0.5, 0.5])
     discs = discs_of(centres, radius, least, [True, True, False, False])
-    found = judge_apart(discs, path)
+    found = judge_apart(discs, TimedMotion(path))
     times = np.linspace(0.0, STEPS, 8001)
     own = np.stack([np.interp(times, range(STEPS + 1), path[:, a]) for a in (0, 1)])
     away = []
@@ -59,23 +60,12 @@ def test_exactly_the_least_distance_is_enough():
     for lower, count in ((0.0, 0), (1e-5, 1)):
         other = path + np.array([0.0, 2.0 - lower])
         discs = discs_of([other], [0.5], [1.5], [False])
-        assert len(judge_apart(discs, path).reasons) == count
+        assert len(judge_apart(discs, TimedMotion(path)).reasons) == count
 
 
 def test_nothing_moves():
     """Neither distance exists."""
-    found = judge_apart(NOTHING_MOVES, np.zeros((STEPS + 1, 2)))
+    found = judge_apart(NOTHING_MOVES, TimedMotion(np.zeros((STEPS + 1, 2))))
     assert found.min_separation_m is None
     assert found.min_moving_clearance_m is None
     assert not found.reasons
-
-
-def test_ways_that_are_not_straight_are_not_known_to_keep_away():
-    """However far off the disc is from the places; where nothing moves there is nothing to say."""
-    discs = discs_of([np.full((STEPS + 1, 2), 100.0)], [1.0], [0.5], [False])
-    path = np.zeros((STEPS + 1, 2))
-    assert judge_apart(discs, path).reasons == ()
-    assert judge_apart(discs, path, straight=False).reasons
-    assert judge_apart(NOTHING_MOVES, path, straight=False).reasons == ()
-    robot = discs_of([np.full((STEPS + 1, 2), 100.0)], [0.0], [0.0], [True])
-    assert judge_apart(robot, path, straight=False).reasons == ()

@@ -1,0 +1,52 @@
+"""A problem made in Python, which no schema has seen, is held to what a file is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pydantic import ValidationError
+
+from planopt.errors import InputError
+from planopt.problems.messages import input_error
+from planopt.problems.objective import TermsObjective
+from planopt.problems.problem import Problem
+from planopt.problems.robot import Robot
+from planopt.problems.save import problem_to_dict
+from planopt.problems.schema import ProblemFile
+from planopt.robots.double_integrator import DoubleIntegrator
+from planopt.robots.unicycle import Unicycle
+
+
+def check_tables(problem: Problem) -> None:
+    """Raise the first fault of a problem's tables: types, ranges, what fits its task.
+
+    Raises
+    ------
+    InputError
+        With the key of the problem file.
+    """
+    if isinstance(problem.objective, TermsObjective) and not problem.objective.terms:
+        raise InputError("has no terms", key="objective.terms", remedy="one at least")
+    for obstacle in problem.workspace.obstacles:
+        if not obstacle.polygon.is_valid or obstacle.polygon.area == 0.0:
+            raise InputError(
+                f"{obstacle.name} crosses itself or has no area",
+                key="world.obstacles",
+                remedy="list the corners in order along the outline",
+            )
+    # Looked at above, and long.
+    workspace = replace(problem.workspace, obstacles=())
+    robots = tuple(_in_files(robot) for robot in problem.robots)
+    try:
+        ProblemFile.model_validate(
+            problem_to_dict(replace(problem, workspace=workspace, robots=robots))
+        )
+    except ValidationError as error:
+        raise input_error(error, ProblemFile, file=problem.file) from None
+
+
+def _in_files(robot: Robot) -> Robot:
+    """The robot as a file can have it: dynamics from Python alone are checked elsewhere."""
+    if isinstance(robot.dynamics, DoubleIntegrator | Unicycle | None):
+        return robot
+    return replace(robot, dynamics=None, start_rest=())

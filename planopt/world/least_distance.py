@@ -1,0 +1,101 @@
+"""How near two motions come to each other at equal times, where they may curve: certified.
+
+Seen from the second, the first moves on a curve. Between two times that are d apart it is nowhere
+farther than ``c d^2 / 8`` from straight and even motion, c the sum of how far both curve; that
+motion's least distance has a closed form, and so the true one is known within ``c d^2 / 8``.
+Intervals that may hold the least distance are halved until it is known closely enough.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.world.closest_approach import closest_approach_m
+from planopt.world.timed_motion import TimedMotion, TimedWay
+
+CLOSE_M = 1e-7
+"""What is found is at most this much below the least distance: a tenth of the verifier's tolerance.
+Closer would be dear where two motions keep one distance all the way."""
+
+CLOSE_SHARE = 1e-9
+"""The same as a share of how far ways curve: ways that curve by kilometres are no robot's."""
+
+
+def way_distance_m(first: TimedWay, second: TimedWay, at_most_m: float = math.inf) -> float:
+    """Least distance of two ways of one step at equal times, never too large.
+
+    Parameters
+    ----------
+    first, second
+        The ways.
+    at_most_m
+        A distance of which it is enough to know that they keep it: then no less than this less
+        `CLOSE_M` is said.
+
+    Returns
+    -------
+    float
+        Metres, at most `CLOSE_M` too small, and by how much is unknown of the ways themselves.
+    """
+    unknown = first.within_m + second.within_m
+    curving = first.curving_m + second.curving_m
+    if not math.isfinite(curving + unknown):
+        return 0.0
+    close = max(CLOSE_M, CLOSE_SHARE * curving)
+    breaks = np.union1d(first.breaks, second.breaks)
+    begin, end = breaks[:-1], breaks[1:]
+    least, settled = at_most_m + unknown, math.inf
+    while len(begin):
+        chord = closest_approach_m(first.at(begin), first.at(end), second.at(begin), second.at(end))
+        off = curving * (end - begin) ** 2 / 8.0
+        least = min(least, float((chord + off).min()))
+        lower = chord - off
+        open_ = lower < least - close
+        settled = min(settled, float(lower[~open_].min(initial=math.inf)))
+        begin, end = begin[open_], end[open_]
+        middle = 0.5 * (begin + end)
+        begin, end = np.concatenate([begin, middle]), np.concatenate([middle, end])
+    return max(0.0, settled - unknown)
+
+
+def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> NDArray[np.float64]:
+    """Least distance during each of `steps` steps, never too large; ``(steps,)``.
+
+    Either stands after its own last step.
+    """
+    one, other = first.lasting(steps), second.lasting(steps)
+    if not one.ways and not other.ways:
+        return chord_distances_m(one, other)
+    return np.array([way_distance_m(one.way(k), other.way(k)) for k in range(steps)])
+
+
+def chord_distances_m(first: TimedMotion, second: TimedMotion) -> NDArray[np.float64]:
+    """Least distance as if both moved straight and evenly; ``(n,)`` of as many steps."""
+    a, b = first.places_m, second.places_m
+    return closest_approach_m(a[:-1], a[1:], b[:-1], b[1:])
+
+
+def least_gap(
+    first: TimedMotion, second: TimedMotion, taken_m: NDArray[np.float64]
+) -> tuple[float, int]:
+    """Least of distance less `taken_m` (n,) over n steps, and the step that has it.
+
+    Steps are looked at in the order of what they may have at least.
+    """
+    steps = len(taken_m)
+    one, other = first.lasting(steps), second.lasting(steps)
+    gaps = chord_distances_m(one, other) - taken_m
+    if not one.ways and not other.ways:
+        return float(gaps.min()), int(gaps.argmin())
+    lower = gaps - one.bulges_m - other.bulges_m
+    best, at = math.inf, 0
+    for k in np.argsort(lower, kind="stable").tolist():
+        if lower[k] >= best:
+            break
+        gap = way_distance_m(one.way(k), other.way(k), best + float(taken_m[k])) - float(taken_m[k])
+        if gap < best:
+            best, at = gap, k
+    return best, at

@@ -1,0 +1,96 @@
+"""Slopes of many ways at once: those of the values, by differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from terms_scene import ENERGY, LEARNING, situation_of, terms_problem
+
+from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.planning.search.local_ranking import LocalRanking, can_climb
+
+STEP_M = 1e-2
+
+
+def mapping(form):
+    """A mapping term."""
+    return {"kind": "mapping", "form": form, "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
+
+
+def differences(value, ways):
+    """Central differences of `value` by all places."""
+    found = np.zeros(ways.shape)
+    for k in range(ways.shape[1]):
+        for axis in range(2):
+            step = np.zeros(ways.shape[1:])
+            step[k, axis] = STEP_M
+            found[:, k, axis] = (value(ways + step) - value(ways - step)) / (2.0 * STEP_M)
+    return found
+
+
+def smooth_ways(situation):
+    """Ways none of whose places are near a cusp: a measurement, or another place."""
+    rng = np.random.default_rng(2)
+    parameters = situation.posterior.parameters
+    ways = situation.position_m + np.cumsum(rng.normal(size=(60, 4, 2)), axis=1)
+    others = np.concatenate(
+        [np.tile(situation.posterior.measurements.positions_m, (60, 1, 1)), ways], axis=1
+    )
+    apart = np.linalg.norm(ways[:, :, None] - others[:, None], axis=3)
+    apart[apart == 0.0] = np.inf
+    kept = apart.min(axis=(1, 2)) > 2.0 * CUSP_ROUNDING * parameters.decorrelation_m
+    assert kept.sum() > 5
+    return ways[kept][:6]
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        *[({**LEARNING, "criterion": kind},) for kind in "DTAV"],
+        *[(mapping(form),) for form in ("two_layer", "path", "information", "average")],
+        ({**LEARNING, "weight": 3.0}, {**mapping("path"), "weight": 0.2}, ENERGY),
+    ],
+)
+def test_slopes_are_those_of_the_values(terms):
+    """In single precision."""
+    situation, _ = situation_of(terms_problem(*terms, horizon=4))
+    ways = smooth_ways(situation)
+    ranking = LocalRanking(situation, ways)
+    _, slopes = ranking.slopes(ways)
+    wanted = differences(lambda moved: ranking.slopes(moved)[0], ways)
+    np.testing.assert_allclose(slopes, wanted, atol=2e-2 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("rule", ["each_step", "joint"])
+def test_slopes_lead_to_where_the_bound_is_kept(rule):
+    """Where ways miss it, what is missing counts far more than all else."""
+    situation, _ = situation_of(terms_problem(mapping("information"), horizon=4))
+    ways = smooth_ways(situation)
+    station = replace(situation.problem.stations[0], threshold_dbm=-32.0)
+    constraints = replace(
+        situation.problem.constraints,
+        p_min=0.8,
+        rule=replace(situation.problem.constraints.rule, connectivity=rule),
+    )
+    problem = replace(situation.problem, stations=(station,), constraints=constraints)
+    bounded = LocalRanking(replace(situation, problem=problem), ways)
+    free = LocalRanking(situation, ways)
+    values, slopes = bounded.slopes(ways)
+    missed = values < free(ways) - 1e-6
+    assert missed.any()
+    wanted = differences(lambda moved: bounded.slopes(moved)[0], ways)[missed]
+    np.testing.assert_allclose(slopes[missed], wanted, atol=2e-2 * np.abs(wanted).max())
+
+
+def test_ways_climb_only_where_all_slopes_are_known():
+    """A term of another kind is bent instead."""
+    tracking = {
+        "kind": "tracking",
+        "noise_curvature": 0.008,
+        "noise_floor_m2": 0.08,
+        "sweet_spot_m": 1,
+    }
+    assert can_climb(terms_problem(LEARNING, ENERGY))
+    assert not can_climb(terms_problem(LEARNING, tracking))

@@ -1,0 +1,167 @@
+"""Least distances at equal times: closed forms, dense samples, and what must change nothing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planopt.world.least_distance import CLOSE_M, least_gap, step_distances_m, way_distance_m
+from planopt.world.timed_motion import EvenWay, TimedMotion
+from planopt.world.ways import Arc, Parabola, PointWay
+
+DENSE = np.linspace(0.0, 1.0, 40001)
+
+
+def sampled_m(first, second) -> float:
+    """Least distance over many equal times."""
+    return float(np.linalg.norm(first.at(DENSE) - second.at(DENSE), axis=1).min())
+
+
+def random_way(generator: np.random.Generator, kind: int):
+    """A straight way, a parabola, an arc, or points."""
+    start = generator.uniform(-4.0, 4.0, 2)
+    match kind:
+        case 0:
+            return EvenWay(np.stack([start, generator.uniform(-4.0, 4.0, 2)]))
+        case 1:
+            return Parabola(start, *generator.uniform(-5.0, 5.0, (2, 2)))
+        case 2:
+            heading, length, turn = generator.uniform(-6.0, 6.0, 3).tolist()
+            return Arc(start, heading, length, turn)
+        case _:
+            return PointWay(start + generator.normal(size=(5, 2)).cumsum(axis=0), 0.0)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_never_above_dense_samples_and_hardly_below(seed: int) -> None:
+    """Of any two kinds of ways."""
+    generator = np.random.default_rng(seed)
+    first, second = (random_way(generator, kind) for kind in divmod(seed % 16, 4))
+    found, sampled = way_distance_m(first, second), sampled_m(first, second)
+    assert found <= sampled + 1e-12
+    # Between samples both move by no more than this.
+    speed = sum(
+        np.linalg.norm(np.diff(way.at(DENSE), axis=0), axis=1).max() for way in (first, second)
+    )
+    assert found >= sampled - speed - CLOSE_M
+
+
+def test_two_parabolas_in_closed_form() -> None:
+    """Thrown at each other's height: relative motion is (2 t - 1, b t (1 - t) + 1)."""
+    for b in (-3.0, -0.5, 0.5, 7.0):
+        first = Parabola(np.array([-1.0, 1.0]), np.array([2.0, b]), np.array([0.0, -b]))
+        second = Parabola(np.zeros(2), np.zeros(2), np.zeros(2))
+        both = np.array([0.7, 3.0])
+        moved = [
+            replace(way, along_m=way.along_m + both, bend_m=way.bend_m - both)
+            for way in (first, second)
+        ]
+        # With s = (2 t - 1)^2 the square is s + (1 + b (1 - s) / 4)^2: a parabola in s.
+        linear, square = 1.0 - 0.5 * b * (1.0 + 0.25 * b), b * b / 16.0
+        s = min(max(-linear / (2.0 * square), 0.0), 1.0)
+        exact = math.sqrt(s + (1.0 + 0.25 * b * (1.0 - s)) ** 2)
+        for one, two in ((first, second), moved):
+            assert exact - CLOSE_M <= way_distance_m(one, two) <= exact + 1e-12
+
+
+def test_head_on_unicycles_in_closed_form() -> None:
+    """Both turn left on mirrored quarter circles of radius r; side by side they are nearest."""
+    radius, quarter = 3.0, 0.5 * math.pi
+    for gap in (0.0, 0.5, 2.0):
+        left = Arc(np.array([-radius - gap, 0.0]), 0.0, radius * quarter, quarter)
+        right = Arc(np.array([radius + gap, 0.0]), math.pi, radius * quarter, -quarter)
+        # At angle a each is r - r sin a + gap from the middle line.
+        assert 2.0 * gap - CLOSE_M <= way_distance_m(left, right) <= 2.0 * gap + 1e-12
+
+
+def test_a_convoy_keeps_its_distance() -> None:
+    """All the way equally far: nothing can be left out, and it is found all the same."""
+    way = Arc(np.zeros(2), 0.3, 4.0, 1.0)
+    other = replace(way, start_m=np.array([0.6, -0.8]))
+    assert way_distance_m(way, other) == pytest.approx(1.0, abs=1.1 * CLOSE_M)
+    assert way_distance_m(way, way) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_exchange_mirror_and_reversed_time_change_nothing(seed: int) -> None:
+    """Within what is asked of the distance."""
+    generator = np.random.default_rng(seed)
+    one, two = (Parabola(*generator.uniform(-3.0, 3.0, (3, 2))) for _ in range(2))
+    found = way_distance_m(one, two)
+
+    def mirrored(way: Parabola) -> Parabola:
+        flip = np.array([-1.0, 1.0])
+        return Parabola(way.start_m * flip, way.along_m * flip, way.bend_m * flip)
+
+    def back(way: Parabola) -> Parabola:
+        end = way.start_m + way.along_m + way.bend_m
+        return Parabola(end, -way.along_m - 2.0 * way.bend_m, way.bend_m)
+
+    assert way_distance_m(two, one) == pytest.approx(found, abs=2.0 * CLOSE_M)
+    for change in (mirrored, back):
+        assert way_distance_m(change(one), change(two)) == pytest.approx(found, abs=2.0 * CLOSE_M)
+
+
+def test_what_is_not_known_is_taken_off() -> None:
+    """Of both ways, and no distance is negative."""
+    one = PointWay(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.25)
+    two = PointWay(np.array([[0.0, 2.0], [0.5, 2.0], [1.0, 2.0]]), 0.5)
+    assert way_distance_m(one, two) == pytest.approx(1.25)
+    assert way_distance_m(one, replace(two, within_m=5.0)) == 0.0
+    assert way_distance_m(one, replace(two, within_m=math.inf)) == 0.0
+
+
+def test_ways_that_curve_without_end_are_not_looked_at_for_ever() -> None:
+    """What cannot be known is not claimed."""
+    far = Parabola(np.zeros(2), np.full(2, 1e12), np.full(2, 1e12))
+    endless = Parabola(np.zeros(2), np.zeros(2), np.full(2, np.inf))
+    still = EvenWay(np.array([[5.0, 0.0], [5.0, 0.0]]))
+    assert way_distance_m(endless, still) == 0.0
+    assert way_distance_m(far, still) <= 5.0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_least_step_is_found(seed: int) -> None:
+    """As if all were looked at, also where one stands before the other."""
+    generator = np.random.default_rng(seed)
+
+    def motion(steps: int) -> TimedMotion:
+        ways, place = [], generator.uniform(-3.0, 3.0, 2)
+        for _ in range(steps):
+            ways.append(Parabola(place, *generator.uniform(-2.0, 2.0, (2, 2))))
+            place = ways[-1].at(np.array([1.0]))[0]
+        return TimedMotion(np.array([*(way.start_m for way in ways), place]), tuple(ways))
+
+    one, two = motion(5), motion(3)
+    taken = generator.uniform(0.0, 1.0, 6)
+    gaps = step_distances_m(one, two, 6) - taken
+    least, step = least_gap(one, two, taken)
+    assert least == pytest.approx(gaps.min(), abs=2.0 * CLOSE_M)
+    assert gaps[step] == pytest.approx(gaps.min(), abs=2.0 * CLOSE_M)
+    # A step later, with a step of standing before, nothing is nearer or farther.
+    later = [
+        TimedMotion(
+            np.vstack([each.places_m[:1], each.places_m]),
+            (EvenWay(each.places_m[:1].repeat(2, axis=0)), *each.ways),
+        )
+        for each in (one, two)
+    ]
+    shifted, at = least_gap(*later, np.append(5.0 - 5.0, taken))
+    first = np.linalg.norm(one.places_m[0] - two.places_m[0])
+    assert shifted == pytest.approx(min(least, first), abs=2.0 * CLOSE_M)
+    assert at in (0, step + 1)
+
+
+def test_what_is_left_after_some_steps() -> None:
+    """The same places at the same times."""
+    way = Parabola(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+    two = Parabola(np.ones(2), np.array([1.0, 2.0]), np.array([0.0, -1.0]))
+    motion = TimedMotion(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]), (way, two))
+    rest = motion.after(1).lasting(3)
+    assert rest.places_m.tolist() == [[1.0, 1.0], [2.0, 2.0], [2.0, 2.0], [2.0, 2.0]]
+    assert rest.way(0) is two
+    assert motion.bulges_m == pytest.approx([0.25, 0.25])
+    assert rest.bulges_m == pytest.approx([0.25, 0.0, 0.0])

@@ -11,7 +11,7 @@ from planopt.channel.posterior import ChannelPosterior, extend
 
 @dataclass(frozen=True)
 class Belief:
-    """Knowledge of one station's channel.
+    """Knowledge of a station's channel, and of the channels of further stations.
 
     Attributes
     ----------
@@ -19,12 +19,30 @@ class Belief:
         How the parameters were estimated, from the first measurements.
     posterior
         Prediction from all measurements so far.
+    further
+        What is known of each further station of the problem, in its order; they have none.
     """
 
     fit: ChannelFit
     posterior: ChannelPosterior
+    further: tuple[Belief, ...] = ()
+
+    @property
+    def posteriors(self) -> tuple[ChannelPosterior, ...]:
+        """Of each station, the first one's first."""
+        return (self.posterior, *(belief.posterior for belief in self.further))
 
 
-def update(belief: Belief, more: Measurements) -> Belief:
-    """Add measurements to the belief (seed, Algorithm 1); the fit is kept."""
-    return replace(belief, posterior=extend(belief.posterior, more))
+def update(belief: Belief, more: Measurements, *further: Measurements) -> Belief:
+    """Add measurements to the belief (seed, Algorithm 1); the fit is kept.
+
+    `further` are of further stations, in their order.
+    """
+    return replace(
+        belief,
+        posterior=extend(belief.posterior, more),
+        further=tuple(
+            replace(other, posterior=extend(other.posterior, taken))
+            for other, taken in zip(belief.further, further, strict=True)
+        ),
+    )

@@ -11,6 +11,7 @@ Three measures (theory 4.6), of one robot's path or of many at once:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -66,9 +67,14 @@ def covariance_gain(
 
 
 def sampled_gain(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: FilteredTracking
+    posterior: ChannelPosterior,
+    path_m: NDArray[np.float64],
+    settings: FilteredTracking,
+    further: Sequence[tuple[ChannelPosterior, float]] = (),
 ) -> float:
     """sum_k w_k (tr P_k without packets - E tr P_k) of the position, m^2, over `DRAWS` draws.
+
+    A packet arrives where the power of any station reaches its threshold.
 
     Parameters
     ----------
@@ -78,10 +84,15 @@ def sampled_gain(
         ``(h, 2)``.
     settings
         The target and what is known of it.
+    further
+        The channel of each further station, and the power from which that connects.
     """
     generator = np.random.default_rng(SEED)
-    arrived = sampled_arrivals([posterior], [path_m], settings.tracking, DRAWS, generator)
-    outcomes, counts = np.unique(arrived[:, :, 0], axis=0, return_counts=True)
+    arrived = np.zeros((DRAWS, len(path_m)), dtype=np.bool_)
+    for station, threshold in ((posterior, settings.tracking.threshold_dbm), *further):
+        own = replace(settings.tracking, threshold_dbm=threshold)
+        arrived |= sampled_arrivals([station], [path_m], own, DRAWS, generator)[:, :, 0]
+    outcomes, counts = np.unique(arrived, axis=0, return_counts=True)
     sensing = sensing_of(path_m, settings)
     return float(covariance_gain(outcomes.astype(np.float64), sensing, settings) @ counts) / DRAWS
 

@@ -11,6 +11,7 @@ Searches and solvers look at it; what they find is valued by the integral.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -27,10 +28,13 @@ LEAST_SCORE = -5.0
 class PassageProgramme:
     """Functions of z = (mean above threshold (h,), covariance (h, h), legs (h,)), flattened.
 
+    Mean and covariance are there for each station in turn. The chances of no connection to each
+    multiply: they are independent.
+
     Attributes
     ----------
-    steps
-        h.
+    steps, stations
+        h, and how many stations there are.
     value
         Of z and what ending without connection counts: the distance charged.
     gradient
@@ -40,39 +44,53 @@ class PassageProgramme:
     """
 
     steps: int
+    stations: int
     value: Any
     gradient: Any
     along: Any
 
 
 @cache
-def passage_programme(steps: int) -> PassageProgramme:
+def passage_programme(steps: int, stations: int = 1) -> PassageProgramme:
     """Build the functions for a path of h = `steps` places; kept for each number."""
-    z, beyond = ca.SX.sym("z", steps * (steps + 2)), ca.SX.sym("beyond")
+    size = steps * (steps + 1)
+    z, beyond = ca.SX.sym("z", stations * size + steps), ca.SX.sym("beyond")
+    each = [_failing(z[own * size : (own + 1) * size], steps) for own in range(stations)]
+    legs = z[stations * size :]
+    distance = legs[0]
+    for k in range(steps):
+        failing = math.prod((own[k] for own in each[1:]), start=each[0][k])
+        distance += failing * (legs[k + 1] if k + 1 < steps else beyond)
+    slope = ca.gradient(distance, z)
+    way = ca.SX.sym("way", z.numel())
+    return PassageProgramme(
+        steps,
+        stations,
+        ca.Function("distance", [z, beyond], [distance]),
+        ca.Function("slope", [z, beyond], [slope]),
+        ca.Function("along", [z, beyond, way], [ca.jtimes(slope, z, way)]),
+    )
+
+
+def _failing(z: Any, steps: int) -> list[Any]:
+    """The chance of no connection to one station up to each place, of its mean and covariance."""
     mean = [z[k] for k in range(steps)]
     covariance = [[z[steps * (1 + j) + i] for j in range(steps)] for i in range(steps)]
-    legs = z[steps * (steps + 1) :]
-    distance, failing = legs[0], 1.0
+    failing: Any = 1.0
+    found: list[Any] = []
     for k in range(steps):
         deviation = ca.sqrt(covariance[k][k])
         score = ca.fmax(-mean[k] / deviation, LEAST_SCORE)
         below = 0.5 * (1.0 + ca.erf(score / math.sqrt(2.0)))
         ratio = ca.exp(-0.5 * score * score) / math.sqrt(2.0 * math.pi) / below
         failing = failing * below
-        distance += failing * (legs[k + 1] if k + 1 < steps else beyond)
+        found.append(failing)
         shrink = ratio * (ratio + score) / covariance[k][k]
         for i in range(k + 1, steps):
             mean[i] -= covariance[i][k] / deviation * ratio
             for j in range(k + 1, i + 1):
                 covariance[i][j] -= covariance[i][k] * covariance[j][k] * shrink
-    slope = ca.gradient(distance, z)
-    way = ca.SX.sym("way", z.numel())
-    return PassageProgramme(
-        steps,
-        ca.Function("distance", [z, beyond], [distance]),
-        ca.Function("slope", [z, beyond], [slope]),
-        ca.Function("along", [z, beyond, way], [ca.jtimes(slope, z, way)]),
-    )
+    return found
 
 
 def charged_distances_m(
@@ -80,6 +98,7 @@ def charged_distances_m(
     covariance_db2: NDArray[np.float64],
     legs_m: NDArray[np.float64],
     beyond_m: float,
+    further: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
 ) -> NDArray[np.float64]:
     """Distance until connected of c paths, as filtering has it; ``(c,)``.
 
@@ -91,10 +110,18 @@ def charged_distances_m(
         ``(c, h)`` lengths of the steps.
     beyond_m
         Added where the path ends without connection.
+    further
+        Mean and covariance of each further station.
     """
     count, steps = mean_db.shape
-    z = np.concatenate([mean_db, covariance_db2.reshape(count, -1), legs_m], axis=1)
-    return np.asarray(passage_programme(steps).value(z.T, beyond_m)).ravel()
+    each = [
+        part
+        for mean, covariance in ((mean_db, covariance_db2), *further)
+        for part in (mean, covariance.reshape(count, -1))
+    ]
+    z = np.concatenate([*each, legs_m], axis=1)
+    programme = passage_programme(steps, 1 + len(further))
+    return np.asarray(programme.value(z.T, beyond_m)).ravel()
 
 
 def slopes_and_bends(

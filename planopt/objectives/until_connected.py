@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,20 @@ class Search:
         Given that it is not connected at the start. False where that is among the measurements.
     beyond_m
         What :func:`charged_distance_m` adds for a path that ends without connection.
+    further_thresholds_dbm
+        The same of further stations.
     """
 
     start_m: tuple[float, float]
     threshold_dbm: float
     disconnected_now: bool = True
     beyond_m: float = 0.0
+    further_thresholds_dbm: tuple[float, ...] = ()
+
+    @property
+    def thresholds_dbm(self) -> tuple[float, ...]:
+        """Of each station."""
+        return (self.threshold_dbm, *self.further_thresholds_dbm)
 
 
 def expected_distance_m(
@@ -76,22 +85,37 @@ def expected_distance_m(
 
 
 def charged_distance_m(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Search
+    posterior: ChannelPosterior,
+    path_m: NDArray[np.float64],
+    settings: Search,
+    further: Sequence[ChannelPosterior] = (),
 ) -> float:
     """E[D] + beyond_m P(not connected at q_1 .. q_h): what a plan that has to stop at h is charged.
 
     E[D] alone is least for a robot that stands still. The same numbers integrate every path, so
-    that its value does not change. Arguments and errors as :func:`expected_distance_m`.
+    that its value does not change. Stations are independent, so that the probabilities of no
+    connection to each of them multiply. Arguments and errors as :func:`expected_distance_m`.
+
+    Parameters
+    ----------
+    posterior, path_m, settings
+        As there.
+    further
+        Of further stations.
     """
     whole = _whole(path_m, settings)
-    found = first_passage(
-        factored_near(posterior, whole),
-        whole,
-        settings.threshold_dbm,
-        np.random.default_rng(SEED),
-        disconnected_now=settings.disconnected_now,
-        tolerance=TOLERANCE,
-    )
+    each = [
+        first_passage(
+            factored_near(station, whole),
+            whole,
+            threshold,
+            np.random.default_rng(SEED),
+            disconnected_now=settings.disconnected_now,
+            tolerance=TOLERANCE,
+        )
+        for station, threshold in zip((posterior, *further), settings.thresholds_dbm, strict=True)
+    ]
+    found = replace(each[0], not_connected=np.prod([own.not_connected for own in each], axis=0))
     return found.expected_distance_m + settings.beyond_m * float(found.not_connected[-1])
 
 

@@ -7,11 +7,15 @@ used.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.places import require_places
 from planopt.objectives.batch_derivatives import (
+    BatchDerivatives,
     PathDerivatives,
     add_own_blocks,
     batch_derivatives,
@@ -21,18 +25,18 @@ from planopt.objectives.local_channel import LocalChannel
 from planopt.objectives.motion_derivatives import legs_curvature
 from planopt.objectives.passage_programme import passage_programme, slopes_and_bends
 from planopt.objectives.until_connected import Search
-from planopt.targets.rounding import rounded_length
+from planopt.targets.rounding import Derivatives, rounded_length
 
 
 def charged_distance_derivatives(
-    channel: LocalChannel, path_m: NDArray[np.float64], settings: Search, width_m: float
+    channels: Sequence[LocalChannel], path_m: NDArray[np.float64], settings: Search, width_m: float
 ) -> PathDerivatives:
     """:func:`planopt.objectives.until_connected.charged_distance_m`, filtered, with derivatives.
 
     Parameters
     ----------
-    channel
-        The measurements near the path.
+    channels
+        The measurements near the path, of each station.
     path_m
         ``(h, 2)``.
     settings
@@ -42,30 +46,65 @@ def charged_distance_derivatives(
     """
     places = require_places(path_m)
     steps = len(places)
-    batch = batch_derivatives(channel, places, universal=True)
-    power = batch.phi @ channel.weights
-    mean = batch.trend.value @ channel.theta + power[:, 0]
-    slope = batch.trend.first.reshape(steps, 2, 2) @ channel.theta + power[:, 1:3]
-    bend = batch.trend.second @ channel.theta + power[:, 3:]
+    stations = [_station(channel, places) for channel in channels]
     legs = rounded_length(np.diff(np.vstack([settings.start_m, places]), axis=0), width_m)
 
     # What each coordinate changes: rows of z = (mean, covariance, legs), columns of coordinates.
     k = np.arange(steps)
-    by_mean, by_leg = np.zeros((2, steps, steps, 2))
-    by_mean[k, k] = slope
+    by_leg = np.zeros((steps, steps, 2))
     by_leg[k, k] = legs.gradient
     by_leg[k[1:], k[:-1]] = -legs.gradient[1:]
+    ways = np.concatenate([*(station.ways for station in stations), by_leg])
+    ways = ways.reshape(-1, 2 * steps)
+
+    z = np.concatenate(
+        [
+            part
+            for station, threshold in zip(stations, settings.thresholds_dbm, strict=True)
+            for part in (station.mean.value - threshold, station.batch.covariance.ravel())
+        ]
+        + [legs.value]
+    )
+    programme = passage_programme(steps, len(stations))
+    value, gradient, bends = slopes_and_bends(programme, z, settings.beyond_m, ways)
+    hessian = ways.T @ bends
+    size = steps * (steps + 1)
+    for number, station in enumerate(stations):
+        own = gradient[number * size : (number + 1) * size]
+        by_s = own[steps:].reshape(steps, steps)
+        hessian += curvature_of(station.batch, 0.5 * (by_s + by_s.T))
+        add_own_blocks(hessian, own[:steps, None] * station.mean.hessian)
+    hessian += legs_curvature(legs, gradient[-steps:])
+    return PathDerivatives(value, ways.T @ gradient, 0.5 * (hessian + hessian.T))
+
+
+@dataclass(frozen=True, eq=False)
+class _Station:
+    """One station's power along a path: law of the places, and what each coordinate changes.
+
+    `ways` has the rows of mean and covariance, ``(h (h + 1), h, 2)``.
+    """
+
+    batch: BatchDerivatives
+    mean: Derivatives
+    ways: NDArray[np.float64]
+
+
+def _station(channel: LocalChannel, places_m: NDArray[np.float64]) -> _Station:
+    steps = len(places_m)
+    batch = batch_derivatives(channel, places_m, universal=True)
+    power = batch.phi @ channel.weights
+    mean = Derivatives(
+        batch.trend.value @ channel.theta + power[:, 0],
+        batch.trend.first.reshape(steps, 2, 2) @ channel.theta + power[:, 1:3],
+        batch.trend.second @ channel.theta + power[:, 3:],
+    )
+    k = np.arange(steps)
+    by_mean = np.zeros((steps, steps, 2))
+    by_mean[k, k] = mean.gradient
     by_covariance = np.zeros((steps, steps, steps, 2))
     first = batch.first.reshape(steps, 2, steps)
     by_covariance[k, :, k] += first.transpose(0, 2, 1)
     by_covariance[:, k, k] += first.transpose(2, 0, 1)
-    ways = np.concatenate([by_mean, by_covariance.reshape(-1, steps, 2), by_leg])
-    ways = ways.reshape(-1, 2 * steps)
-
-    z = np.concatenate([mean - settings.threshold_dbm, batch.covariance.ravel(), legs.value])
-    value, gradient, bends = slopes_and_bends(passage_programme(steps), z, settings.beyond_m, ways)
-    by_s = gradient[steps:-steps].reshape(steps, steps)
-    hessian = ways.T @ bends + curvature_of(batch, 0.5 * (by_s + by_s.T))
-    add_own_blocks(hessian, gradient[:steps, None] * bend)
-    hessian += legs_curvature(legs, gradient[-steps:])
-    return PathDerivatives(value, ways.T @ gradient, 0.5 * (hessian + hessian.T))
+    ways = np.concatenate([by_mean, by_covariance.reshape(-1, steps, 2)])
+    return _Station(batch, mean, ways)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,12 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
 from planopt.problems.channel_setup import LoggedMeasurements, ModelTruth, RasterTruth
 from planopt.problems.problem import Problem
+from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.world.clearance import clearance_m, index_obstacles
 from planopt.world.raster_files import read_raster
+
+FURTHER_STREAMS = 2
+"""The first station's fading, the measured places and what a team draws have other streams."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +33,23 @@ class Given:
         The channel as it is; None if the problem has none.
     measurements
         The first measurements.
+    further
+        The same of each further station, in the problem's order; they have none.
     """
 
     truth: Truth | None
     measurements: Measurements
+    further: tuple[Given, ...] = ()
+
+    @property
+    def stations(self) -> tuple[Given, ...]:
+        """What there is of each station, the first one's first."""
+        return (self, *self.further)
+
+    @property
+    def truths(self) -> tuple[Truth, ...]:
+        """Of each station; empty if the problem has none."""
+        return tuple(given.truth for given in self.stations if given.truth is not None)
 
 
 def draw(problem: Problem, seed: int) -> Given:
@@ -43,8 +60,8 @@ def draw(problem: Problem, seed: int) -> Given:
     problem
         The problem.
     seed
-        Fixes the fading and the measured places; two streams, so that more measurements leave the
-        fading as it was.
+        Fixes the fading and the measured places; streams of their own, so that more measurements
+        leave the fading as it was, and more stations all that there was.
 
     Raises
     ------
@@ -54,29 +71,44 @@ def draw(problem: Problem, seed: int) -> Given:
     if seed < 0:
         raise InputError(f"is {seed}, should be at least 0", key="seed")
     fading_seed, places_seed = np.random.SeedSequence(seed).spawn(2)
-    truth = draw_truth(problem, np.random.default_rng(fading_seed))
+    fading_seeds = [fading_seed] + [
+        np.random.SeedSequence(seed, spawn_key=(FURTHER_STREAMS, number))
+        for number in range(1, len(problem.stations))
+    ]
+    truths = [
+        draw_truth(problem, np.random.default_rng(stream), station)
+        for station, stream in enumerate(fading_seeds)
+    ]
     setup = problem.channel.measurements
     if isinstance(setup, LoggedMeasurements):
-        measurements = read_log(
-            setup.file, LogFormat(setup.columns, setup.censored_column, setup.floor_dbm)
-        )
-    elif truth is None:
+        measured = [_read_log(log_of(setup, radio)) for radio in problem.stations]
+    else:
+        places = free_places(problem, setup.count, np.random.default_rng(places_seed))
+        measured = [_measured(problem, truth, places) for truth in truths]
+    stations = [Given(*both) for both in zip(truths, measured, strict=True)]
+    return replace(stations[0], further=tuple(stations[1:]))
+
+
+def _read_log(log: LoggedMeasurements) -> Measurements:
+    return read_log(log.file, LogFormat(log.columns, log.censored_column, log.floor_dbm))
+
+
+def _measured(problem: Problem, truth: Truth | None, places_m: NDArray[np.float64]) -> Measurements:
+    if truth is None:
         raise InputError(
             "there is no truth to measure",
             file=problem.file,
             key="channel.truth",
             remedy="give channel.truth, or a log as channel.measurements.file",
         )
-    else:
-        places = free_places(problem, setup.count, np.random.default_rng(places_seed))
-        measurements = measure(truth, places)
-    return Given(truth, measurements)
+    return measure(truth, places_m)
 
 
-def draw_truth(problem: Problem, generator: np.random.Generator) -> Truth | None:
-    """Make the simulator's truth, or None if the problem has none."""
-    setup, radio = problem.channel.truth, problem.stations[0]
+def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 0) -> Truth | None:
+    """Make the simulator's truth of one station, or None if the problem has none."""
+    setup, radio = problem.channel.truth, problem.stations[station]
     if isinstance(setup, RasterTruth):
+        setup = raster_truth_of(setup, radio)
         gain = read_raster(setup.file, setup.variable)
         return raster_truth(
             gain, radio.transmit_power_dbm, setup.floor_db, setup.multipath, generator

@@ -8,7 +8,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.given import draw
-from planopt.planning.loop.learn import learn
+from planopt.planning.loop.learn import learn_stations
 from planopt.problems.problem import Problem
 
 
@@ -22,10 +22,18 @@ class Prepared:
         The channel as it is; None if the problem has none.
     belief
         What the first measurements tell.
+    further
+        The channels of further stations as they are.
     """
 
     truth: Truth | None
     belief: Belief
+    further: tuple[Truth, ...] = ()
+
+    @property
+    def truths(self) -> tuple[Truth, ...]:
+        """Of each station; empty if the problem has none."""
+        return () if self.truth is None else (self.truth, *self.further)
 
 
 @one_blas_thread()
@@ -45,4 +53,4 @@ def prepare(problem: Problem, seed: int) -> Prepared:
         As :func:`planopt.planning.given.draw`.
     """
     given = draw(problem, seed)
-    return Prepared(given.truth, learn(problem, given.measurements))
+    return Prepared(given.truth, learn_stations(problem, given), given.truths[1:])

@@ -86,7 +86,7 @@ class ReachPlanner:
         Parameters
         ----------
         belief
-            Of the station's channel.
+            Of the stations' channels.
         state
             ``(s,)`` of the robot, its place first; of a single integrator its place.
         warm
@@ -96,7 +96,7 @@ class ReachPlanner:
         """
         begun = perf_counter()
         problem, scene, position_m = self.problem, self.scene, state[:2]
-        circumstances = circumstances_of(problem, belief.posterior, history)
+        circumstances = circumstances_of(problem, belief.posteriors, history)
         self._margins.refresh(belief.posterior, circumstances.broad)
         moving = circumstances.moving
         rows_of = None
@@ -222,10 +222,12 @@ def eased(problem: Problem) -> Problem:
     rule = problem.constraints.rule
     if not rule.slack_max_db:
         return problem
-    radio = problem.stations[0]
-    lower = replace(radio, threshold_dbm=radio.threshold_dbm - rule.slack_max_db)
+    slack_db = rule.slack_max_db
+    lower = tuple(
+        replace(radio, threshold_dbm=radio.threshold_dbm - slack_db) for radio in problem.stations
+    )
     hard = replace(problem.constraints, rule=replace(rule, slack_max_db=0.0))
-    return replace(problem, stations=(lower,), constraints=hard)
+    return replace(problem, stations=lower, constraints=hard)
 
 
 def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:

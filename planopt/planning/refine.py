@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_quantile
-from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
@@ -22,7 +21,7 @@ from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_wit
 from planopt.planning.programme.polish import ReachTask, polish
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import ReachNlp
-from planopt.planning.programme.stage_kernel import StageMargins, stage_margins
+from planopt.planning.programme.stage_kernel import StageMargins, margins_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
@@ -34,6 +33,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.rule_rows import RuleRows
+from planopt.planning.worth.serving_stages import stage_predictor
 
 SLACK_TOLERANCE_DB = 1e-3
 """Missing dB below this count as none: the bound can be met after all."""
@@ -276,14 +276,19 @@ class Refiner:
     def _margins_about(self, path_m: NDArray[np.float64]) -> MarginFunction:
         """Margins conditioned on the measurements nearest to each stage of a path."""
         problem = self._judge.problem
-        model = neighbour_model(self._judge.belief.posterior, path_m, problem.planner.neighbours)
+        predict_stages = stage_predictor(
+            self._judge.belief.posterior,
+            self._judge.circumstances.broad,
+            path_m,
+            problem.planner.neighbours,
+        )
         threshold = problem.stations[0].threshold_dbm
         z: float | NDArray[np.float64] = bound_quantile(problem.constraints.p_min)
         if self._rows is not None:
             threshold, z = self._rows.threshold_dbm, self._rows.quantile
 
         def margins(positions_m: NDArray[np.float64]) -> StageMargins:
-            return stage_margins(model, positions_m, threshold, z)
+            return margins_of(*predict_stages(positions_m), threshold, z)
 
         return margins
 

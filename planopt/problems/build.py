@@ -69,6 +69,11 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
                 Station(table.position_m, table.height_m),
                 table.transmit_power_dbm,
                 table.threshold_dbm,
+                None if table.gain_file is None else folder / table.gain_file,
+                table.gain_variable,
+                None if table.log_file is None else folder / table.log_file,
+                table.power_column,
+                table.censored_column,
             )
             for table in tables.stations
         ),

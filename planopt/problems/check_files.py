@@ -7,6 +7,7 @@ from pathlib import Path
 from planopt.errors import InputError
 from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
 from planopt.problems.problem import Problem
+from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.world.raster_files import raster_ending
 
 
@@ -19,19 +20,26 @@ def check_files(problem: Problem) -> None:
     Raises
     ------
     InputError
-        The truth's map or the log of measurements is not a file.
+        A station's map or its log of measurements is not a file.
     """
     truth, measurements = problem.channel.truth, problem.channel.measurements
-    if isinstance(truth, RasterTruth):
-        _check_file(problem, truth.file, "channel.truth.file")
-        try:
-            raster_ending(truth.file)
-        except InputError as error:
-            raise InputError(
-                error.message, file=problem.file, key="channel.truth.file", remedy=error.remedy
-            ) from error
-    if isinstance(measurements, LoggedMeasurements):
-        _check_file(problem, measurements.file, "channel.measurements.file")
+    for number, radio in enumerate(problem.stations):
+        if isinstance(truth, RasterTruth):
+            own = radio.gain_file is not None
+            key = f"stations[{number}].gain_file" if own else "channel.truth.file"
+            _check_map(problem, raster_truth_of(truth, radio).file, key)
+        if isinstance(measurements, LoggedMeasurements):
+            own = radio.log_file is not None
+            key = f"stations[{number}].log_file" if own else "channel.measurements.file"
+            _check_file(problem, log_of(measurements, radio).file, key)
+
+
+def _check_map(problem: Problem, path: Path, key: str) -> None:
+    _check_file(problem, path, key)
+    try:
+        raster_ending(path)
+    except InputError as error:
+        raise InputError(error.message, file=problem.file, key=key, remedy=error.remedy) from error
 
 
 def _check_file(problem: Problem, path: Path, key: str) -> None:

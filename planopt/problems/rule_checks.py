@@ -9,8 +9,8 @@ WHOLE_STEPS = 1e-6
 """A time is a multiple of the step if it is off by no more than this share of a step."""
 
 
-MOST_PROBABLE_DATA = 0.9995
-"""Greatest probability of data that the verifier's drawn channels can show."""
+MOST_PROBABLE_DRAWN = 0.9995
+"""Greatest probability that the verifier's drawn channels can show."""
 
 
 def check_rule(problem: Problem) -> None:
@@ -55,9 +55,9 @@ def check_rule(problem: Problem) -> None:
 def _check_data(problem: Problem) -> None:
     """Data that no plan could be shown to deliver."""
     rule, p_min = problem.constraints.rule, problem.constraints.p_min
-    if p_min > MOST_PROBABLE_DATA:
+    if p_min > MOST_PROBABLE_DRAWN:
         raise InputError(
-            f"is {p_min:g}, and more than {MOST_PROBABLE_DATA:g} cannot be shown for data",
+            f"is {p_min:g}, and more than {MOST_PROBABLE_DRAWN:g} cannot be shown for data",
             file=problem.file,
             key="constraints.p_min",
             remedy="ask for less, or leave it out to ask for the expectation",

@@ -164,12 +164,17 @@ def _measurements(channel: ChannelSetup) -> dict[str, Any]:
     return {**table, "spacing_m": channel.measure_spacing_m}
 
 
+STATION_FILES = ("gain_file", "gain_variable", "log_file", "power_column", "censored_column")
+"""What a station may have in place of the channel's."""
+
+
 def _station(station: RadioStation) -> dict[str, Any]:
     return {
         "name": station.name,
         **_plain(asdict(station.site)),
         "transmit_power_dbm": station.transmit_power_dbm,
         "threshold_dbm": station.threshold_dbm,
+        **_plain({name: getattr(station, name) for name in STATION_FILES}),
     }
 
 

@@ -20,10 +20,13 @@ from planopt.problems.schema_objective import ObjectiveTable, TargetTable
 from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_world import WorldTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, ReportSettings
-from planopt.problems.tables import Decibels, Metres, Name, Pair, Table
+from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table
 from planopt.problems.task_faults import task_fault
 
 SCHEMA_VERSION = 1
+
+MAX_STATIONS = 20
+"""Each has a channel of its own, with a fit and a posterior."""
 
 
 class ProblemTable(Table):
@@ -54,6 +57,33 @@ class StationTable(Table):
     )
     threshold_dbm: Decibels = Field(
         description="Received power in dBm from which on a robot is connected."
+    )
+    gain_file: FileName | None = Field(
+        default=None,
+        description="Map of its path gains, where channel.truth is a raster: in place of "
+        "channel.truth.file. Each station needs a map of its own.",
+    )
+    gain_variable: str | None = Field(
+        default=None,
+        min_length=1,
+        description="Name of its path gain in dB, in place of channel.truth.variable.",
+    )
+    log_file: FileName | None = Field(
+        default=None,
+        description="CSV log of its first measurements, in place of channel.measurements.file. "
+        "Each station needs a log or a power_column of its own.",
+    )
+    power_column: str | None = Field(
+        default=None,
+        min_length=1,
+        description="Column of its power in dBm in the log, in place of "
+        "channel.measurements.columns.power.",
+    )
+    censored_column: str | None = Field(
+        default=None,
+        min_length=1,
+        description="Column that marks its censored rows; of a log of its own, by default that of "
+        "channel.measurements.",
     )
 
 
@@ -110,8 +140,8 @@ class ProblemFile(Table):
     )
     stations: list[StationTable] = Field(
         min_length=1,
-        max_length=1,
-        description="The fixed stations; this version plans with exactly one.",
+        max_length=MAX_STATIONS,
+        description="The fixed stations; connected is who reaches the threshold of any of them.",
     )
     targets: list[TargetTable] = Field(
         default=[], max_length=1, description="The target, for the task track."

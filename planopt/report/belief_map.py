@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from planopt.channel.belief import Belief
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.measurements import Measurements
 from planopt.problems.problem import Problem
-from planopt.report.grid import predicted_rasters
+from planopt.report.grid import believed_rasters
 from planopt.report.maps import PATH_Z, draw_ground, draw_layer, draw_level, draw_places
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
@@ -21,7 +20,6 @@ from planopt.report.style import (
     head,
     legend_below,
 )
-from planopt.world.raster import Raster
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -30,6 +28,8 @@ if TYPE_CHECKING:
 
 def draw_belief(problem: Problem, belief: Belief) -> Figure:
     """Draw predicted power [dBm], its deviation [dB] and P(connected) with the p_min contour.
+
+    Of several stations, power and deviation are the serving one's.
 
     Parameters
     ----------
@@ -43,10 +43,8 @@ def draw_belief(problem: Problem, belief: Belief) -> Figure:
 
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
     workspace = problem.workspace
-    mean, deviation = predicted_rasters(belief.posterior, workspace, workspace.bounds_m)
-    chance = Raster(
-        mean.x_m, mean.y_m, connection_probability(mean.values, deviation.values, threshold)
-    )
+    mean, deviation, chance = believed_rasters(problem, belief, workspace.bounds_m)
+    several = len(problem.stations) > 1
     figure = new_figure(16.5, 5.8, maps_only=True)
     cells = GridSpec(1, 3, figure=figure)
     panels = [add_panel(figure, cells[0, column]) for column in range(3)]
@@ -55,7 +53,11 @@ def draw_belief(problem: Problem, belief: Belief) -> Figure:
     draw_layer(panels[0], mean, POWER_MAP, figure, "power [dBm] (line: threshold)", mark=threshold)
     draw_ground(panels[1], workspace, "deviation of the prediction")
     draw_layer(panels[1], deviation, DEVIATION_MAP, figure, "deviation [dB]")
-    draw_ground(panels[2], workspace, f"P(power ≥ {threshold:g} dBm)")
+    draw_ground(
+        panels[2],
+        workspace,
+        "P(any station connects)" if several else f"P(power ≥ {threshold:g} dBm)",
+    )
     draw_layer(
         panels[2],
         chance,

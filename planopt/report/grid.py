@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.belief import Belief
+from planopt.channel.connection.serving_power import (
+    above_thresholds_db,
+    any_probability,
+    serving_power_dbm,
+)
+from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
+from planopt.problems.problem import Problem
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import Raster
 from planopt.world.workspace import Workspace
@@ -56,3 +65,34 @@ def predicted_rasters(
     mean[drawn] = prediction.mean_db
     deviation[drawn] = prediction.deviation_db
     return Raster(x, y, mean), Raster(x, y, deviation)
+
+
+def believed_rasters(
+    problem: Problem, belief: Belief, bounds_m: Bounds
+) -> tuple[Raster, Raster, Raster]:
+    """Predicted power (dBm), its deviation (dB) and P(connected) inside `bounds_m`.
+
+    Of several stations, power and deviation are those of the one whose predicted power is furthest
+    above its threshold, for the first one's; the probability is that of any.
+    """
+    thresholds = [radio.threshold_dbm for radio in problem.stations]
+    each = [predicted_rasters(own, problem.workspace, bounds_m) for own in belief.posteriors]
+    means = np.stack([mean.values for mean, _ in each])
+    deviations = np.stack([deviation.values for _, deviation in each])
+    drawn = np.isfinite(means[0])
+    powers = [
+        Prediction(mean[drawn], deviation[drawn])
+        for mean, deviation in zip(means, deviations, strict=True)
+    ]
+    above, _ = above_thresholds_db(powers, thresholds)
+    chance = np.full(drawn.shape, np.nan)
+    chance[drawn] = (
+        any_probability(powers, thresholds)
+        if len(each) > 1
+        else connection_probability(means[0][drawn], deviations[0][drawn], thresholds[0])
+    )
+    deviation = np.full(drawn.shape, np.nan)
+    deviation[drawn] = deviations[:, drawn][above.argmax(axis=0), np.arange(above.shape[1])]
+    x, y = each[0][0].x_m, each[0][0].y_m
+    mean = serving_power_dbm(means, thresholds)
+    return Raster(x, y, mean), Raster(x, y, deviation), Raster(x, y, chance)

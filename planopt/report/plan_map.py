@@ -8,10 +8,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
-from planopt.report.grid import Bounds, predicted_rasters
+from planopt.report.grid import Bounds, believed_rasters
 from planopt.report.maps import (
     MARGIN_Z,
     PATH_Z,
@@ -31,7 +30,6 @@ from planopt.report.style import (
     VERMILLION,
     WHITE,
 )
-from planopt.world.raster import Raster
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -74,11 +72,7 @@ def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Arti
     problem, plan = solution.problem, solution.plan
     p_min = problem.constraints.p_min
     window = window_about(problem, plan.positions_m)
-    mean, deviation = predicted_rasters(solution.belief.posterior, problem.workspace, window)
-    chance = connection_probability(
-        mean.values, deviation.values, problem.stations[0].threshold_dbm
-    )
-    layer = Raster(mean.x_m, mean.y_m, chance)
+    _, _, layer = believed_rasters(problem, solution.belief, window)
     draw_ground(panel, problem.workspace, "the plan on the predicted P(connected)")
     draw_layer(
         panel, layer, PROBABILITY_MAP, figure, "P(connected) [1] (line: p_min)", (0.0, 1.0), p_min

@@ -8,6 +8,7 @@ import numpy as np
 
 from planopt.planning.loop.run import StepLog
 from planopt.planning.loop.simulation import Simulation
+from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.report.maps import LAYER_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
 from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
@@ -22,6 +23,7 @@ from planopt.report.style import (
     legend_below,
     spaced,
 )
+from planopt.world.raster import Raster
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -42,7 +44,7 @@ def draw_run(simulation: Simulation) -> Figure:
     draw_ground(panel, problem.workspace, f"{spaced(run.outcome)}: {run.reason}")
     draw_layer(
         panel,
-        simulation.truth.raster,
+        _true_power(simulation),
         POWER_MAP,
         figure,
         "true power [dBm] (line: threshold)",
@@ -62,6 +64,17 @@ def draw_run(simulation: Simulation) -> Figure:
         f"{problem.name}: horizon {run.horizon}, {run.cost_to_go} cost to go, seed {run.seed}",
     )
     return figure
+
+
+def _true_power(simulation: Simulation) -> Raster:
+    """The true power, of several stations the serving one's, on the first one's cells."""
+    raster = simulation.truth.raster
+    if not simulation.further_truths:
+        return raster
+    cells = np.stack(np.meshgrid(raster.x_m, raster.y_m), axis=-1)
+    truths = (simulation.truth, *simulation.further_truths)
+    power = true_serving_dbm(simulation.problem, truths, cells.reshape(-1, 2))
+    return Raster(raster.x_m, raster.y_m, power.reshape(cells.shape[:2]))
 
 
 def _draw_driven(panel: Panel, log: StepLog) -> list[Artist]:

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.connectivity import connection_probability
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
 from planopt.planning.team.team_run import TargetLog
 from planopt.problems.problem import Problem
 from planopt.report.driven_line import driven_line
-from planopt.report.grid import Bounds, predicted_rasters
+from planopt.report.grid import Bounds, believed_rasters
 from planopt.report.maps import (
     LAYER_Z,
     PATH_Z,
@@ -97,13 +96,13 @@ def draw_team_ground(
     """
     workspace = problem.workspace
     window = team_window(problem, places_m)
-    mean, deviation = predicted_rasters(belief.posterior, workspace, window)
+    mean, deviation, chance = believed_rasters(problem, belief, window)
     artists: list[Artist] = []
     for panel, layer in zip(panels, layers_of(problem), strict=True):
         match layer:
             case "connectivity":
                 draw_ground(panel, workspace, "predicted P(connected)")
-                _draw_chance(figure, panel, problem, mean, deviation)
+                _draw_chance(figure, panel, problem, chance)
             case "power":
                 draw_ground(panel, workspace, "predicted power")
                 draw_layer(panel, mean, POWER_MAP, figure, "power [dBm]")
@@ -118,15 +117,9 @@ def draw_team_ground(
     return artists
 
 
-def _draw_chance(
-    figure: Figure, panel: Panel, problem: Problem, mean: Raster, deviation: Raster
-) -> None:
+def _draw_chance(figure: Figure, panel: Panel, problem: Problem, chance: Raster) -> None:
     """Draw the chance of a connection, with the line of p_min where one is asked for."""
     p_min = problem.constraints.step_p_min
-    values = connection_probability(
-        mean.values, deviation.values, problem.stations[0].threshold_dbm
-    )
-    chance = Raster(mean.x_m, mean.y_m, values)
     bounded = p_min > 0.0
     draw_layer(
         panel,

@@ -13,6 +13,8 @@ from planopt.channel.belief import Belief
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.judge import Judge
 from planopt.planning.prepare import prepare
+from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
@@ -59,9 +61,24 @@ TABLES: dict[str, Any] = {
 }
 
 
+FURTHER_STATIONS: list[dict[str, Any]] = [
+    {
+        "name": "second",
+        "position_m": [38.0, 12.0],
+        "height_m": 3.0,
+        "transmit_power_dbm": 3.0,
+        "threshold_dbm": -41.0,
+    }
+]
+
+
 def terms_problem(*terms: dict[str, Any], **planner: Any) -> Problem:
-    """The small problem with these terms; `p_min` and the planner's keys may be given."""
+    """The small problem with these terms.
+
+    `p_min`, how many `stations`, and the planner's keys may be given.
+    """
     tables = copy.deepcopy(TABLES)
+    tables["stations"] += FURTHER_STATIONS[: planner.pop("stations", 1) - 1]
     tables["objective"] = {"terms": [dict(term) for term in terms]}
     kinds = {"tracking": "track", "path_loss_learning": "learn", "mapping": "map"}
     kinds["until_connected"] = "connect"
@@ -90,8 +107,16 @@ def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
     at = np.asarray(problem.robots[0].start_m)
     region = workspace_region(problem)
     known = np.diag([2.0, 2.0, 8.0, 8.0])
+    under = Circumstances(broad=broad_prediction(problem, belief.posteriors))
     situation = Situation(
-        problem, belief.posterior, at, target, region, np.array([30.0, 30.0]), known
+        problem,
+        belief.posterior,
+        at,
+        target,
+        region,
+        np.array([30.0, 30.0]),
+        known,
+        circumstances=under,
     )
     return situation, belief
 
@@ -100,5 +125,12 @@ def judge_of(situation: Situation, belief: Belief) -> tuple[Judge, Ground]:
     """The judge of a situation, and its ground."""
     problem = situation.problem
     ground = build_ground(problem, situation.position_m)
-    judge = Judge(problem, ground.index, belief, situation.position_m, PathWorth(situation))
+    judge = Judge(
+        problem,
+        ground.index,
+        belief,
+        situation.position_m,
+        PathWorth(situation),
+        situation.circumstances,
+    )
     return judge, ground

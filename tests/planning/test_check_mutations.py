@@ -66,11 +66,11 @@ def _learnt_once() -> Iterator[None]:
     """Fit the same measurements once, not for each of some hundred checks."""
     kept: dict[tuple[object, ...], Any] = {}
 
-    def learn_once(problem, measurements):
+    def learn_once(problem, measurements, station):
         columns = (np.ascontiguousarray(c).tobytes() for c in vars(measurements).values())
-        key = (problem.channel, problem.stations, *columns)
+        key = (problem.channel, problem.stations, station, *columns)
         if key not in kept:
-            kept[key] = learn(problem, measurements)
+            kept[key] = learn(problem, measurements, station)
         return kept[key]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -141,14 +141,14 @@ def test_next_step_is_as_if_nothing_had_happened(monkeypatch):
 
 def test_real_evaluation_error(monkeypatch):
     """NaN margins inside IPOPT itself: it gives up, the ladder does not."""
-    stage_margins = refine_module.stage_margins
+    margins_of = refine_module.margins_of
 
     def broken(*arguments):
-        margins = stage_margins(*arguments)
+        margins = margins_of(*arguments)
         return replace(margins, value=margins.value * np.nan)
 
     planner, belief = planner_of(PROBLEM), belief_of(PROBLEM)
-    monkeypatch.setattr(refine_module, "stage_margins", broken)
+    monkeypatch.setattr(refine_module, "margins_of", broken)
     plan = planner.plan(belief, np.array([17.0, 15.0]))
     assert_safe(PROBLEM, plan)
     assert plan.verdict is Verdict.VERIFIED

@@ -93,11 +93,11 @@ def test_optimistic_neighbours_are_corrected(monkeypatch):
     """A local model that promises 3 dB too much: the proof objects, and is heard."""
     problem = small_problem(horizon=8)
     refiner, _, _ = refiner_of(problem, bad_disc(12.0, 15.0, 3.0))
-    margins = refine.stage_margins
+    margins = refine.margins_of
 
     def rosy(*arguments):
         found = margins(*arguments)
         return replace(found, value=found.value + 3.0)
 
-    monkeypatch.setattr(refine, "stage_margins", rosy)
+    monkeypatch.setattr(refine, "margins_of", rosy)
     assert any(attempt.verdict is Verdict.VERIFIED for attempt in refiner.attempts(None))

@@ -21,12 +21,14 @@ NAMES = [
     "crowded_track",
     "harbour_reach",
     "harbour_track",
+    "harbour_traffic",
     "indoor_learn",
     "munich_courier",
     "munich_hard",
     "open_field",
     "outdoor_map",
     "outdoor_track",
+    "two_station_courier",
 ]
 
 

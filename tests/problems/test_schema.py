@@ -102,15 +102,21 @@ def test_second_robot_is_refused_for_the_task_reach(tables: Tables, built: Build
         built(tables)
 
 
-def test_second_station_is_refused(tables: Tables, built: Build) -> None:
-    """Plans are with one station so far, and the error says so."""
-    key = "stations"
-    tables[key] *= 2
-    with pytest.raises(InputError, match="should have at most 1 item") as caught:
+def test_stations_are_up_to_twenty_with_names_of_their_own(tables: Tables, built: Build) -> None:
+    """The error says how many, or whose name it is."""
+    (station,) = tables["stations"]
+    for count in (20, 21):
+        tables["stations"] = [station | {"name": f"s{number}"} for number in range(count)]
+        if count == 20:
+            assert len(built(tables).stations) == 20
+    with pytest.raises(InputError, match="should have at most 20 items") as caught:
         built(tables)
-    assert caught.value.key == key
+    assert caught.value.key == "stations"
+    tables["stations"] = [station, station]
+    with pytest.raises(InputError, match=r"is that of stations\[0\] too") as caught:
+        built(tables)
+    assert caught.value.key == "stations[1].name"
     assert caught.value.remedy is not None
-    assert "exactly one" in caught.value.remedy
 
 
 def test_value_in_an_array_is_located_by_its_place(tables: Tables, built: Build) -> None:

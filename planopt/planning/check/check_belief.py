@@ -6,7 +6,8 @@ fitted to them again, and those of the run are where and what the run could meas
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,12 @@ from planopt.channel.measurements import Measurements, join
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.planning.check.agreement import Disagreement, disagreements, in_words
-from planopt.planning.files.belief_file import SavedBelief, belief_arrays, parameter_arrays
+from planopt.planning.files.belief_file import (
+    SavedBelief,
+    belief_arrays,
+    parameter_arrays,
+    station_prefix,
+)
 from planopt.planning.given import Given, draw
 from planopt.planning.loop.learn import learn
 from planopt.problems.problem import Problem
@@ -41,7 +47,7 @@ class Taken:
     true_dbm
         ``(k,)`` the true power there, NaN where nobody knows it.
     known_before_step
-        ``(steps,)`` how many measurements there were before each step.
+        ``(steps,)`` how many measurements of the first station there were before each step.
     """
 
     places_m: NDArray[np.float64]
@@ -70,25 +76,31 @@ def taken_on_the_way(
     true_dbm: NDArray[np.float64],
 ) -> Taken:
     """Where a run along `track_m` (steps + 1, 2) measures: not near an earlier measurement."""
-    known = [*belief.measurements.positions_m[: belief.first]]
+    known = [[*own.measurements.positions_m[: own.first]] for own in belief.stations]
     spacing = problem.channel.measure_spacing_m
     said = np.diff([*belief.known_before_step, len(belief.measurements)]) > 0
     counts: list[int] = []
     steps: list[int] = []
     for step, place in enumerate(track_m[1:], start=1):
-        counts.append(len(known))
-        nearest = float(np.linalg.norm(known - place, axis=1).min()) if known else np.inf
+        counts.append(len(known[0]))
+        nearest = max(_nearest_m(places, place) for places in known)
         is_tie = abs(nearest - spacing) <= NEARNESS_TIE_M
         if said[step - 1] if is_tie else nearest >= spacing:
-            known.append(place)
+            for places in known:
+                places.append(place)
             steps.append(step)
     return Taken(track_m[steps], true_dbm[steps], np.array(counts, dtype=np.int64))
+
+
+def _nearest_m(places_m: list[NDArray[np.float64]], place_m: NDArray[np.float64]) -> float:
+    """How far the nearest of some places is; infinite where there is none."""
+    return float(np.linalg.norm(places_m - place_m, axis=1).min()) if places_m else np.inf
 
 
 def belief_reasons(
     problem: Problem,
     belief: SavedBelief,
-    posterior: ChannelPosterior,
+    posteriors: Sequence[ChannelPosterior],
     given: Given | None,
     taken: Taken,
     seed: int,
@@ -101,24 +113,43 @@ def belief_reasons(
         What was asked.
     belief
         The file.
-    posterior
-        Rebuilt from all its measurements.
+    posteriors
+        Of each station, rebuilt from all its measurements.
     given
         From problem and seed, if it is to be had.
     taken
         What was measured on the way.
     """
-    file = belief.file.name
+    reasons: list[str] = []
+    for station, (own, posterior) in enumerate(zip(belief.stations, posteriors, strict=True)):
+        drawn = None if given is None else given.stations[station]
+        reasons += _station_reasons(problem, station, own, posterior, drawn, taken, seed)
+    return reasons
+
+
+def _station_reasons(
+    problem: Problem,
+    station: int,
+    belief: SavedBelief,
+    posterior: ChannelPosterior,
+    given: Given | None,
+    taken: Taken,
+    seed: int,
+) -> list[str]:
+    """What in the file cannot be so of one station."""
+    file, prefix = belief.file.name, station_prefix(station)
     first = belief.measurements.take(slice(belief.first))
     try:
-        learnt = learn(problem, first)
+        learnt = learn(problem, first, station)
     except InputError as error:
         return [f"{file}: the first {belief.first} measurements cannot be fitted: {error}"]
     start = first if given is None else given.measurements
     truth = None if given is None else given.truth
-    measurements = join(start, _measured(belief, truth, taken))
+    alone = len(problem.stations) == 1
+    measurements = join(start, _measured(belief, truth, taken, alone=alone))
+    known = taken.known_before_step - taken.known_before_step[:1] + belief.first
     found = {
-        **belief_arrays(Belief(learnt.fit, posterior), taken.known_before_step),
+        **belief_arrays(Belief(learnt.fit, posterior), known),
         **parameter_arrays(learnt.fit.parameters),
         **{part.name: getattr(measurements, part.name) for part in fields(Measurements)},
         "first_measurements": np.array(len(start)),
@@ -126,9 +157,13 @@ def belief_reasons(
     }
     sites = ("values_db", "noise_variance_db2")
     differences = disagreements(
-        {name: array.tolist() for name, array in belief.arrays.items() if name not in sites},
         {
-            name: array.tolist()
+            prefix + name: array.tolist()
+            for name, array in belief.arrays.items()
+            if name not in sites
+        },
+        {
+            prefix + name: array.tolist()
             for name, array in found.items()
             # Files from before receivers and drift have no such arrays.
             if name not in sites and (name in belief.arrays or name not in OPTIONAL_ARRAYS)
@@ -136,24 +171,34 @@ def belief_reasons(
     )
     return [
         *in_words(file, differences, f"found with seed {seed}"),
-        *in_words(file, iter(_site_differences(belief, posterior))),
+        *in_words(file, iter(_site_differences(belief, posterior, prefix))),
     ]
 
 
 OPTIONAL_ARRAYS = ("resolution_db", "position_std_m", "time_s", "receiver", "forgetting_s")
 
 
-def _measured(belief: SavedBelief, truth: Truth | None, taken: Taken) -> Measurements:
-    """What is measured at the places of a run; without a truth, its rows say what was true."""
+def _measured(
+    belief: SavedBelief, truth: Truth | None, taken: Taken, *, alone: bool
+) -> Measurements:
+    """What is measured at the places of a run; without a truth, its rows say what was true.
+
+    Rows have the serving power, which is a station's own only where that is alone.
+    """
     if truth is not None:
         return measure(truth, taken.places_m)
-    censored = belief.measurements.censored[belief.first :]
+    said = belief.measurements.take(slice(belief.first, None))
+    if not alone and len(said) == len(taken.places_m):
+        return replace(said, positions_m=taken.places_m)
+    censored = said.censored
     if len(censored) != len(taken.places_m):
         censored = np.zeros(len(taken.places_m), dtype=np.bool_)
     return Measurements(taken.places_m, np.nan_to_num(taken.true_dbm), censored)
 
 
-def _site_differences(belief: SavedBelief, posterior: ChannelPosterior) -> list[Disagreement]:
+def _site_differences(
+    belief: SavedBelief, posterior: ChannelPosterior, prefix: str
+) -> list[Disagreement]:
     """Gaussian sites that are not those of the rebuilt posterior, in natural units."""
     said_precision, precision = 1.0 / belief.noise_variance_db2, 1.0 / posterior.noise_variance_db2
     found: list[Disagreement] = []
@@ -175,7 +220,7 @@ def _site_differences(belief: SavedBelief, posterior: ChannelPosterior) -> list[
     ):
         differs = ~np.isclose(said, again, rtol=SITE_TOLERANCE, atol=SITE_TOLERANCE)
         found += [
-            Disagreement(f"{name}[{row}]", f"{said_db[row]:.9g}", f"{again_db[row]:.9g}")
+            Disagreement(f"{prefix}{name}[{row}]", f"{said_db[row]:.9g}", f"{again_db[row]:.9g}")
             for row in np.flatnonzero(differs).tolist()
         ]
     return found

@@ -65,7 +65,7 @@ def _value_faults(case: Case, fault: Fault, key: Key, one: Relaxation) -> list[s
     if one.relaxed_value is None or not 0.0 < key.amount_of(one.relaxed_value) <= key.most:
         return [f"explanation: {key.name} has no value that is looser than {asked}"]
     changed = problem_of_robot(key.changed(case.problem, one.relaxed_value), case.number)
-    if one.verified and fault.missed == "connection" and not is_possible(changed, case.posterior):
+    if one.verified and fault.missed == "connection" and not is_possible(changed, case.posteriors):
         return [f"explanation: {key.name} {one.relaxed_value:g} does not help"]
     return []
 

@@ -14,7 +14,7 @@ from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import UNSOLVED, provenance_faults
 from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
 from planopt.planning.explain.case import Case
-from planopt.planning.files.belief_file import SavedBelief, first_posterior, grown_posterior
+from planopt.planning.files.belief_file import SavedBelief, first_posteriors, last_posteriors
 from planopt.planning.files.explanation_json import explanation_again
 from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.saved import PLAN_FILE
@@ -63,14 +63,14 @@ def check_plan(
             f"{problem.planner.horizon}"
         ]
     index = index_obstacles(problem.workspace)
-    posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
+    posteriors = last_posteriors(belief, first_posteriors(belief))
     robot = problem.robots[0]
     table = folder / STEPS_FILE
     drive = drive_of(robot.dynamics, path, steps.motion, table, f"robot {robot.name}")
-    circumstances = circumstances_of(problem, posterior)
+    circumstances = circumstances_of(problem, posteriors)
     residual = record.certificate.kkt_residual
     judgement = judge(
-        problem, index, posterior, robot.start_state, path, residual, circumstances, drive
+        problem, index, posteriors[0], robot.start_state, path, residual, circumstances, drive
     )
     plan = rebuilt_reach_plan(
         problem,
@@ -81,7 +81,7 @@ def check_plan(
         drive,
     )
     explanation = explanation_again(record.explanation)
-    case = Case(problem, 0, posterior, plan, circumstances.moving)
+    case = Case(problem, 0, posteriors, plan, circumstances.moving)
     found = {
         **plan_json(problem, record.seed, plan, explanation),
         # What was asked is not judged: library_remarks says what there is to say.
@@ -96,7 +96,7 @@ def check_plan(
     reasons += effort_faults(plan, "")
     reasons += [f"{PLAN_FILE}, key {fault}" for fault in explanation_faults(case, explanation)]
     reasons += steps_reasons(steps, steps_of_plan(plan))
-    reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
+    reasons += belief_reasons(problem, belief, posteriors, given, NOTHING_TAKEN, record.seed)
     return [judgement.certificate], reasons
 
 

@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fields.truth import true_power_dbm
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import EXACT, disagreements, in_words
 from planopt.planning.check.check_belief import Taken, belief_reasons, taken_on_the_way
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import provenance_faults
 from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
-from planopt.planning.files.belief_file import SavedBelief, first_posterior, grown_posterior
+from planopt.planning.files.belief_file import (
+    SavedBelief,
+    first_posteriors,
+    last_posteriors,
+    posteriors_at,
+)
 from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.run_json import (
     RunRecord,
@@ -34,6 +38,7 @@ from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.step_log import step_log
+from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
@@ -76,22 +81,20 @@ def check_run(
     reasons = obstacles_met(problem, index, track) if driven is None else []
     if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: the run does not start at robots[0].start_m")
-    truth = None if given is None else given.truth
-    true = steps.numbers["true_db"] if truth is None else true_power_dbm(truth, track)
+    truths = () if given is None else given.truths
+    true = true_serving_dbm(problem, truths, track) if truths else steps.numbers["true_db"]
     connected = true[1:] >= problem.stations[0].threshold_dbm
     plans: list[Plan] = []
-    posterior = first_posterior(belief)
-    for step, (released, count) in enumerate(
-        zip(record.plans, belief.known_before_step.tolist(), strict=True), start=1
-    ):
-        posterior = grown_posterior(belief, posterior, count)
+    posteriors = first_posteriors(belief)
+    for step, released in enumerate(record.plans, start=1):
+        posteriors = posteriors_at(belief, posteriors, step)
         path = np.stack([released.x_m, released.y_m], axis=1)
         history = history_of(problem, track[:step], connected[: step - 1])
-        circumstances = circumstances_of(problem, posterior, history)
+        circumstances = circumstances_of(problem, posteriors, history)
         place = f"plans[{step - 1}].drive"
         drive = drive_of(robot.dynamics, path, released.drive, folder / RUN_FILE, place)
         here, residual = states[step - 1], released.kkt_residual
-        judgement = judge(problem, index, posterior, here, path, residual, circumstances, drive)
+        judgement = judge(problem, index, posteriors[0], here, path, residual, circumstances, drive)
         plan = rebuilt_reach_plan(problem, path, judgement, released, Effort(), drive)
         where = f"{RUN_FILE}, key plans[{step - 1}]"
         reasons += plan_reasons(problem, index, where, step, plan, plans[-1] if plans else None)
@@ -102,7 +105,7 @@ def check_run(
                 f"plans[{step - 1}]"
             )
         plans.append(plan)
-    posterior = grown_posterior(belief, posterior, len(belief.measurements))
+    posteriors = last_posteriors(belief, posteriors)
     log = step_log(problem, track, true, plans)
     taken = taken_on_the_way(problem, belief, track, true)
     outcome, reason, faults = _ended(problem, states, taken, plans)
@@ -130,7 +133,7 @@ def check_run(
     reasons += in_words(RUN_FILE, disagreements(data, found))
     reasons += step_time_faults(record.step_s, len(plans))
     reasons += steps_reasons(steps, steps_of_run(run.robot, log, run.drive))
-    reasons += belief_reasons(problem, belief, posterior, given, taken, record.seed)
+    reasons += belief_reasons(problem, belief, posteriors, given, taken, record.seed)
     return [plan.certificate for plan in plans], reasons
 
 

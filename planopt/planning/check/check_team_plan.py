@@ -15,7 +15,7 @@ from planopt.planning.check.rebuilt import Effort, rebuilt_plan
 from planopt.planning.check.worth_again import worth_again
 from planopt.planning.explain.case import Case
 from planopt.planning.files.aim_json import aim_again
-from planopt.planning.files.belief_file import first_posterior, grown_posterior
+from planopt.planning.files.belief_file import first_posteriors, last_posteriors
 from planopt.planning.files.explanation_json import explanation_again
 from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.read_team import SavedTeam
@@ -59,8 +59,8 @@ def check_team_plan(
                 f"planner.horizon is {horizon}"
             ]
     index, region = index_obstacles(problem.workspace), workspace_region(problem)
-    posterior = grown_posterior(belief, first_posterior(belief), len(belief.measurements))
-    alone = circumstances_of(problem, posterior)
+    posteriors = last_posteriors(belief, first_posteriors(belief))
+    posterior, alone = posteriors[0], circumstances_of(problem, posteriors)
     watch = watch_target(problem, team_seeds(problem, record.seed).target)
     explanation = explanation_again(record.explanation)
     names = {robot.name for robot in problem.robots}
@@ -107,7 +107,7 @@ def check_team_plan(
             for key, fault in provenance_faults(own, plan, None)
         ]
         reasons += effort_faults(plan, where)
-        case = Case(problem, number, posterior, plan, circumstances.moving)
+        case = Case(problem, number, posteriors, plan, circumstances.moving)
         own_explanation = [one for one in explanation if one.robot == plan.robot]
         reasons += [
             f"{PLAN_FILE}, key {fault}" for fault in explanation_faults(case, own_explanation)
@@ -122,5 +122,5 @@ def check_team_plan(
     reasons += in_words(PLAN_FILE, disagreements(saved.data, found))
     again = joined_steps([steps_of_plan(plan) for plan in plans])
     reasons += steps_reasons(joined_steps(saved.steps), again)
-    reasons += belief_reasons(problem, belief, posterior, given, NOTHING_TAKEN, record.seed)
+    reasons += belief_reasons(problem, belief, posteriors, given, NOTHING_TAKEN, record.seed)
     return [worst_of_robots({plan.robot: plan.certificate for plan in plans})], reasons

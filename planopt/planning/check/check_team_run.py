@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.mapping import Region
 from planopt.planning.certificate import Certificate
@@ -19,7 +18,11 @@ from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.rebuilt import Effort, rebuilt_plan
 from planopt.planning.check.worth_again import worth_again
 from planopt.planning.files.aim_json import aim_again
-from planopt.planning.files.belief_file import first_posterior, grown_posterior
+from planopt.planning.files.belief_file import (
+    first_posteriors,
+    last_posteriors,
+    posteriors_at,
+)
 from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.saved import RUN_FILE
@@ -32,6 +35,7 @@ from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
+from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
@@ -61,7 +65,7 @@ class _Driven:
 
     plans: list[Plan]
     aims: list[Aim]
-    posteriors: list[ChannelPosterior]
+    posteriors: list[tuple[ChannelPosterior, ...]]
     reasons: list[str]
 
 
@@ -81,12 +85,12 @@ def check_team_run(
     faults = _length_faults(saved, record)
     if faults:
         return [], faults
-    truth = None if given is None else given.truth
+    truths = () if given is None else given.truths
     index, region = index_obstacles(problem.workspace), workspace_region(problem)
     tracks = np.array([steps.positions_m for steps in saved.steps])
     true = np.array(
         [
-            steps.numbers["true_db"] if truth is None else true_power_dbm(truth, track)
+            true_serving_dbm(problem, truths, track) if truths else steps.numbers["true_db"]
             for steps, track in zip(saved.steps, tracks, strict=True)
         ]
     )
@@ -103,10 +107,10 @@ def check_team_run(
         for number, (track, true_dbm, one) in enumerate(zip(tracks, true, driven, strict=True))
     ]
     target = target_log(watches, delivered)
-    if truth is None:
+    if not truths:
         channel = _channel_as_said(saved)
     else:
-        rows = [channel_row(p, truth, region.grid_m) for p in driven[0].posteriors]
+        rows = [channel_row(p, truths, region.grid_m) for p in driven[0].posteriors]
         channel = channel_log(rows)
     found = {
         **team_record_json(problem, summary_of(problem, seed, runs, target, channel), runs),
@@ -184,21 +188,19 @@ def _driven(
         reasons += [f"{robot.name}: {text}" for text in obstacles_met(own, index, track)]
     if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
-    posteriors = [first_posterior(belief)]
+    posteriors = [first_posteriors(belief)]
     plans: list[Plan] = []
     aims: list[Aim] = []
-    for step, (released, count) in enumerate(
-        zip(record.plans[number].released, belief.known_before_step.tolist(), strict=True), start=1
-    ):
+    for step, released in enumerate(record.plans[number].released, start=1):
         watch = watches[step - 1]
-        posterior = grown_posterior(belief, posteriors[-1], count)
-        posteriors[-1] = posterior
+        known = posteriors[-1] = posteriors_at(belief, posteriors[-1], step)
+        posterior = known[0]
         own_plan = released_by[number][step - 1]
         path, drive = own_plan.path_m, own_plan.drive
         history = history_of(own, track[:step], connected[: step - 1])
         others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
-        circumstances = circumstances_of(own, posterior, history, moving)
+        circumstances = circumstances_of(own, known, history, moving)
         here, residual = states[step - 1], released.kkt_residual
         judgement = judge(own, index, posterior, here, path, residual, circumstances, drive)
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
@@ -214,8 +216,8 @@ def _driven(
             )
         plans.append(plan)
         aims.append(aim)
-        posteriors.append(posterior)
-    posteriors[-1] = grown_posterior(belief, posteriors[-1], len(belief.measurements))
+        posteriors.append(known)
+    posteriors[-1] = last_posteriors(belief, posteriors[-1])
     return _Driven(plans, aims, posteriors, reasons)
 
 

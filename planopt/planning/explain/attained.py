@@ -11,6 +11,8 @@ from planopt.planning.explain.fault import met_nowhere
 from planopt.planning.explain.key import Key
 from planopt.planning.explain.keys import MOST_DB
 from planopt.planning.history import BEGINNING
+from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.proof.predictions import certified_prediction
 from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
 from planopt.planning.robot_problem import problem_of_robot
@@ -61,9 +63,14 @@ def attained_amount(case: Case, key: Key) -> float | None:
 def _is_kept(case: Case, problem: Problem) -> bool:
     """Whether the plan's path keeps the rule of a changed problem."""
     plan, rule = case.plan, problem.constraints.rule
+    first, broad = case.posteriors[0], None
     power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
+    if len(case.posteriors) > 1:
+        # What stands for several powers depends on the thresholds and on p_min.
+        broad = broad_prediction(problem, case.posteriors)
+        power, _ = certified_prediction(first, plan.positions_m[1:], broad, keep=False)
     if not rule.by_step:
-        result = whole_plan_result(problem, BEGINNING, case.posterior, plan.positions_m, power)
+        result = whole_plan_result(problem, BEGINNING, first, plan.positions_m, power, broad)
         return result.slack_db > 0.0 or not is_missed(result)
     margins = margins_asked_db(problem, power) + (rule.slack_max_db or 0.0)
     blamed = margins[[step - 1 for step in plan.certificate.relaxed_steps]]

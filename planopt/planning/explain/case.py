@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from planopt.channel.posterior import ChannelPosterior
@@ -21,8 +22,8 @@ class Case:
         With all robots.
     number
         Of the robot.
-    posterior
-        What the plan was made from.
+    posteriors
+        What the plan was made from, of each station.
     plan
         The plan.
     moving
@@ -32,7 +33,7 @@ class Case:
 
     problem: Problem
     number: int
-    posterior: ChannelPosterior
+    posteriors: Sequence[ChannelPosterior]
     plan: Plan
     moving: MovingDiscs
 

@@ -61,7 +61,7 @@ def _explain_one(solution: Solution) -> tuple[Relaxation, ...]:
     if solution.plan.verdict is Verdict.VERIFIED:
         return ()
     problem, belief = solution.problem, solution.belief
-    case = Case(problem, 0, belief.posterior, solution.plan, beside(problem, 0, {}))
+    case = Case(problem, 0, belief.posteriors, solution.plan, beside(problem, 0, {}))
     return explain_no_verified_plan(case, lambda changed: _reached(changed, belief))
 
 
@@ -74,7 +74,7 @@ def _explain_team(solution: TeamSolution) -> tuple[Relaxation, ...]:
         if plan.verdict is Verdict.VERIFIED:
             continue
         moving = beside(problem, 0, others_of(motions, number))
-        case = Case(problem, number, solution.belief.posterior, plan, moving)
+        case = Case(problem, number, solution.belief.posteriors, plan, moving)
 
         def plan_again(changed: Problem, number: int = number) -> Plan:
             return _planned(changed, solution, number)

@@ -80,7 +80,7 @@ def _connection(case: Case) -> Fault | None:
     short_db = max(missing for _, missing in missed)
     if met_nowhere(case):
         # The limit of what any plan could keep, unless that is not what is in the way.
-        best_db = best_margin_db(problem, case.posterior)
+        best_db = best_margin_db(problem, case.posteriors)
         short_db = -best_db if best_db < 0.0 else short_db
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
         return None  # nothing within reach keeps these steps, which excuses them

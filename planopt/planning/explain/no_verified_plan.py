@@ -82,7 +82,7 @@ def _lacking(case: Case, fault: Fault, key: Key, near: Sequence[Case]) -> float:
     if met_nowhere(case):
         least = fault.shortfall
         if key.name == "constraints.p_min":
-            least = key.asked - best_probability(case.own, case.posterior)
+            least = key.asked - best_probability(case.own, case.posteriors)
         if least > 0.0:
             return min(least, key.most)
     amounts = (attained_amount(each, key) for each in near)
@@ -96,7 +96,7 @@ def _other(case: Case, fault: Fault, key: Key, plan_again: PlanAgain) -> Relaxat
         if fault.missed != "connection":
             return False
         changed = key.changed(case.problem, key.loosened(amount))
-        return not is_possible(problem_of_robot(changed, case.number), case.posterior)
+        return not is_possible(problem_of_robot(changed, case.number), case.posteriors)
 
     if ruled_out(key.most):
         return None

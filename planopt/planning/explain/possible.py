@@ -6,6 +6,7 @@ if all could be had together. What it denies, no planner needs to try.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +32,14 @@ MOST_PLACES = 50_000
 """Where the search would have more places, everything is taken as possible."""
 
 
-def is_possible(problem: Problem, posterior: ChannelPosterior) -> bool:
+def is_possible(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> bool:
     """Whether what is within reach by each step does not rule the rule out.
 
     Parameters
     ----------
     problem
         With one robot.
-    posterior
+    posteriors
         What is believed of the channel.
     """
     constraints, steps = problem.constraints, problem.planner.horizon
@@ -49,13 +50,13 @@ def is_possible(problem: Problem, posterior: ChannelPosterior) -> bool:
     rule = constraints.rule
     problem = _eased(problem, (rule.slack_max_db or 0.0) + GRID_ERROR_DB)
     if rule.by_step or rule.connectivity == "outage":
-        best = best_by_step(problem, posterior, lambda power: margins_asked_db(problem, power))
+        best = best_by_step(problem, posteriors, lambda power: margins_asked_db(problem, power))
         if rule.connectivity == "outage":
             longest = longest_run(np.full(steps, problem.planner.step_s), best < 0.0, 0.0)
             return rule.outage_max_s is None or longest <= rule.outage_max_s * (1.0 + 1e-9)
         kept = best[asked_steps(problem, BEGINNING, steps)] >= 0.0
         return bool(kept.any() if rule.slack_max_db is None else kept.all())
-    return _sums_possible(problem, _chances(problem, posterior))
+    return _sums_possible(problem, _chances(problem, posteriors))
 
 
 def _sums_possible(problem: Problem, chance: NDArray[np.float64]) -> bool:
@@ -72,14 +73,14 @@ def _sums_possible(problem: Problem, chance: NDArray[np.float64]) -> bool:
             return float(each @ chance) >= asked * (p_min or 1.0)
 
 
-def _chances(problem: Problem, posterior: ChannelPosterior) -> NDArray[np.float64]:
+def _chances(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> NDArray[np.float64]:
     threshold = problem.stations[0].threshold_dbm
 
     def chance(power: Prediction) -> NDArray[np.float64]:
         # Below zero, so that the search goes on to refine.
         return connection_probability(power.mean_db, power.deviation_db, threshold) - 1.0
 
-    return best_by_step(problem, posterior, chance) + 1.0
+    return best_by_step(problem, posteriors, chance) + 1.0
 
 
 def _eased(problem: Problem, by_db: float) -> Problem:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -22,7 +22,7 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
 
-def best_probability(problem: Problem, posterior: ChannelPosterior) -> float:
+def best_probability(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> float:
     """Largest probability of connection at a place that a step which is asked for comes to.
 
     It is the largest ``p_min`` that the verifier can find to be met at any of them.
@@ -34,30 +34,30 @@ def best_probability(problem: Problem, posterior: ChannelPosterior) -> float:
             connection_probability(power.mean_db, power.deviation_db, radio.threshold_dbm) - least
         )
 
-    return least + float(_of_asked(problem, best_by_step(problem, posterior, beyond)).max())
+    return least + float(_of_asked(problem, best_by_step(problem, posteriors, beyond)).max())
 
 
-def best_margin_db(problem: Problem, posterior: ChannelPosterior) -> float:
+def best_margin_db(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> float:
     """Largest margin in dB at a place that a step which is asked for comes to."""
-    margins = best_by_step(problem, posterior, partial(margins_asked_db, problem))
+    margins = best_by_step(problem, posteriors, partial(margins_asked_db, problem))
     return float(_of_asked(problem, margins).max())
 
 
 def best_by_step(
     problem: Problem,
-    posterior: ChannelPosterior,
+    posteriors: Sequence[ChannelPosterior],
     score: Callable[[Prediction], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
     """Largest score within reach by each step of the horizon, searched for as margins are; (N,).
 
     Where it is negative, the search looks closer.
     """
-    broad = broad_prediction(problem, posterior)
+    broad = broad_prediction(problem, posteriors)
     state = problem.robots[0].start_state
     best = best_margins_by_step(
         index_obstacles(problem.workspace),
         problem.workspace.bounds_m,
-        lambda places: score(search_prediction(posterior, places, broad)),
+        lambda places: score(search_prediction(posteriors[0], places, broad)),
         state[:2],
         problem.step_length_m,
         np.arange(1, problem.planner.horizon + 1),

@@ -3,13 +3,16 @@
 A posterior is rebuilt by conditioning again on the saved measurements, in the order taken and in
 the portions taken, because a censored measurement's Gaussian site depends on what was known when
 it came. The sites and theta are saved too, so that a file that contradicts itself is found.
+
+The arrays of the first station have plain names; those of further stations begin with
+``stations[1].`` and so on.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +57,8 @@ class SavedBelief:
         ``(kappa,)`` the Gaussian measurements that stood for them.
     arrays
         All that the file has, by name.
+    further
+        Of each further station, in the problem's order.
     """
 
     file: Path
@@ -65,9 +70,25 @@ class SavedBelief:
     values_db: NDArray[np.float64]
     noise_variance_db2: NDArray[np.float64]
     arrays: Mapping[str, NDArray[Any]]
+    further: tuple[SavedBelief, ...] = ()
+
+    @property
+    def stations(self) -> tuple[SavedBelief, ...]:
+        """What there is of each station, the first one's first."""
+        return (self, *self.further)
 
 
-def write_belief(path: Path, belief: Belief, known_before_step: NDArray[np.int64]) -> None:
+def station_prefix(station: int) -> str:
+    """What names of a station's arrays begin with."""
+    return f"stations[{station}]." if station else ""
+
+
+def write_belief(
+    path: Path,
+    belief: Belief,
+    known_before_step: NDArray[np.int64],
+    further_known: Sequence[NDArray[np.int64]] = (),
+) -> None:
     """Save a belief, whole or not at all.
 
     Parameters
@@ -78,8 +99,15 @@ def write_belief(path: Path, belief: Belief, known_before_step: NDArray[np.int64
         At the end of the run, or of the plan.
     known_before_step
         ``(steps,)`` how many measurements each step was planned on; empty for a plan.
+    further_known
+        The same of each further station.
     """
     arrays = belief_arrays(belief, known_before_step)
+    for station, (own, known) in enumerate(
+        zip(belief.further, further_known, strict=True), start=1
+    ):
+        prefix = station_prefix(station)
+        arrays |= {prefix + name: array for name, array in belief_arrays(own, known).items()}
 
     def write(temporary: Path) -> None:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
@@ -122,8 +150,8 @@ def parameter_arrays(parameters: ChannelParameters) -> dict[str, NDArray[Any]]:
     }
 
 
-def read_belief(path: Path) -> SavedBelief:
-    """Read what :func:`write_belief` wrote.
+def read_belief(path: Path, stations: int = 1) -> SavedBelief:
+    """Read what :func:`write_belief` wrote of so many stations.
 
     Raises
     ------
@@ -132,6 +160,16 @@ def read_belief(path: Path) -> SavedBelief:
         or impossible; with the file and the array's name as the key.
     """
     arrays = read_npz(path)
+    further: list[SavedBelief] = []
+    for station in range(1, stations):
+        prefix = station_prefix(station)
+        further.append(_saved(arrays.within(prefix)))
+        arrays = arrays.without(prefix)
+    return replace(_saved(arrays), further=tuple(further))
+
+
+def _saved(arrays: NpzArrays) -> SavedBelief:
+    """What the file says of one station."""
     power = arrays.floats("power_dbm", None)
     count = len(power)
     positions = arrays.floats("positions_m", (count, 2))
@@ -151,7 +189,7 @@ def read_belief(path: Path) -> SavedBelief:
             "known_before_step", f"counts do not grow from {first} to {count} measurements"
         )
     return SavedBelief(
-        file=path,
+        file=arrays.path,
         parameters=ChannelParameters(
             *(float(number) for number in numbers),
             station=Station((x, y), height),
@@ -173,6 +211,31 @@ def first_posterior(saved: SavedBelief) -> ChannelPosterior:
         saved.parameters,
         saved.measurements.take(slice(saved.first)),
         theta="known" if saved.theta_known else "estimated",
+    )
+
+
+def first_posteriors(saved: SavedBelief) -> tuple[ChannelPosterior, ...]:
+    """What was believed of each station before the first step."""
+    return tuple(first_posterior(own) for own in saved.stations)
+
+
+def posteriors_at(
+    saved: SavedBelief, posteriors: Sequence[ChannelPosterior], step: int
+) -> tuple[ChannelPosterior, ...]:
+    """`posteriors` of all stations, grown to what step number `step` was planned on."""
+    return tuple(
+        grown_posterior(own, posterior, int(own.known_before_step[step - 1]))
+        for own, posterior in zip(saved.stations, posteriors, strict=True)
+    )
+
+
+def last_posteriors(
+    saved: SavedBelief, posteriors: Sequence[ChannelPosterior]
+) -> tuple[ChannelPosterior, ...]:
+    """`posteriors` of all stations, grown to all that the file has."""
+    return tuple(
+        grown_posterior(own, posterior, len(own.measurements))
+        for own, posterior in zip(saved.stations, posteriors, strict=True)
     )
 
 

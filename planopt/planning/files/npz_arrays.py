@@ -18,14 +18,29 @@ from planopt.planning.files.solution_json import LARGEST, REMEDY
 
 @dataclass(frozen=True)
 class NpzArrays:
-    """The arrays of a file, asked for by name."""
+    """The arrays of a file, asked for by name; `prefix` is what stands before it in the file."""
 
     path: Path
     arrays: Mapping[str, NDArray[Any]]
+    prefix: str = ""
+
+    def within(self, prefix: str) -> NpzArrays:
+        """Those whose names begin with `prefix`, asked for without it."""
+        own = {
+            name.removeprefix(prefix): array
+            for name, array in self.arrays.items()
+            if name.startswith(prefix)
+        }
+        return NpzArrays(self.path, own, prefix)
+
+    def without(self, prefix: str) -> NpzArrays:
+        """The others."""
+        rest = {n: array for n, array in self.arrays.items() if not n.startswith(prefix)}
+        return NpzArrays(self.path, rest, self.prefix)
 
     def error(self, name: str, message: str) -> InputError:
         """What to raise if the array `name` cannot be used."""
-        return InputError(message, file=self.path, key=name, remedy=REMEDY)
+        return InputError(message, file=self.path, key=self.prefix + name, remedy=REMEDY)
 
     def of_kind(self, name: str, kinds: str, shape: tuple[int, ...] | None) -> NDArray[Any]:
         """An array of one of the dtype `kinds` and of `shape`, None for any one dimension."""

@@ -15,7 +15,12 @@ from typing import Any, TypeVar, cast
 from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
-from planopt.planning.files.belief_file import BELIEF_FILE, SavedBelief, read_belief
+from planopt.planning.files.belief_file import (
+    BELIEF_FILE,
+    SavedBelief,
+    read_belief,
+    station_prefix,
+)
 from planopt.planning.files.drive_table import drive_columns
 from planopt.planning.files.run_json import PlannedRecord, RunRecord
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
@@ -94,7 +99,7 @@ def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
     require_even(file, record.robots)
     steps = read_steps(file.parent / STEPS_FILE, drive_columns(problem))
     require_rows(file, steps, record.robots)
-    belief = read_belief(file.parent / BELIEF_FILE)
+    belief = read_belief(file.parent / BELIEF_FILE, len(problem.stations))
     if isinstance(record, RunRecord):
         steps_driven = len(record.robots[0].t_s) - 1
         require_complete_robot(file, "plans", steps_driven, record.plans, belief)
@@ -187,12 +192,13 @@ def require_complete_robot(
     """Every step of a robot has its plan, at `key` of the file, and its belief."""
     if len(plans) != steps:
         raise damaged(file, key, f"{len(plans)} plans for {steps} steps")
-    if len(belief.known_before_step) != steps:
-        raise damaged(
-            belief.file,
-            "known_before_step",
-            f"{len(belief.known_before_step)} counts for {steps} steps",
-        )
+    for station, own in enumerate(belief.stations):
+        if len(own.known_before_step) != steps:
+            raise damaged(
+                belief.file,
+                f"{station_prefix(station)}known_before_step",
+                f"{len(own.known_before_step)} counts for {steps} steps",
+            )
     for number, plan in enumerate(plans):
         if len(plan.x_m) != len(plan.y_m):
             raise damaged(file, f"{key}[{number}]", "x_m and y_m differ in length")

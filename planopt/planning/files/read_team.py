@@ -97,9 +97,11 @@ def read_team(file: Path, data: Mapping[str, Any]) -> SavedTeam:
     ends = np.cumsum([0, *(len(robot.t_s) for robot in record.robots)]).tolist()
     steps = tuple(table.take(slice(begin, end)) for begin, end in pairwise(ends))
     if isinstance(record, TeamPlanRecord):
-        beliefs = (read_belief(file.parent / BELIEF_FILE),)
+        beliefs = (read_belief(file.parent / BELIEF_FILE, len(problem.stations)),)
         return SavedTeam(file, data, record, problem, steps, beliefs, {})
-    beliefs = tuple(read_belief(file.parent / name) for name in belief_files(problem))
+    beliefs = tuple(
+        read_belief(file.parent / name, len(problem.stations)) for name in belief_files(problem)
+    )
     _require_complete_run(file, record, beliefs)
     return SavedTeam(
         file,

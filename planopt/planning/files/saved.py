@@ -45,7 +45,7 @@ def save_solution(solution: Solution, folder: Path) -> None:
     """
     withdraw(folder)
     write_text(folder / STEPS_FILE, steps_text(steps_of_plan(solution.plan)))
-    write_belief(folder / BELIEF_FILE, solution.belief, np.zeros(0, dtype=np.int64))
+    write_belief_of_plan(folder / BELIEF_FILE, solution.belief)
     save_record(solution_json(solution), solution.problem, folder / PLAN_FILE)
 
 
@@ -60,10 +60,12 @@ def save_simulation(simulation: Simulation, folder: Path) -> None:
     withdraw(folder)
     run = simulation.run
     write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log, run.drive)))
-    known = known_before_steps(
-        simulation.belief, simulation.first_measurements, run.log.positions_m
+    write_belief_of_run(
+        folder / BELIEF_FILE,
+        simulation.belief,
+        simulation.first_measurements,
+        run.log.positions_m,
     )
-    write_belief(folder / BELIEF_FILE, simulation.belief, known)
     data = {**simulation_json(simulation), "plans": released_plans_json(simulation.plans)}
     save_record(data, simulation.problem, folder / RUN_FILE)
 
@@ -71,6 +73,23 @@ def save_simulation(simulation: Simulation, folder: Path) -> None:
 def save_record(data: dict[str, Any], problem: Problem, path: Path) -> None:
     """Write a JSON object with the problem in full beside its keys."""
     write_text(path, strict_text({**data, "problem_file": problem_to_dict(problem)}))
+
+
+def write_belief_of_plan(path: Path, belief: Belief) -> None:
+    """Save what a plan was made from."""
+    nothing = np.zeros(0, dtype=np.int64)
+    write_belief(path, belief, nothing, [nothing] * len(belief.further))
+
+
+def write_belief_of_run(
+    path: Path, belief: Belief, first: int, track_m: NDArray[np.float64]
+) -> None:
+    """Save what was known at the end of a run, and how much of it before each step.
+
+    Parameters as in :func:`known_before_steps`.
+    """
+    further = [known_before_steps(own, own.fit.measurements, track_m) for own in belief.further]
+    write_belief(path, belief, known_before_steps(belief, first, track_m), further)
 
 
 def known_before_steps(

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from planopt.files import write_text
-from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
+from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.number_table import table_text
 from planopt.planning.files.saved import (
     PLAN_FILE,
     RUN_FILE,
-    known_before_steps,
     save_record,
     withdraw,
+    write_belief_of_plan,
+    write_belief_of_run,
 )
 from planopt.planning.files.steps_file import (
     STEPS_FILE,
@@ -57,7 +56,7 @@ def save_team_solution(solution: TeamSolution, folder: Path) -> None:
     withdraw(folder)
     steps = joined_steps([steps_of_plan(plan) for plan in solution.plans])
     write_text(folder / STEPS_FILE, steps_text(steps))
-    write_belief(folder / BELIEF_FILE, solution.belief, np.zeros(0, dtype=np.int64))
+    write_belief_of_plan(folder / BELIEF_FILE, solution.belief)
     save_record(team_solution_json(solution), solution.problem, folder / PLAN_FILE)
 
 
@@ -74,8 +73,7 @@ def save_team_run(run: TeamRun, folder: Path) -> None:
     steps = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
     write_text(folder / STEPS_FILE, steps_text(steps))
     for name, belief, one in zip(belief_files(problem), run.beliefs, run.runs, strict=True):
-        known = known_before_steps(belief, run.first_measurements, one.log.positions_m)
-        write_belief(folder / name, belief, known)
+        write_belief_of_run(folder / name, belief, run.first_measurements, one.log.positions_m)
     if run.target is not None:
         write_text(folder / TARGET_FILE, table_text(target_table(problem, run.target)))
     write_text(folder / KNOWLEDGE_FILE, table_text(knowledge_table(problem, run.channel)))

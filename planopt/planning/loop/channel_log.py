@@ -14,31 +14,34 @@ from planopt.planning.team.team_run import ChannelLog
 
 
 def channel_errors_db(
-    posterior: ChannelPosterior, truth: Truth, places_m: NDArray[np.float64]
+    posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """RMS error in dB and ANMSE in dB of the predicted power at `places_m` (n, 2).
+    """RMS error in dB and ANMSE in dB of the predicted powers at `places_m` (n, 2).
 
-    ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB (seed, section III-A2).
+    ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB (seed, section III-A2);
+    means over the powers of all stations.
     """
-    power = true_power_dbm(truth, places_m)
-    error = search_prediction(posterior, places_m).mean_db - power
+    power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
+    predicted = [search_prediction(posterior, places_m).mean_db for posterior in posteriors]
+    error = np.stack(predicted) - power
     rms = float(np.sqrt((error**2).mean()))
     # A true power of 0 dBm, where the ratio is infinite, is a chance of nothing.
     ratio = error / np.where(power == 0.0, np.finfo(float).tiny, power)
     return rms, float(10.0 * np.log10((ratio**2).mean()))
 
 
-def theta_variance_db(posterior: ChannelPosterior) -> float:
-    """10 log10 tr M / |theta|^2 (the seed's Fig. 2)."""
-    spread = float(np.trace(posterior.theta_covariance))
-    return float(10.0 * np.log10(spread / float(posterior.theta @ posterior.theta)))
+def theta_variance_db(posteriors: Sequence[ChannelPosterior]) -> float:
+    """10 log10 tr M / |theta|^2 (the seed's Fig. 2), each summed over the stations."""
+    spread = sum(float(np.trace(posterior.theta_covariance)) for posterior in posteriors)
+    size = sum(float(posterior.theta @ posterior.theta) for posterior in posteriors)
+    return float(10.0 * np.log10(spread / size))
 
 
 def channel_row(
-    posterior: ChannelPosterior, truth: Truth, places_m: NDArray[np.float64]
+    posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> tuple[float, float, float]:
-    """A row of the log: RMS, ANMSE and path loss variance, all in dB."""
-    return *channel_errors_db(posterior, truth, places_m), theta_variance_db(posterior)
+    """A row of the log: RMS, ANMSE and path loss variance of all stations, all in dB."""
+    return *channel_errors_db(posteriors, truths, places_m), theta_variance_db(posteriors)
 
 
 def channel_log(rows: Sequence[tuple[float, float, float]]) -> ChannelLog:

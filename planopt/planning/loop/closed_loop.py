@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
 from planopt.planning.history import history_of
@@ -18,6 +17,7 @@ from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Run
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.loop.step_log import step_log
+from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.reach_planner import ReachPlanner
@@ -55,13 +55,13 @@ def simulate(
     """
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     prepared = prepared if prepared is not None else prepare(problem, seed)
-    if prepared.truth is None:
+    if not prepared.truths:
         raise InputError(
             "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
         )
     scene = scene if scene is not None else build_scene(problem)
     planning = ReachPlanner(problem, scene)
-    belief, truth = prepared.belief, prepared.truth
+    belief, truths = prepared.belief, prepared.truths
     state = problem.robots[0].start_state
     track = [state]
     plans: list[Plan] = []
@@ -69,21 +69,22 @@ def simulate(
     ended = ending(problem, track, learnt, None)
     while ended is None:
         places = np.array(track)[:, :2]
-        connected = true_power_dbm(truth, places[1:]) >= problem.stations[0].threshold_dbm
+        here = true_serving_dbm(problem, truths, places[1:])
+        connected = here >= problem.stations[0].threshold_dbm
         history = history_of(problem, places, connected)
         plan = planning.plan(belief, state, plans[-1] if plans else None, history)
         plans.append(plan)
         state = plan.next_state
         track.append(state)
         before = len(belief.posterior.measurements)
-        belief = learn_here(problem, truth, belief, state[:2])
+        belief = learn_here(problem, truths, belief, state[:2])
         learnt.append(len(belief.posterior.measurements) > before)
         if on_step is not None:
             on_step(len(plans))
         ended = ending(problem, track, learnt, plan)
     outcome, reason = ended
     places = np.array(track)[:, :2]
-    log = step_log(problem, places, true_power_dbm(truth, places), plans)
+    log = step_log(problem, places, true_serving_dbm(problem, truths, places), plans)
     run = Run(
         robot=problem.robots[0].name,
         horizon=problem.planner.horizon,
@@ -98,4 +99,4 @@ def simulate(
         drive=driven(plans),
     )
     first = len(prepared.belief.posterior.measurements)
-    return Simulation(problem, seed, belief, first, run, tuple(plans), truth)
+    return Simulation(problem, seed, belief, first, run, tuple(plans), truths[0], truths[1:])

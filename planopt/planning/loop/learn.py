@@ -1,15 +1,27 @@
-"""What measurements tell of a problem's channel."""
+"""What measurements tell of a problem's channels."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from planopt.channel.belief import Belief
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
+from planopt.planning.given import Given
 from planopt.problems.problem import Problem
 
 
-def learn(problem: Problem, measurements: Measurements) -> Belief:
-    """Fit the channel of the problem's station to measurements and condition on them."""
-    fit = fit_channel(measurements, problem.stations[0].site, problem.channel.fit_method)
+def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Belief:
+    """Fit the channel of one of the problem's stations to measurements and condition on them."""
+    site = problem.stations[station].site
+    fit = fit_channel(measurements, site, problem.channel.fit_method)
     return Belief(fit, condition(fit.parameters, measurements))
+
+
+def learn_stations(problem: Problem, given: Given) -> Belief:
+    """What the first measurements tell of every station."""
+    beliefs = [
+        learn(problem, own.measurements, station) for station, own in enumerate(given.stations)
+    ]
+    return replace(beliefs[0], further=tuple(beliefs[1:]))

@@ -31,6 +31,8 @@ class Simulation:
         The released plans, one a step, for pictures; the first is the plan at the start.
     truth
         What was driven in, for pictures.
+    further_truths
+        The same of further stations.
     """
 
     problem: Problem
@@ -40,6 +42,7 @@ class Simulation:
     run: Run
     plans: tuple[Plan, ...]
     truth: Truth
+    further_truths: tuple[Truth, ...] = ()
 
 
 def exit_code(simulation: Simulation) -> int:

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.neighbours import NeighbourModel
-from planopt.planning.worth.stage_prediction import stage_prediction
 from planopt.targets.rounding import Derivatives
 
 
@@ -33,29 +31,6 @@ class StageMargins:
     value: NDArray[np.float64]
     gradient: NDArray[np.float64]
     hessian: NDArray[np.float64]
-
-
-def stage_margins(
-    model: NeighbourModel,
-    positions_m: NDArray[np.float64],
-    threshold_dbm: float,
-    z: float | NDArray[np.float64],
-) -> StageMargins:
-    """Margin of each stage k at ``positions_m[k]``, from ``model``'s k-th neighbour set.
-
-    Parameters
-    ----------
-    model
-        Neighbour sets of the n stages.
-    positions_m
-        ``(n, 2)``.
-    threshold_dbm
-        Upsilon_TH.
-    z
-        Standard normal quantile of p_min, or ``(n,)`` of each stage's own probability.
-    """
-    mean, deviation = stage_prediction(model, positions_m)
-    return margins_of(mean, deviation, threshold_dbm, z)
 
 
 def margins_of(

@@ -7,6 +7,7 @@ deviation, they are those of the normal law with the mixture's deviation and tha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from planopt.channel.connectivity import bound_quantile, connection_probability
 from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise, mixture
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.proof.serving import Serving
 from planopt.problems.problem import Problem
 
 HALVINGS = 60
@@ -68,8 +70,24 @@ def mixture_quantile_dbm(
     return low
 
 
-def broad_prediction(problem: Problem, posterior: ChannelPosterior) -> BroadPrediction | None:
-    """What the problem's bound rests on; None where the posterior itself serves."""
+Broad = BroadPrediction | Serving
+"""Predictions that are not of one posterior's normal law."""
+
+
+def broad_prediction(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Broad | None:
+    """What the problem's bound rests on; None where the only posterior itself serves.
+
+    Parameters
+    ----------
+    problem
+        What is asked.
+    posteriors
+        Of each of its stations.
+    """
+    if len(posteriors) > 1:
+        thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
+        return Serving(tuple(posteriors), thresholds, problem.constraints.p_min)
+    (posterior,) = posteriors
     if problem.constraints.rule.parameter_uncertainty == "path_loss":
         return None
     marginal = marginalise(posterior.parameters, posterior.measurements)

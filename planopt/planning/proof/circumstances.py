@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
-from planopt.planning.proof.broad_prediction import BroadPrediction, broad_prediction
+from planopt.planning.proof.broad_prediction import Broad, broad_prediction
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
@@ -23,12 +24,13 @@ class Circumstances:
     history
         What has happened on the run before: rules over the whole run count it.
     broad
-        What the bound rests on where all parameters are to count as uncertain.
+        What the bound rests on where it is not the posterior alone: all parameters are to count as
+        uncertain, or there are several stations.
     """
 
     moving: MovingDiscs = NOTHING_MOVES
     history: History = BEGINNING
-    broad: BroadPrediction | None = None
+    broad: Broad | None = None
 
 
 NOTHING_ELSE = Circumstances()
@@ -37,7 +39,7 @@ NOTHING_ELSE = Circumstances()
 
 def circumstances_of(
     problem: Problem,
-    posterior: ChannelPosterior,
+    posteriors: Sequence[ChannelPosterior],
     history: History = BEGINNING,
     moving: MovingDiscs | None = None,
 ) -> Circumstances:
@@ -45,8 +47,8 @@ def circumstances_of(
 
     Parameters
     ----------
-    problem, posterior
-        What is asked, and what is believed of the channel.
+    problem, posteriors
+        What is asked, and what is believed of each station's channel.
     history
         What has happened before.
     moving
@@ -54,4 +56,4 @@ def circumstances_of(
     """
     if moving is None:
         moving = obstacles_ahead(problem, history.steps)
-    return Circumstances(moving, history, broad_prediction(problem, posterior))
+    return Circumstances(moving, history, broad_prediction(problem, posteriors))

@@ -88,7 +88,7 @@ def judge(
     problem, index
         The problem and the index of its obstacles.
     posterior
-        What is believed of the channel.
+        What is believed of the channel; of the first station's, if `circumstances` has several.
     start_m, positions_m
         Where the robot is (its whole state, where it has more than a place), and the planned path
         from there.
@@ -128,7 +128,9 @@ def judge(
         reasons += steps.reasons
     else:
         planned = Prediction(mean, deviation)
-        result = whole_plan_result(problem, under.history, posterior, positions_m, planned)
+        result = whole_plan_result(
+            problem, under.history, posterior, positions_m, planned, under.broad
+        )
         reasons += rule_reasons(problem, result)
     certificate = Certificate(
         min_clearance_m=motion.clearance_m,

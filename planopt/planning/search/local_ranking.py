@@ -9,14 +9,21 @@ two, the largest products being in single precision; what is chosen here is valu
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.local_channel import LocalGrid, local_channel, local_grid
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.local_channel import (
+    LocalChannel,
+    LocalGrid,
+    local_channel,
+    local_grid,
+)
 from planopt.planning.search.missing_slopes import missing_slope
 from planopt.planning.search.ranked_slopes import SlopedTerm, has_slope, ranked_slope
-from planopt.planning.search.ranked_terms import legs_m, ranked_value
+from planopt.planning.search.ranked_terms import RankedWays, ranked_value
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
@@ -46,8 +53,22 @@ MISSING_DB_SHARE = 10.0
 
 
 def can_climb(problem: Problem) -> bool:
-    """Whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
-    return all(has_slope(term) for term in problem.terms)
+    """Whether :meth:`LocalRanking.slopes` knows all of a problem: its terms, one station."""
+    return len(problem.stations) == 1 and all(has_slope(term) for term in problem.terms)
+
+
+@dataclass(frozen=True, eq=False)
+class _NearStation:
+    """One station's channel near the ways, its precision, and where its map is wanted."""
+
+    channel: LocalChannel
+    precision: NDArray[np.float32]
+    fine: LocalGrid | None
+    coarse: LocalGrid | None
+
+    def batch(self, ways_m: NDArray[np.float64], *, fine: bool = False) -> WayBatch:
+        """Its power along ways."""
+        return WayBatch(self.channel, self.precision, ways_m, self.fine if fine else self.coarse)
 
 
 class LocalRanking:
@@ -63,16 +84,18 @@ class LocalRanking:
 
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
-        most = MAPPED_NEIGHBOURS if _averages_map(situation.problem) else MOST_NEIGHBOURS
-        count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
-        anchors = _anchors(about_m, ANCHORS)
-        self._channel = local_channel(situation.posterior, anchors, count)
-        self._precision = self._channel.precision.astype(np.float32)
         self._missing_db_cost: float | None = None
-        self._fine = self._grid(_anchors(about_m, REGION_ANCHORS))
-        self._coarse = None if self._fine is None else _thinned(self._fine)
+        self._stations = [self._near(posterior, about_m) for posterior in situation.stations]
 
-    def _grid(self, about_m: NDArray[np.float64]) -> LocalGrid | None:
+    def _near(self, posterior: ChannelPosterior, about_m: NDArray[np.float64]) -> _NearStation:
+        most = MAPPED_NEIGHBOURS if _averages_map(self._situation.problem) else MOST_NEIGHBOURS
+        count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
+        channel = local_channel(posterior, _anchors(about_m, ANCHORS), count)
+        fine = self._grid(channel, _anchors(about_m, REGION_ANCHORS))
+        coarse = None if fine is None else _thinned(fine)
+        return _NearStation(channel, channel.precision.astype(np.float32), fine, coarse)
+
+    def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
         """About `CLIMBED_PLACES` of the map that ways about `about_m` (a, 2) can change.
 
         None where none is averaged. Of places farther away the measurements at hand know too
@@ -83,43 +106,44 @@ class LocalRanking:
             return None
         region = region_along(at.problem, at.near_region, about_m)
         every = max(1, round(len(region.weight) / CLIMBED_PLACES))
-        return local_grid(self._channel, region.grid_m[::every], every * region.weight[::every])
+        return local_grid(channel, region.grid_m[::every], every * region.weight[::every])
 
     def __call__(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weighted sum of the terms of each way ``(c, N, 2)``, near its exact worth; ``(c,)``.
 
         Where connectivity is bounded, ways that miss the bound come after all others.
         """
-        return self._value(self._batch(ways_m, self._coarse))
+        batches = [station.batch(ways_m) for station in self._stations]
+        return self._value(RankedWays(self._situation, batches))
 
     def slopes(
         self, ways_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The same values, and their derivatives by the places ``(c, N, 2)``."""
-        at, batch = self._situation, self._batch(ways_m, self._fine)
-        value, pull = self._value(batch), Pull()
+        """The same values, and their derivatives by the places ``(c, N, 2)``; of one station."""
+        at = self._situation
+        (station,) = self._stations
+        batch = station.batch(ways_m, fine=True)
+        ways = RankedWays(at, [batch])
+        value, pull = self._value(ways), Pull()
         for term in at.problem.terms:
             if not isinstance(term, SlopedTerm):
                 raise AssertionError("ways climb only where the slopes of all terms are known")
-            pull = pull.plus(ranked_slope(term, at, batch), term.weight)
+            pull = pull.plus(ranked_slope(term, ways), term.weight)
         if self._missing_db_cost is not None:
             missing = missing_slope(at, batch)
             pull = pull.plus(missing, -self._missing_db_cost)
         return value, slopes_of(batch, pull)
 
-    def _batch(self, ways_m: NDArray[np.float64], grid: LocalGrid | None) -> WayBatch:
-        return WayBatch(self._channel, self._precision, ways_m, grid)
-
-    def _value(self, batch: WayBatch) -> NDArray[np.float64]:
-        at, ways = self._situation, batch.ways_m
-        worth = np.zeros(len(ways))
+    def _value(self, ways: RankedWays) -> NDArray[np.float64]:
+        at = ways.at
+        worth = np.zeros(len(ways.ways_m))
         for term in at.problem.terms:
-            worth += term.weight * ranked_value(term, at, batch)
+            worth += term.weight * ranked_value(term, ways)
         if not at.problem.constraints.asks_connection:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
-        return worth - self._missing_db_cost * ways_missing(at, legs_m(at, ways), batch.power)
+        return worth - self._missing_db_cost * ways_missing(at, ways.legs_m, ways.power)
 
 
 def _averages_map(problem: Problem) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.maps.tile_map import TileMap
+from planopt.planning.search.lattice_map import LatticeMap
 from planopt.planning.worth.situation import Situation
 from planopt.world.lattice import Lattice, node_positions
 
@@ -32,12 +33,7 @@ class NodeField:
     """
 
     def __init__(self, lattice: Lattice) -> None:
-        ny, nx = lattice.shape
-        self._map = TileMap(
-            lattice.origin_m[0] + lattice.spacing_m * np.arange(nx),
-            lattice.origin_m[1] + lattice.spacing_m * np.arange(ny),
-            lattice.free,
-        )
+        self._map = LatticeMap(lattice)
         self._exact = np.zeros(lattice.shape, dtype=bool)
         self._lattice = lattice
         self._situation: Situation | None = None
@@ -50,8 +46,11 @@ class NodeField:
         """Follow the belief within `reach_m` of the robot along both axes."""
         low, high = situation.position_m - reach_m, situation.position_m + reach_m
         self._map.refresh(
-            situation.posterior, (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+            situation.posterior,
+            situation.circumstances.broad,
+            (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         )
+        self.mean_db, self.deviation_db = self._map.mean_db, self._map.deviation_db
         lattice = self._lattice
         first = np.ceil((low - lattice.origin_m) / lattice.spacing_m)
         last = np.floor((high - lattice.origin_m) / lattice.spacing_m)
@@ -81,6 +80,6 @@ class NodeField:
         return True
 
     @property
-    def trend(self) -> NDArray[np.float64]:
-        """``(ny, nx, 2)`` varphi: what an error in theta changes at each node."""
-        return self._map.trend
+    def stations(self) -> list[TileMap]:
+        """Each station's own predictions; those of several are not corrected."""
+        return self._map.stations

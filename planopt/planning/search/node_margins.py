@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db
-from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
-from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.search.lattice_map import LatticeMap
 from planopt.planning.search.road_map import RoadMap
 
 
@@ -30,26 +30,21 @@ class NodeMargins:
 
     def __init__(self, road_map: RoadMap, threshold_dbm: float, p_min: float) -> None:
         lattice = road_map.lattice
-        ny, nx = lattice.shape
         self._road_map = road_map
         self._threshold_dbm = threshold_dbm
         self._p_min = p_min
-        self._map = TileMap(
-            lattice.origin_m[0] + lattice.spacing_m * np.arange(nx),
-            lattice.origin_m[1] + lattice.spacing_m * np.arange(ny),
-            lattice.free,
-        )
+        self._map = LatticeMap(lattice)
         self.margin_db = np.zeros(len(road_map.nodes_m))
         self._exact = np.zeros(len(road_map.nodes_m), dtype=bool)
         self._posterior: ChannelPosterior | None = None
-        self._broad: BroadPrediction | None = None
+        self._broad: Broad | None = None
 
-    def refresh(self, posterior: ChannelPosterior, broad: BroadPrediction | None = None) -> None:
+    def refresh(self, posterior: ChannelPosterior, broad: Broad | None = None) -> None:
         """Follow the belief: recompute what its new measurements changed.
 
-        Exact values are those of `broad`, where all parameters are to count as uncertain.
+        Exact values are those of `broad`, where it is not the posterior alone that counts.
         """
-        self._map.refresh(posterior)
+        self._map.refresh(posterior, broad)
         self._broad = broad
         self._posterior = posterior
         rows, columns = self._road_map.rows, self._road_map.columns

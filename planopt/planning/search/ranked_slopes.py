@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planopt.objectives.path_loss_learning import theta_information
-from planopt.planning.search.ranked_terms import path_form_parts
+from planopt.planning.search.ranked_terms import RankedWays, path_form_parts
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.search.way_slopes import (
     TINY_M,
@@ -20,8 +20,9 @@ from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTe
 SlopedTerm = LearningTerm | MappingTerm | MotionEnergyTerm
 
 
-def ranked_slope(term: SlopedTerm, at: Situation, batch: WayBatch) -> Pull:
-    """Derivatives of :func:`planopt.planning.search.ranked_terms.ranked_value`."""
+def ranked_slope(term: SlopedTerm, ways: RankedWays) -> Pull:
+    """Derivatives of :func:`planopt.planning.search.ranked_terms.ranked_value`; of one station."""
+    at, (batch,) = ways.at, ways.stations
     match term:
         case LearningTerm():
             return _learning(term, at, batch)
@@ -31,7 +32,7 @@ def ranked_slope(term: SlopedTerm, at: Situation, batch: WayBatch) -> Pull:
         case MappingTerm(form="two_layer"):
             return _steering(at, batch)
         case MappingTerm(form="path"):
-            return _path(term, at, batch)
+            return _path(term, ways, batch)
         case MappingTerm(form="information"):
             return pull_of_universal(batch, 0.5 * batch.inverse)
         case MappingTerm():
@@ -45,9 +46,10 @@ def has_slope(term: Term) -> bool:
 
 def _learning(term: LearningTerm, at: Situation, batch: WayBatch) -> Pull:
     """With X = S^-1 B and Z the criterion's derivative by B' S^-1 B: 2 X Z by B, -X Z X' by S."""
-    criterion = at.criterion(term)
+    (station,) = at.stations
+    criterion = at.criterion(term, station)
     x = np.linalg.solve(batch.covariance, batch.trend)
-    before = None if criterion.kind == "T" else theta_information(at.posterior)
+    before = None if criterion.kind == "T" else theta_information(station)
     by_trend = x @ criterion.slope(batch.trend.transpose(0, 2, 1) @ x, before)
     return Pull(by_covariance=-by_trend @ x.transpose(0, 2, 1), by_trend=2.0 * by_trend)
 
@@ -59,16 +61,16 @@ def _steering(at: Situation, batch: WayBatch) -> Pull:
     return Pull(by_place=offset / np.maximum(np.linalg.norm(offset, axis=2), TINY_M)[:, :, None])
 
 
-def _path(term: MappingTerm, at: Situation, batch: WayBatch) -> Pull:
+def _path(term: MappingTerm, ways: RankedWays, batch: WayBatch) -> Pull:
     """L_ii^2 changes by L_ii^2 n_i' dS n_i, n_i row i of L^-1."""
-    decay = at.uncertainty(term).decay_per_m
-    variance, excess, near = path_form_parts(term, at, batch)
+    decay = ways.at.uncertainty(term).decay_per_m
+    variance, excess, near = path_form_parts(term, ways, batch)
     rows = np.linalg.inv(batch.factor)
     weight = np.where(excess > 0.0, variance * near, 0.0)
     found = pull_of_universal(batch, rows.transpose(0, 2, 1) @ (weight[:, :, None] * rows))
     # A leg is in the way to its own place and to all after it.
     after = np.cumsum((excess * near)[:, ::-1], axis=1)[:, ::-1]
-    return found.plus(pull_of_legs(at.position_m, batch.ways_m, -decay * after), 1.0)
+    return found.plus(pull_of_legs(ways.at.position_m, batch.ways_m, -decay * after), 1.0)
 
 
 def _average(batch: WayBatch) -> Pull:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
-from planopt.objectives.energy import expected_transmit_power_w
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
 from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import (
     covariance_gain,
@@ -20,6 +25,7 @@ from planopt.objectives.tracking import tracking_reward
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.expression_inputs import known_inputs
+from planopt.planning.worth.link_energy import link_energy_j
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import (
     CasadiTerm,
@@ -33,109 +39,170 @@ from planopt.problems.objective import (
 )
 
 
-def ranked_value(term: Term, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
+@dataclass(frozen=True, eq=False)
+class RankedWays:
+    """Many ways, and what is predicted along them.
+
+    Attributes
+    ----------
+    at
+        What is known.
+    stations
+        Each station's power along all of them.
+    """
+
+    at: Situation
+    stations: Sequence[WayBatch]
+
+    @property
+    def ways_m(self) -> NDArray[np.float64]:
+        """``(c, N, 2)``."""
+        return self.stations[0].ways_m
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """How many ways, and of how many steps."""
+        return self.stations[0].shape
+
+    @cached_property
+    def each(self) -> list[Prediction]:
+        """Each station's power at every place, those of a way together; ``(c N,)``."""
+        return [batch.power for batch in self.stations]
+
+    @cached_property
+    def power(self) -> Prediction:
+        """What connectivity rests on at every place; ``(c N,)``."""
+        return self.at.law(self.each)
+
+    @cached_property
+    def chance(self) -> NDArray[np.float64]:
+        """Probability of a connection after every step; ``(c, N)``."""
+        threshold = self.at.problem.stations[0].threshold_dbm
+        found = connection_probability(self.power.mean_db, self.power.deviation_db, threshold)
+        return found.reshape(self.shape)
+
+    @cached_property
+    def legs_m(self) -> NDArray[np.float64]:
+        """Lengths of the steps of every way, ``(c, N)``."""
+        begin = np.broadcast_to(self.at.position_m, (len(self.ways_m), 1, 2))
+        ends = np.concatenate([begin, self.ways_m], axis=1)
+        return np.linalg.norm(np.diff(ends, axis=1), axis=2)
+
+
+def ranked_value(term: Term, ways: RankedWays) -> NDArray[np.float64]:
     """What `term` is worth of each way, ``(c,)``."""
+    at = ways.at
     match term:
         case TrackingTerm():
-            return _tracking(term, at, batch)
+            return _tracking(term, ways)
         case LearningTerm():
-            return _learning(term, at, batch)
+            return _added(
+                _learning(term, at, batch, station)
+                for batch, station in zip(ways.stations, at.stations, strict=True)
+            )
         case MappingTerm():
-            return _mapping(term, at, batch)
+            return _mapping(term, ways)
         case MotionEnergyTerm():
-            legs = legs_m(at, batch.ways_m)
-            moving = (legs > STANDSTILL_M).sum(axis=1) * at.problem.planner.step_s
-            return -(term.per_metre_j_m * legs.sum(axis=1) + term.power_w * moving)
+            moving = (ways.legs_m > STANDSTILL_M).sum(axis=1) * at.problem.planner.step_s
+            return -(term.per_metre_j_m * ways.legs_m.sum(axis=1) + term.power_w * moving)
         case UntilConnectedTerm():
-            return _until_connected(term, at, batch)
+            return _until_connected(term, ways)
         case TransmissionEnergyTerm():
-            power, radio = batch.power, at.radio(term)
-            each = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
-            return -radio.send_s * each.reshape(batch.shape).sum(axis=1)
+            return -link_energy_j(term, at, ways.each).reshape(ways.shape).sum(axis=1)
         case CasadiTerm():
-            return _expression(term, at, batch)
+            return _expression(term, ways)
 
 
-def _tracking(term: TrackingTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
-    settings = at.tracking(term)
-    power = batch.power
-    chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
-    chance = chance.reshape(batch.shape)
+def _added(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The sum over stations: what measurements of independent ones tell adds up."""
+    first, *others = parts
+    for other in others:
+        first = first + other
+    return first
+
+
+def _tracking(term: TrackingTerm, ways: RankedWays) -> NDArray[np.float64]:
+    settings, chance = ways.at.tracking(term), ways.chance
     if term.form != "additive":
-        filtered = first_steps(at.filtered(term), batch.shape[1])
+        filtered = first_steps(ways.at.filtered(term), ways.shape[1])
         # Sampling joint losses of every way would be dear: what is chosen is sampled afterwards.
         gain = information_gain if term.form == "information" else covariance_gain
-        return gain(chance, sensing_of(batch.ways_m, filtered), filtered)
+        return gain(chance, sensing_of(ways.ways_m, filtered), filtered)
     return np.sum(
         [
-            tracking_reward(chance[:, k], batch.ways_m[:, k], k, settings)
-            for k in range(batch.shape[1])
+            tracking_reward(chance[:, k], ways.ways_m[:, k], k, settings)
+            for k in range(ways.shape[1])
         ],
         axis=0,
     )
 
 
-def _until_connected(
-    term: UntilConnectedTerm, at: Situation, batch: WayBatch
-) -> NDArray[np.float64]:
-    settings = at.search(term)
-    above = batch.power.mean_db.reshape(batch.shape) - settings.threshold_dbm
-    legs = legs_m(at, batch.ways_m)
-    return -charged_distances_m(above, batch.universal, legs, settings.beyond_m)
+def _until_connected(term: UntilConnectedTerm, ways: RankedWays) -> NDArray[np.float64]:
+    settings = ways.at.search(term)
+    (above, covariance), *further = [
+        (power.mean_db.reshape(ways.shape) - threshold, batch.universal)
+        for power, batch, threshold in zip(
+            ways.each, ways.stations, settings.thresholds_dbm, strict=True
+        )
+    ]
+    return -charged_distances_m(above, covariance, ways.legs_m, settings.beyond_m, further)
 
 
-def _expression(term: CasadiTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
+def _expression(term: CasadiTerm, ways: RankedWays) -> NDArray[np.float64]:
     """Ways for which the expression has no finite value come last."""
-    power = batch.power
-    threshold = at.problem.stations[0].threshold_dbm
-    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
-    known = known_inputs(term, at, batch.shape[1])
-    given = {"positions_m": batch.ways_m} | {
-        name: np.broadcast_to(values, (batch.shape[0], *values.shape))
+    known = known_inputs(term, ways.at, ways.shape[1])
+    given = {"positions_m": ways.ways_m} | {
+        name: np.broadcast_to(values, (ways.shape[0], *values.shape))
         for name, values in known.items()
     }
     for name, values in (
-        ("mean_db", power.mean_db),
-        ("deviation_db", power.deviation_db),
-        ("connectivity", chance),
+        ("mean_db", ways.power.mean_db),
+        ("deviation_db", ways.power.deviation_db),
+        ("connectivity", ways.chance),
     ):
-        given[name] = values.reshape(*batch.shape, 1)
+        given[name] = values.reshape(*ways.shape, 1)
     found = expression_values(term.program, term.steps, given)
     return np.where(np.isfinite(found), found, -np.inf)
 
 
-def _learning(term: LearningTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
-    criterion = at.criterion(term)
+def _learning(
+    term: LearningTerm, at: Situation, batch: WayBatch, station: ChannelPosterior
+) -> NDArray[np.float64]:
+    criterion = at.criterion(term, station)
     whitened = np.linalg.solve(batch.covariance, batch.trend)
     gained = batch.trend.transpose(0, 2, 1) @ whitened
-    before = None if criterion.kind == "T" else theta_information(at.posterior)
+    before = None if criterion.kind == "T" else theta_information(station)
     return criterion.value(gained, before) - criterion.value(np.zeros((2, 2)), before)
 
 
-def _mapping(term: MappingTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
-    match term.form:
-        case "two_layer":
-            if at.steering_m is None:
-                return np.zeros(batch.shape[0])
-            start = float(np.linalg.norm(at.position_m - at.steering_m))
-            return (start - np.linalg.norm(batch.ways_m - at.steering_m, axis=2)).sum(axis=1)
-        case "path":
-            _, excess, near = path_form_parts(term, at, batch)
-            return (excess * near).sum(axis=1)
-        case "information":
-            diagonal = np.diagonal(batch.factor, axis1=1, axis2=2)
-            return np.log(diagonal / batch.channel.parameters.multipath_std_db).sum(axis=1)
-        case "average":
-            return _average(batch)
+def _mapping(term: MappingTerm, ways: RankedWays) -> NDArray[np.float64]:
+    at = ways.at
+    if term.form != "two_layer":
+        return _added(_mapped(term, ways, batch) for batch in ways.stations)
+    if at.steering_m is None:
+        return np.zeros(ways.shape[0])
+    start = float(np.linalg.norm(at.position_m - at.steering_m))
+    return (start - np.linalg.norm(ways.ways_m - at.steering_m, axis=2)).sum(axis=1)
+
+
+def _mapped(term: MappingTerm, ways: RankedWays, batch: WayBatch) -> NDArray[np.float64]:
+    """What the measurements of one station tell."""
+    if term.form == "path":
+        _, excess, near = path_form_parts(term, ways, batch)
+        return (excess * near).sum(axis=1)
+    if term.form == "information":
+        diagonal = np.diagonal(batch.factor, axis1=1, axis2=2)
+        return np.log(diagonal / batch.channel.parameters.multipath_std_db).sum(axis=1)
+    return _average(batch)
 
 
 def path_form_parts(
-    term: MappingTerm, at: Situation, batch: WayBatch
+    term: MappingTerm, ways: RankedWays, batch: WayBatch
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """L_ii^2, what of it is above the threshold, and psi of the way there; each ``(c, N)``."""
-    settings = at.uncertainty(term)
+    settings = ways.at.uncertainty(term)
     variance = np.diagonal(batch.factor, axis1=1, axis2=2) ** 2
-    near = np.exp(-settings.decay_per_m * np.cumsum(legs_m(at, batch.ways_m), axis=1))
+    near = np.exp(-settings.decay_per_m * np.cumsum(ways.legs_m, axis=1))
     return variance, np.maximum(variance - settings.threshold_db2, 0.0), near
 
 
@@ -145,9 +212,3 @@ def _average(batch: WayBatch) -> NDArray[np.float64]:
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)
     return np.trace(np.linalg.solve(batch.universal, gathered), axis1=1, axis2=2)
-
-
-def legs_m(at: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths of the steps of every way, ``(c, N)``."""
-    ends = np.concatenate([np.broadcast_to(at.position_m, (len(ways_m), 1, 2)), ways_m], axis=1)
-    return np.linalg.norm(np.diff(ends, axis=1), axis=2)

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.objectives.energy import expected_transmit_power_w
+from planopt.channel.maps.tile_map import TileMap
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
 from planopt.planning.search.guide import Guide
 from planopt.planning.search.lattice_window import Window
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.planning.worth.link_energy import link_energy_j
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import shares_measurements
 from planopt.problems.objective import (
@@ -31,6 +34,8 @@ from planopt.targets.sensor import sensing_information
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns of single nodes."""
+
+EVERYWHERE: Window = slice(None), slice(None)
 
 MISSING_DB_SHARE = 10.0
 """What a missing dB costs, in units of the largest reward of a step. A step that misses at all
@@ -105,7 +110,7 @@ class StageRewards:
         self._chance[where] = np.where(known, chance, 0.0)
         fixed = np.zeros_like(mean) if self._alone is None else self._alone[where]
         for term in problem.terms:
-            fixed = fixed + term.weight * self._by_power(term, mean, deviation, chance)
+            fixed = fixed + term.weight * self._by_power(term, where, chance)
         self._unasked[where] = np.where(known, fixed, -np.inf)
         if self._guide.asked.any():
             margin = bound_margin_db(mean, deviation, radio.threshold_dbm, self._guide.level)
@@ -115,16 +120,15 @@ class StageRewards:
         self._fixed[where] = np.where(known, fixed, -np.inf)
 
     def _by_power(
-        self,
-        term: Term,
-        mean_db: NDArray[np.float64],
-        deviation_db: NDArray[np.float64],
-        chance: NDArray[np.float64],
+        self, term: Term, where: Window | Nodes, chance: NDArray[np.float64]
     ) -> NDArray[np.float64] | float:
         """What a term gives for the power at a place, whenever it is visited."""
         if isinstance(term, TransmissionEnergyTerm):
-            radio = self._situation.radio(term)
-            return -radio.send_s * expected_transmit_power_w(mean_db, deviation_db, radio)
+            powers = [
+                Prediction(station.mean_db[where], station.deviation_db[where])
+                for station in self._field.stations
+            ]
+            return -link_energy_j(term, self._situation, powers)
         if isinstance(term, UntilConnectedTerm):
             # What connection there would save, if it were the only try.
             return self._situation.search(term).beyond_m * chance
@@ -136,8 +140,7 @@ class StageRewards:
         for term in self._situation.problem.terms:
             if isinstance(term, TrackingTerm):
                 largest += term.weight / term.noise_floor_m2
-            field, sure = self._field, np.ones(1)
-            each = self._by_power(term, field.mean_db, field.deviation_db, sure)
+            each = self._by_power(term, EVERYWHERE, np.ones(1))
             largest += term.weight * float(np.nanmax(np.abs(each), initial=0.0))
         return max(largest, 1e-9)
 
@@ -162,23 +165,36 @@ def _alone(
     term: LearningTerm | MappingTerm, at: Situation, field: NodeField
 ) -> NDArray[np.float64]:
     """What measuring at each node would be worth if it were the only one; (ny, nx)."""
-    variance = field.deviation_db**2
+    if isinstance(term, MappingTerm) and term.form == "two_layer":
+        if at.steering_m is None:
+            return np.zeros_like(field.mean_db)
+        return -np.linalg.norm(field.grid_m - at.steering_m, axis=2)
+    first, *others = [
+        _told(term, station, posterior)
+        for station, posterior in zip(field.stations, at.stations, strict=True)
+    ]
+    for other in others:
+        first = first + other
+    return first
+
+
+def _told(
+    term: LearningTerm | MappingTerm, station: TileMap, posterior: ChannelPosterior
+) -> NDArray[np.float64]:
+    """What measuring one station at each node would tell; (ny, nx)."""
+    variance = station.deviation_db**2
     if isinstance(term, LearningTerm):
-        trend, covariance = field.trend, at.posterior.theta_covariance
+        trend, covariance = station.trend, posterior.theta_covariance
         spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
         latent = np.maximum(variance - spread, 1e-12)
         if term.criterion == "T":
             return np.einsum("yxi,yxi->yx", trend, trend) / latent
         return np.log1p(spread / latent)
     match term.form:
-        case "two_layer":
-            if at.steering_m is None:
-                return np.zeros_like(variance)
-            return -np.linalg.norm(field.grid_m - at.steering_m, axis=2)
         case "path":
             return np.maximum(variance - term.variance_threshold_db2, 0.0)
         case "information":
-            floor = max(at.posterior.parameters.multipath_std_db, 1e-6)
-            return np.log(field.deviation_db / floor)
-        case "average":
+            floor = max(posterior.parameters.multipath_std_db, 1e-6)
+            return np.log(station.deviation_db / floor)
+        case _:
             return variance

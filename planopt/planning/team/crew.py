@@ -85,7 +85,7 @@ class Member:
             What has happened on the run before.
         """
         position_m = state[:2]
-        circumstances = circumstances_of(self.problem, belief.posterior, history, moving)
+        circumstances = circumstances_of(self.problem, belief.posteriors, history, moving)
         situation = Situation(
             self.problem,
             belief.posterior,

@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
 from planopt.planning.history import history_of
@@ -21,6 +20,7 @@ from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.robot_run import completed_run
 from planopt.planning.loop.target_log import target_log
 from planopt.planning.loop.target_watch import aim_of, observed, watch_target
+from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
@@ -60,11 +60,11 @@ def simulate_team(
     """
     problem = with_overrides(problem, horizon=horizon, planner=planner)
     prepared = prepared if prepared is not None else prepare(problem, seed)
-    if prepared.truth is None:
+    if not prepared.truths:
         raise InputError(
             "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
         )
-    truth = prepared.truth
+    truths = prepared.truths
     seeds = team_seeds(problem, seed)
     watches = [watch_target(problem, seeds.target)]
     crew = build_crew(problem, seeds)
@@ -74,7 +74,7 @@ def simulate_team(
     plans: list[list[Plan]] = [[] for _ in crew]
     aims: list[list[Aim]] = [[] for _ in crew]
     beliefs = [prepared.belief for _ in crew]
-    rows = [channel_row(beliefs[0].posterior, truth, region.grid_m)]
+    rows = [channel_row(beliefs[0].posteriors, truths, region.grid_m)]
     delivered: list[NDArray[np.bool_]] = []
     for step in range(1, problem.planner.max_steps + 1):
         watch = watches[-1]
@@ -100,23 +100,27 @@ def simulate_team(
         for number in range(len(crew)):
             states[number] = plans[number][-1].next_state
             tracks[number].append(states[number][:2])
-            beliefs[number] = learn_here(problem, truth, beliefs[number], tracks[number][-1])
+            beliefs[number] = learn_here(problem, truths, beliefs[number], tracks[number][-1])
         here = np.array([track[-1] for track in tracks])
-        arrived = true_power_dbm(truth, here) >= problem.stations[0].threshold_dbm
+        arrived = true_serving_dbm(problem, truths, here) >= problem.stations[0].threshold_dbm
         delivered.append(arrived)
         watches.append(
             None if watch is None else observed(watch, step, here, arrived, seeds.target)
         )
-        rows.append(channel_row(beliefs[0].posterior, truth, region.grid_m))
+        rows.append(channel_row(beliefs[0].posteriors, truths, region.grid_m))
         if on_step is not None:
             on_step(step)
     return TeamRun(
         problem=problem,
         seed=seed,
-        truth=truth,
+        truth=truths[0],
         runs=tuple(
             completed_run(
-                member.problem, seed, np.array(track), true_power_dbm(truth, np.array(track)), made
+                member.problem,
+                seed,
+                np.array(track),
+                true_serving_dbm(problem, truths, np.array(track)),
+                made,
             )
             for member, track, made in zip(crew, tracks, plans, strict=True)
         ),
@@ -126,4 +130,5 @@ def simulate_team(
         first_measurements=len(prepared.belief.posterior.measurements),
         target=target_log(watches, np.array(delivered)),
         channel=channel_log(rows),
+        further_truths=truths[1:],
     )

@@ -82,6 +82,8 @@ class TeamRun:
         None where nothing is tracked.
     channel
         How well it was known.
+    further_truths
+        As `truth`, of further stations.
     """
 
     problem: Problem
@@ -94,6 +96,7 @@ class TeamRun:
     first_measurements: int
     target: TargetLog | None
     channel: ChannelLog
+    further_truths: tuple[Truth, ...] = ()
 
     @property
     def metrics(self) -> dict[str, float]:

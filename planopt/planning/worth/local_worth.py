@@ -6,10 +6,13 @@ returns is valued again by :mod:`planopt.planning.worth.path_worth` and judged b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
 from planopt.objectives.information_derivatives import (
     average_reduction_derivatives,
@@ -31,8 +34,13 @@ from planopt.planning.programme.path_value import (
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.region import region_along
 from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
+from planopt.planning.worth.serving_stages import (
+    StagePower,
+    serving_of,
+    stage_powers,
+    stage_predictor,
+)
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.stage_prediction import StagePredictor
 from planopt.planning.worth.stage_terms import stage_term_derivatives
 from planopt.planning.worth.structure import shares_measurements, structure_of
 from planopt.problems.objective import (
@@ -70,32 +78,27 @@ def local_worth(
     problem, posterior = situation.problem, situation.posterior
     structure = structure_of(problem)
     predict_stages = (
-        StagePredictor(neighbour_model(posterior, path_m, problem.planner.neighbours))
+        stage_predictor(
+            posterior, situation.circumstances.broad, path_m, problem.planner.neighbours
+        )
         if needs_stages(problem)
         else None
     )
-    joint = None
-    if any(shares_measurements(term) for term in problem.terms):
-        joint = local_channel(posterior, path_m, JOINT_NEIGHBOURS)
-    grid = None
-    if joint is not None and any(
-        isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms
-    ):
-        region = region_along(problem, situation.near_region, path_m)
-        grid = local_grid(joint, region.grid_m, region.weight)
+    joint = _joint_channels(situation, path_m)
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)
 
     def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
-        power = None if predict_stages is None else predict_stages(places_m)
+        each = () if predict_stages is None else stage_powers(predict_stages, places_m)
+        power = None if predict_stages is None else serving_of(predict_stages, each)
         margins, total = None, None
         if bounded and power is not None:
             margins = margins_of(*power, rows.threshold_dbm, z)
         if rows.weight is not None and power is not None:
             total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
         parts = [
-            _weighted(term.weight, _derivatives(term, situation, places_m, power, joint, grid))
+            _weighted(term.weight, _derivatives(term, situation, places_m, power, each, joint))
             for term in problem.terms
         ]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
@@ -112,6 +115,31 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """One station's channel near the path, and the places where its map is wanted."""
+
+    posterior: ChannelPosterior
+    channel: LocalChannel
+    grid: LocalGrid | None
+
+
+def _joint_channels(situation: Situation, path_m: NDArray[np.float64]) -> list[_Joint]:
+    """Of each station, where a term couples the places of a path; else none."""
+    problem = situation.problem
+    if not any(shares_measurements(term) for term in problem.terms):
+        return []
+    region = None
+    if any(isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms):
+        region = region_along(problem, situation.near_region, path_m)
+    found: list[_Joint] = []
+    for station in situation.stations:
+        channel = local_channel(station, path_m, JOINT_NEIGHBOURS)
+        grid = None if region is None else local_grid(channel, region.grid_m, region.weight)
+        found.append(_Joint(station, channel, grid))
+    return found
+
+
 Part = Derivatives | PathDerivatives
 """By stage, or of the whole path."""
 
@@ -120,39 +148,51 @@ def _derivatives(
     term: Term,
     at: Situation,
     places_m: NDArray[np.float64],
-    power: tuple[Derivatives, Derivatives] | None,
-    joint: LocalChannel | None,
-    grid: LocalGrid | None,
+    power: StagePower | None,
+    each: Sequence[StagePower],
+    joint: Sequence[_Joint],
 ) -> Part:
     match term:
         case TrackingTerm() | TransmissionEnergyTerm() | CasadiTerm():
             if power is None:
                 raise AssertionError("the term needs predictions of the stages")
-            return stage_term_derivatives(term, at, places_m, power)
+            return stage_term_derivatives(term, at, places_m, power, each)
         case MappingTerm(form="two_layer"):
             return _steering(at, places_m)
         case MotionEnergyTerm():
             return _motion(term, at, places_m)
         case UntilConnectedTerm():
             width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-            found = charged_distance_derivatives(_required(joint), places_m, at.search(term), width)
+            channels = [station.channel for station in joint]
+            found = charged_distance_derivatives(channels, places_m, at.search(term), width)
             return PathDerivatives(-found.value, -found.gradient, -found.hessian)
+        case LearningTerm() | MappingTerm():
+            first, *others = [_informed(term, at, places_m, station) for station in joint]
+            for other in others:
+                first = PathDerivatives(
+                    first.value + other.value,
+                    first.gradient + other.gradient,
+                    first.hessian + other.hessian,
+                )
+            return first
+
+
+def _informed(
+    term: LearningTerm | MappingTerm, at: Situation, places_m: NDArray[np.float64], station: _Joint
+) -> PathDerivatives:
+    """What the path's measurements of one station tell; those of independent ones add up."""
+    channel = station.channel
+    match term:
         case LearningTerm():
-            return path_loss_derivatives(_required(joint), places_m, at.criterion(term))
+            return path_loss_derivatives(channel, places_m, at.criterion(term, station.posterior))
         case MappingTerm(form="path"):
-            return path_uncertainty_derivatives(_required(joint), places_m, at.uncertainty(term))
+            return path_uncertainty_derivatives(channel, places_m, at.uncertainty(term))
         case MappingTerm(form="information"):
-            return path_information_derivatives(_required(joint), places_m)
+            return path_information_derivatives(channel, places_m)
         case MappingTerm():
-            if grid is None:
+            if station.grid is None:
                 raise AssertionError("the spatial average needs a grid")
-            return average_reduction_derivatives(_required(joint), grid, places_m)
-
-
-def _required(joint: LocalChannel | None) -> LocalChannel:
-    if joint is None:
-        raise AssertionError("a term that couples places needs their joint channel")
-    return joint
+            return average_reduction_derivatives(channel, station.grid, places_m)
 
 
 def _steering(at: Situation, places_m: NDArray[np.float64]) -> Derivatives:

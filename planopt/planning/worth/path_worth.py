@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
 from planopt.errors import InputError
-from planopt.objectives.energy import expected_transmit_power_w
 from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import covariance_gain, information_gain, sampled_gain
 from planopt.objectives.mapping import average_reduction, path_information, path_uncertainty
@@ -21,6 +20,7 @@ from planopt.objectives.path_loss_learning import path_loss_gain
 from planopt.objectives.until_connected import charged_distance_m
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.expression_inputs import known_inputs
+from planopt.planning.worth.link_energy import link_energy_j
 from planopt.planning.worth.rule_worth import slack_cost
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import (
@@ -59,24 +59,29 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
         case TrackingTerm():
             return _tracking(term, at, path_m)
         case LearningTerm():
-            return path_loss_gain(at.posterior, path_m, at.criterion(term))
+            return sum(
+                path_loss_gain(station, path_m, at.criterion(term, station))
+                for station in at.stations
+            )
         case MappingTerm():
             return _mapping(term, at, path_m)
         case MotionEnergyTerm():
             return -motion_energy_j(term, at, path_m)
         case UntilConnectedTerm():
-            return -charged_distance_m(at.posterior, path_m, at.search(term))
+            return -charged_distance_m(at.posterior, path_m, at.search(term), at.stations[1:])
         case TransmissionEnergyTerm():
-            power, radio = at.power(path_m), at.radio(term)
-            each = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
-            return -radio.send_s * float(each.sum())
+            return -float(link_energy_j(term, at, at.powers(path_m)).sum())
         case CasadiTerm():
             return _expression(term, at, path_m)
 
 
 def _tracking(term: TrackingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
     if term.form == "sampled":
-        return sampled_gain(at.posterior, path_m, at.filtered(term))
+        further = [
+            (station, radio.threshold_dbm)
+            for station, radio in zip(at.stations[1:], at.problem.stations[1:], strict=True)
+        ]
+        return sampled_gain(at.posterior, path_m, at.filtered(term), further)
     settings = at.tracking(term)
     power = at.power(path_m)
     chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
@@ -115,11 +120,14 @@ def _mapping(term: MappingTerm, at: Situation, path_m: NDArray[np.float64]) -> f
         case "two_layer":
             return steering_value(at, path_m)
         case "path":
-            return path_uncertainty(at.posterior, path_m, at.uncertainty(term))
+            return sum(path_uncertainty(p, path_m, at.uncertainty(term)) for p in at.stations)
         case "information":
-            return path_information(at.posterior, path_m)
+            return sum(path_information(station, path_m) for station in at.stations)
         case "average":
-            return average_reduction(at.posterior, path_m, at.near_region, at.near_places)
+            return sum(
+                average_reduction(station, path_m, at.near_region, known)
+                for station, known in zip(at.stations, at.near_places, strict=True)
+            )
 
 
 def steering_value(at: Situation, path_m: NDArray[np.float64]) -> float:

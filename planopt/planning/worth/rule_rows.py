@@ -19,7 +19,7 @@ from planopt.planning.proof.rules.asked import (
     connected_steps_asked,
     data_asked_mbit,
 )
-from planopt.planning.proof.rules.joint import joint_result, path_prediction
+from planopt.planning.proof.rules.path_draws import joint_by_slack
 from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.worth.held_steps import held_steps
 from planopt.planning.worth.risk_allocation import LARGEST_RISK, allocated_again
@@ -145,7 +145,8 @@ def first_risk(situation: Situation, path_m: NDArray[np.float64]) -> NDArray[np.
     """
     problem = situation.problem
     allowed = 1.0 - problem.constraints.p_min
-    result = joint_result(problem, path_prediction(situation.posterior, path_m))
+    broad = situation.circumstances.broad
+    result = joint_by_slack(problem, situation.posterior, path_m, broad)(0.0)
     if is_missed(result):
         return np.full(len(path_m), min(allowed / len(path_m), LARGEST_RISK))
     used = step_risk(situation, path_m)

@@ -63,4 +63,5 @@ def _result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
         at.posterior,
         np.vstack([at.position_m, path_m]),
         at.power(path_m),
+        at.circumstances.broad,
     )

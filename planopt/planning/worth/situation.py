@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,6 +21,7 @@ from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.objectives.until_connected import Search
 from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
 from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.serving import Serving
 from planopt.planning.worth.region import region_near
 from planopt.planning.worth.target_model import target_model
 from planopt.problems.objective import (
@@ -42,7 +44,7 @@ class Situation:
     problem
         With the one robot that is planned for.
     posterior
-        What is believed of the channel.
+        What is believed of the channel; of several stations, the first one's.
     position_m
         ``(2,)`` where the robot is.
     target_m
@@ -103,17 +105,35 @@ class Situation:
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
 
+    @property
+    def stations(self) -> tuple[ChannelPosterior, ...]:
+        """What is believed of each station's channel."""
+        broad = self.circumstances.broad
+        return broad.posteriors if isinstance(broad, Serving) else (self.posterior,)
+
+    def law(self, powers: Sequence[Prediction]) -> Prediction:
+        """What connectivity rests on, from predictions of each station's power."""
+        broad = self.circumstances.broad
+        return broad.law(powers) if isinstance(broad, Serving) else powers[0]
+
+    def powers(self, places_m: NDArray[np.float64]) -> list[Prediction]:
+        """Predictions of each station's power at `places_m` (n, 2), as searches look at them."""
+        if len(self.stations) == 1:
+            return [self.power(places_m)]
+        return [search_prediction(station, places_m) for station in self.stations]
+
     @cached_property
     def near_region(self) -> Region:
         """Where the map is wanted, fine where a plan can change anything."""
         return region_near(self.problem, self.region, self.position_m)
 
     @cached_property
-    def near_places(self) -> KnownPlaces | None:
-        """The places of `near_region` prepared for the posterior; None where it has no factor."""
-        if not self.posterior.has_factor:
-            return None
-        return known_places(self.posterior, self.near_region.grid_m)
+    def near_places(self) -> tuple[KnownPlaces | None, ...]:
+        """The places of `near_region` prepared for each station; None where it has no factor."""
+        return tuple(
+            known_places(station, self.near_region.grid_m) if station.has_factor else None
+            for station in self.stations
+        )
 
     def tracking(self, term: TrackingTerm) -> Tracking:
         """The settings of a tracking term."""
@@ -147,22 +167,23 @@ class Situation:
             self.problem.stations[0].threshold_dbm,
             disconnected_now=False,
             beyond_m=beyond if term.beyond_m is None else term.beyond_m,
+            further_thresholds_dbm=tuple(r.threshold_dbm for r in self.problem.stations[1:]),
         )
 
-    def radio(self, term: TransmissionEnergyTerm) -> Radio:
+    def radio(self, term: TransmissionEnergyTerm, station: int = 0) -> Radio:
         """The settings of a link; the predicted gain is that of the station's own sending."""
         return Radio(
             term.bits_per_symbol,
             term.bit_error_rate,
             term.noise_dbm,
-            self.problem.stations[0].transmit_power_dbm,
+            self.problem.stations[station].transmit_power_dbm,
             term.bits / (term.bits_per_symbol * term.bandwidth_hz),
         )
 
-    def criterion(self, term: LearningTerm) -> Criterion:
-        """The settings of a learning term."""
+    def criterion(self, term: LearningTerm, station: ChannelPosterior) -> Criterion:
+        """The settings of a learning term, for one of the stations."""
         if term.criterion == "V":
-            return goal_criterion(self.posterior, self.region.grid_m, self.region.weight)
+            return goal_criterion(station, self.region.grid_m, self.region.weight)
         return Criterion(term.criterion)
 
     def uncertainty(self, term: MappingTerm) -> Uncertainty:

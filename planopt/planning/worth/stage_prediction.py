@@ -86,10 +86,3 @@ class StagePredictor:
         rows[:, 5] -= crossed[:, 1, 1]
         rows[:, 0] = deviation
         return Derivatives.of(mean), Derivatives.of(rows)
-
-
-def stage_prediction(
-    model: NeighbourModel, positions_m: NDArray[np.float64]
-) -> tuple[Derivatives, Derivatives]:
-    """:class:`StagePredictor` for a single evaluation at ``positions_m`` (n, 2)."""
-    return StagePredictor(model)(positions_m)

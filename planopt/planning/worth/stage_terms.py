@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.energy import transmission_derivatives
 from planopt.objectives.expression_casadi import expression_derivatives
 from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
@@ -17,6 +18,8 @@ from planopt.objectives.tracking_derivatives import (
     tracking_reward_derivatives,
 )
 from planopt.planning.worth.expression_inputs import known_inputs
+from planopt.planning.worth.link_energy import link_energy_derivatives
+from planopt.planning.worth.serving_stages import StagePower
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import CasadiTerm, TrackingTerm, TransmissionEnergyTerm
 from planopt.targets.rounding import Derivatives
@@ -29,7 +32,8 @@ def stage_term_derivatives(
     term: StageTerm,
     at: Situation,
     places_m: NDArray[np.float64],
-    power: tuple[Derivatives, Derivatives],
+    power: StagePower,
+    each: Sequence[StagePower],
 ) -> Derivatives | PathDerivatives:
     """What a term is worth, by stage where it adds up over them.
 
@@ -42,13 +46,15 @@ def stage_term_derivatives(
     places_m
         ``(N, 2)``.
     power
-        Predicted mean and deviation at the places.
+        Predicted mean and deviation at the places, of several stations of the serving power.
+    each
+        Of each station's.
     """
     match term:
         case TrackingTerm():
             return _tracking(term, at, places_m, power)
         case TransmissionEnergyTerm():
-            energy = transmission_derivatives(*power, at.radio(term))
+            energy = link_energy_derivatives(term, at, each)
             return Derivatives(-energy.value, -energy.gradient, -energy.hessian)
         case CasadiTerm():
             return _expression(term, at, places_m, power)
@@ -58,7 +64,7 @@ def _tracking(
     term: TrackingTerm,
     at: Situation,
     places_m: NDArray[np.float64],
-    power: tuple[Derivatives, Derivatives],
+    power: StagePower,
 ) -> Derivatives | PathDerivatives:
     settings = at.tracking(term)
     chance = connectivity_derivatives(*power, settings.threshold_dbm)
@@ -76,7 +82,7 @@ def _expression(
     term: CasadiTerm,
     at: Situation,
     places_m: NDArray[np.float64],
-    power: tuple[Derivatives, Derivatives],
+    power: StagePower,
 ) -> PathDerivatives:
     known = known_inputs(term, at, len(places_m))
     straight = np.zeros((len(places_m), 3))

@@ -20,6 +20,7 @@ from reach_tasks import (
     with_line,
 )
 from scipy.optimize import brentq, minimize
+from stage_margins_of import stage_margins
 
 from planopt.channel.connectivity import bound_margin_db, bound_quantile
 from planopt.channel.kriging import predict
@@ -31,7 +32,6 @@ from planopt.planning.plan import Termination
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.polish import polish
 from planopt.planning.programme.reach_nlp import build_reach_nlp
-from planopt.planning.programme.stage_kernel import stage_margins
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 from planopt.world.separation import pack_pieces, separating_lines

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from stage_margins_of import stage_margins
 
 from planopt.channel.connectivity import bound_margin_db, bound_quantile
 from planopt.channel.kriging import predict
@@ -13,7 +14,6 @@ from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING
-from planopt.planning.programme.stage_kernel import stage_margins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))
 THRESHOLD, P_MIN = -85.0, 0.9

@@ -56,7 +56,7 @@ def test_margin_is_that_of_the_mixture():
     """At any place: zero margin where the mixture's chance of connection is p_min."""
     problem = all_uncertain(terms_problem(TRACKING, p_min=0.9))
     posterior = solve_team(problem, seed=SEED).belief.posterior
-    broad = broad_prediction(problem, posterior)
+    broad = broad_prediction(problem, [posterior])
     assert isinstance(broad, BroadPrediction)
     places = np.random.default_rng(1).uniform(5.0, 35.0, (40, 2))
     power = broad(places)
@@ -64,7 +64,7 @@ def test_margin_is_that_of_the_mixture():
     for place, mean, deviation in zip(places, power.mean_db, power.deviation_db, strict=True):
         threshold = float(bound_margin_db(mean, deviation, 0.0, 0.9))
         assert marginal.connectivity(place[None], threshold)[0] == pytest.approx(0.9, abs=1e-9)
-    assert broad_prediction(terms_problem(TRACKING, p_min=0.9), posterior) is None
+    assert broad_prediction(terms_problem(TRACKING, p_min=0.9), [posterior]) is None
 
 
 def test_plan_keeps_the_bound_of_the_mixture(tmp_path: Path):
@@ -100,7 +100,7 @@ def test_what_is_possible_is_asked_of_the_mixture():
     problem = replace(problem, robots=(replace(problem.robots[0], start_m=(37.0, 37.0)),))
     solution = solve_team(problem, seed=SEED)
     plan, posterior = solution.plans[0], solution.belief.posterior
-    broad = broad_prediction(problem, posterior)
+    broad = broad_prediction(problem, [posterior])
     assert broad is not None
     certificate = plan.certificate
     assert certificate.relaxed_steps[0] == 1

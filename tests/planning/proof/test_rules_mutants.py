@@ -22,7 +22,7 @@ HISTORY = "planopt.planning.history"
 ROOM = "planopt.planning.proof.rules"
 ASKED, EXPECTED, OUTAGE = f"{ROOM}.asked", f"{ROOM}.expected", f"{ROOM}.outage"
 JOINT, WHOLE, TOLERANCE = f"{ROOM}.joint", f"{ROOM}.whole_plan", f"{ROOM}.tolerance"
-DATA = f"{ROOM}.probable_data"
+DATA, DRAWS = f"{ROOM}.probable_data", f"{ROOM}.path_draws"
 STEPS = f"{ROOM}.single_steps"
 USERS = (
     HISTORY,
@@ -31,6 +31,7 @@ USERS = (
     OUTAGE,
     JOINT,
     DATA,
+    DRAWS,
     WHOLE,
     TOLERANCE,
     STEPS,
@@ -72,13 +73,13 @@ MUTANTS = (
     (WHOLE, "if limit == 0.0 or", "if limit >= 0.0 or"),
     (
         WHOLE,
-        "prediction = path_prediction(posterior, positions_m[1:])",
-        "prediction = path_prediction(posterior, positions_m[:-1])",
+        "joint_by_slack(problem, posterior, positions_m[1:], broad)",
+        "joint_by_slack(problem, posterior, positions_m[:-1], broad)",
     ),
     (
         WHOLE,
-        "drawn_powers_dbm(path_prediction(posterior, positions_m[1:]))",
-        "drawn_powers_dbm(path_prediction(posterior, positions_m[:-1]))",
+        "path_draws_dbm(posterior, positions_m[1:], broad)",
+        "path_draws_dbm(posterior, positions_m[:-1], broad)",
     ),
     (TOLERANCE, "result.missing > RULE", "result.missing < RULE"),
     (TOLERANCE, "margin_db < -MARGIN", "margin_db > MARGIN"),

@@ -59,6 +59,21 @@ SUMS = [
 ]
 
 
+def connected(path):
+    """An expression of what may be read of several stations."""
+    away = ca.sum2((path.positions_m - path.target_m) ** 2)
+    return ca.sum1(path.connectivity * ca.exp(-away / 50.0))
+
+
+def with_stations(sums):
+    """Each sum with one station, and with two where that can be."""
+    for terms in sums:
+        yield 1, terms
+        if all(term.get("form") != "two_layer" and term["kind"] != "casadi" for term in terms):
+            yield 2, terms
+    yield 2, (own_term(connected), TRACKING)
+
+
 def a_path(situation):
     """A path that does not stand still, with room for differences."""
     rng = np.random.default_rng(1)
@@ -81,11 +96,11 @@ def full(hessian, stages):
     return matrix
 
 
-@pytest.mark.parametrize("terms", SUMS)
+@pytest.mark.parametrize(("stations", "terms"), list(with_stations(SUMS)))
 @pytest.mark.parametrize("p_min", [0.0, 0.8])
-def test_derivatives_are_those_of_the_value(terms, p_min):
+def test_derivatives_are_those_of_the_value(stations, terms, p_min):
     """Gradient, Hessian and margins by central differences; stagewise sums have no cross terms."""
-    problem = terms_problem(*terms, p_min=p_min)
+    problem = terms_problem(*terms, p_min=p_min, stations=stations)
     situation, _ = situation_of(problem)
     path = a_path(situation)
     evaluate = local_worth(situation, path)
@@ -110,10 +125,10 @@ def test_derivatives_are_those_of_the_value(terms, p_min):
     assert at.value.hessian.shape == shapes[structure_of(problem)]
 
 
-@pytest.mark.parametrize("terms", SUMS)
-def test_value_is_near_the_exact_worth(terms):
+@pytest.mark.parametrize(("stations", "terms"), list(with_stations(SUMS)))
+def test_value_is_near_the_exact_worth(stations, terms):
     """With all 40 measurements near, only the rounded cusps are between them."""
-    problem = terms_problem(*terms)
+    problem = terms_problem(*terms, stations=stations)
     situation, _ = situation_of(problem)
     path, other = a_path(situation), a_path(situation)[::-1]
     evaluate, worth = local_worth(situation, path), PathWorth(situation)

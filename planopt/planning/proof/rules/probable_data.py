@@ -24,9 +24,17 @@ DOUBT = 0.01
 """The lower end of the interval of this one-sided doubt counts (Clopper and Pearson, 1934)."""
 
 
-def drawn_powers_dbm(prediction: JointPrediction) -> NDArray[np.float64]:
-    """Powers along the path in `DRAWS` channels; ``(DRAWS, N)``."""
-    normal = np.random.default_rng(SEED).standard_normal((DRAWS, len(prediction)))
+DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
+"""What the method is called."""
+
+
+def drawn_powers_dbm(prediction: JointPrediction, station: int = 0) -> NDArray[np.float64]:
+    """Powers along the path in `DRAWS` channels; ``(DRAWS, N)``.
+
+    Each station's numbers are its own.
+    """
+    generator = np.random.default_rng([SEED, station] if station else SEED)
+    normal = generator.standard_normal((DRAWS, len(prediction)))
     return prediction.mean_db + normal @ semidefinite_factor(prediction.covariance_db2).T
 
 
@@ -51,8 +59,7 @@ def probable_data_result(
         # A sum of whole steps may miss its own value by rounding.
         enough = int((connected @ each >= asked_mbit * (1.0 - 1e-9)).sum())
         achieved = share_at_least(enough, len(powers_dbm))
-    method = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
-    return RuleResult("data", achieved, problem.constraints.p_min, "probability", method)
+    return RuleResult("data", achieved, problem.constraints.p_min, "probability", DRAWN)
 
 
 def share_at_least(count: int, of: int) -> float:

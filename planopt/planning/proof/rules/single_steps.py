@@ -17,7 +17,7 @@ from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
-from planopt.planning.proof.broad_prediction import BroadPrediction
+from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reach_of_dynamics import may_reach_from
 from planopt.planning.proof.reachability import best_margins_by_step
@@ -63,7 +63,7 @@ def judge_single_steps(
     state: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     power: Prediction,
-    broad: BroadPrediction | None = None,
+    broad: Broad | None = None,
 ) -> StepsFinding:
     """Judge the bound at the steps of a path (N + 1, 2) that it is asked of.
 
@@ -80,7 +80,7 @@ def judge_single_steps(
     positions_m, power
         The path and the prediction along it, its first place included.
     broad
-        What the bound rests on where all parameters are to count as uncertain.
+        What the bound rests on where it is not the posterior alone.
     """
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
@@ -241,9 +241,7 @@ def _needless_outage(
     ]
 
 
-def _margins_of(
-    problem: Problem, posterior: ChannelPosterior, broad: BroadPrediction | None
-) -> MarginAt:
+def _margins_of(problem: Problem, posterior: ChannelPosterior, broad: Broad | None) -> MarginAt:
     """Connectivity margin by position, as searches look at it."""
 
     def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:

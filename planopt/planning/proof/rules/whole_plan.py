@@ -12,11 +12,13 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.planning.history import History
+from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.rules.expected import average_result, data_result
-from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.outage import outage_result
-from planopt.planning.proof.rules.probable_data import drawn_powers_dbm, probable_data_result
+from planopt.planning.proof.rules.path_draws import joint_by_slack, path_draws_dbm
+from planopt.planning.proof.rules.probable_data import probable_data_result
 from planopt.planning.proof.rules.tolerance import is_missed
+from planopt.planning.proof.serving import Serving
 from planopt.planning.rule_result import RuleResult
 from planopt.problems.problem import Problem
 
@@ -38,6 +40,7 @@ def whole_plan_result(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
     power: Prediction,
+    broad: Broad | None = None,
 ) -> RuleResult:
     """What a path achieves of a rule over all its steps, and by how many dB it misses it.
 
@@ -54,8 +57,10 @@ def whole_plan_result(
         ``(N + 1, 2)`` the path, the robot's own place first.
     power
         Prediction at the N places after each step.
+    broad
+        The stations, where there are several.
     """
-    result_at = _result_by_slack(problem, history, posterior, positions_m, power)
+    result_at = _result_by_slack(problem, history, posterior, positions_m, power, broad)
     hard = result_at(0.0)
     limit = problem.constraints.rule.slack_max_db or 0.0
     if limit == 0.0 or not is_missed(hard) or is_missed(result_at(limit)):
@@ -97,19 +102,22 @@ def _result_by_slack(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
     power: Prediction,
+    broad: Broad | None,
 ) -> Callable[[float], RuleResult]:
     """The rule's value as a function of how much lower the threshold is taken."""
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
     mean, deviation = power.mean_db, power.deviation_db
 
     def probability(slack_db: float) -> NDArray[np.float64]:
+        if isinstance(broad, Serving) and slack_db > 0.0:
+            return broad.probability(positions_m[1:], slack_db)
         return connection_probability(mean, deviation, threshold - slack_db)
 
     match problem.constraints.rule.connectivity:
         case "average":
             return lambda slack_db: average_result(problem, history, probability(slack_db))
         case "data" if p_min > 0.0:
-            drawn = drawn_powers_dbm(path_prediction(posterior, positions_m[1:]))
+            drawn = path_draws_dbm(posterior, positions_m[1:], broad)
             return lambda slack_db: probable_data_result(problem, history, drawn, slack_db)
         case "data":
             return lambda slack_db: data_result(problem, history, probability(slack_db))
@@ -119,7 +127,6 @@ def _result_by_slack(
                 problem, history, positions_m, margin_db + slack_db
             )
         case "joint":
-            prediction = path_prediction(posterior, positions_m[1:])
-            return lambda slack_db: joint_result(problem, prediction, slack_db)
+            return joint_by_slack(problem, posterior, positions_m[1:], broad)
         case _:
             raise AssertionError("a rule on single steps")

@@ -1,0 +1,137 @@
+"""The serving power: of several stations, the one furthest above its own threshold.
+
+With powers P_i and thresholds t_i, each station's fading its own,
+
+    S = max_i (P_i - t_i) + t_1
+
+is a power that one threshold judges, the first station's: a place is connected to at least one
+station if and only if S >= t_1. S is not normal. All that works with a mean and a deviation goes on
+with those of the normal law that agrees with the law of S where it counts:
+
+- the probability of S >= t_1 is that of a connection to any station, exactly;
+- so is the power that S exceeds with probability p_min, and with it the margin in dB: by so much
+  may all thresholds be raised until the bound p_min is just kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
+
+from planopt.channel.connection.any_score import any_score, any_score_derivatives
+from planopt.channel.connectivity import bound_quantile
+from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
+from planopt.channel.prediction import Prediction
+
+LEAST_DEVIATION_DB = math.sqrt(MIN_NOISE_VARIANCE_DB2)
+"""Powers that are known would be steps; so little spread decides ties evenly."""
+
+SECANT_FROM_DB = 1e-4
+"""Where the margin is smaller, the slope of the score stands for its secant."""
+
+SETTLED_DB = 1e-10
+MOST_STEPS = 100
+"""Newton's method on the margin ends below the first, some six steps as a rule, and always here."""
+
+
+def serving_prediction(
+    predictions: Sequence[Prediction], thresholds_dbm: Sequence[float], p_min: float
+) -> Prediction:
+    """The normal law that stands for the serving power of m stations at n places.
+
+    Parameters
+    ----------
+    predictions
+        Of each station's power, at the same places; NaN where one of them is.
+    thresholds_dbm
+        From which power on each connects.
+    p_min
+        The bound. Where it asks for nothing (0) the law has the slope of S's at t_1.
+    """
+    if len(predictions) == 1:
+        return predictions[0]
+    above, deviation = above_thresholds_db(predictions, thresholds_dbm)
+    score, weight, _ = any_score_derivatives(above / deviation)
+    spread = 1.0 / (weight / deviation).sum(axis=0)
+    if 0.0 < p_min < 1.0:
+        margin = any_margin_db(above, deviation, p_min)
+        far = np.abs(margin) > SECANT_FROM_DB
+        np.divide(margin, score - bound_quantile(p_min), out=spread, where=far)
+    return Prediction(thresholds_dbm[0] + spread * score, spread)
+
+
+def any_probability(
+    predictions: Sequence[Prediction], thresholds_dbm: Sequence[float], slack_db: float = 0.0
+) -> NDArray[np.float64]:
+    """P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``."""
+    above, deviation = above_thresholds_db(predictions, thresholds_dbm)
+    score = any_score((above + slack_db) / deviation)
+    return np.asarray(ndtr(score), dtype=np.float64)
+
+
+def serving_power_dbm(
+    powers_dbm: NDArray[np.float64], thresholds_dbm: Sequence[float]
+) -> NDArray[np.float64]:
+    """S of known powers ``(m, ...)``; ``(...)``."""
+    if len(powers_dbm) == 1:
+        return powers_dbm[0]
+    offsets = thresholds_dbm[0] - np.asarray(thresholds_dbm)
+    return (powers_dbm + offsets.reshape(-1, *[1] * (powers_dbm.ndim - 1))).max(axis=0)
+
+
+def above_thresholds_db(
+    predictions: Sequence[Prediction], thresholds_dbm: Sequence[float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far each station's mean is above its threshold, and its deviation; ``(m, n)`` both."""
+    above = np.stack(
+        [
+            prediction.mean_db - threshold
+            for prediction, threshold in zip(predictions, thresholds_dbm, strict=True)
+        ]
+    )
+    deviation = np.stack([prediction.deviation_db for prediction in predictions])
+    return above, np.maximum(deviation, LEAST_DEVIATION_DB)
+
+
+def any_margin_db(
+    above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
+) -> NDArray[np.float64]:
+    """By how much all thresholds may be raised until P(any) is `p_min`; ``(n,)``.
+
+    The score of any station falls with that and is convex, so that Newton's method from the best
+    single station's margin comes to it from below. It is held between that and what m stations as
+    good as the best would have.
+
+    Parameters
+    ----------
+    above_db, deviation_db
+        ``(m, n)`` means less thresholds, and deviations.
+    p_min
+        Between 0 and 1.
+    """
+    wanted = bound_quantile(p_min)
+    # One of m that each connect with this probability.
+    shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
+    low: NDArray[np.float64] = (above_db - wanted * deviation_db).max(axis=0)
+    high: NDArray[np.float64] = (above_db - shared * deviation_db).max(axis=0)
+    margin = low.copy()
+    open_places = np.flatnonzero(high - low > SETTLED_DB)
+    for _ in range(MOST_STEPS):
+        if not len(open_places):
+            break
+        above, deviation = above_db[:, open_places], deviation_db[:, open_places]
+        here = margin[open_places]
+        score, weight, _ = any_score_derivatives((above - here) / deviation)
+        lacking = score - wanted
+        low[open_places] = np.where(lacking >= 0.0, here, low[open_places])
+        high[open_places] = np.where(lacking < 0.0, here, high[open_places])
+        there = here + lacking / (weight / deviation).sum(axis=0)
+        between = (there >= low[open_places]) & (there <= high[open_places])
+        there = np.where(between, there, 0.5 * (low[open_places] + high[open_places]))
+        margin[open_places] = there
+        open_places = open_places[np.abs(there - here) > SETTLED_DB]
+    return margin

@@ -1,0 +1,41 @@
+"""What a connection to any of several stations rests on: the law of the serving power."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connection.serving_power import any_probability, serving_prediction
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Serving:
+    """What is believed of several stations, each of which may connect.
+
+    Attributes
+    ----------
+    posteriors
+        Of each station's channel.
+    thresholds_dbm
+        From which power on each connects; predictions are judged by the first.
+    p_min
+        The bound's probability.
+    """
+
+    posteriors: tuple[ChannelPosterior, ...]
+    thresholds_dbm: tuple[float, ...]
+    p_min: float
+
+    def law(self, predictions: Sequence[Prediction]) -> Prediction:
+        """What stands for the serving power, from predictions of each station's power."""
+        return serving_prediction(predictions, self.thresholds_dbm, self.p_min)
+
+    def probability(self, positions_m: NDArray[np.float64], slack_db: float) -> NDArray[np.float64]:
+        """P(any) at places (n, 2) with all thresholds lowered by a slack; ``(n,)``."""
+        each = [posterior.predict(positions_m) for posterior in self.posteriors]
+        return any_probability(each, self.thresholds_dbm, slack_db)

@@ -1,0 +1,123 @@
+"""The law of the serving power: exact where it counts, against draws and single stations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from planopt.channel.connection.serving_power import (
+    any_probability,
+    serving_power_dbm,
+    serving_prediction,
+)
+from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.prediction import Prediction
+
+THRESHOLDS = (-80.0, -76.0, -83.0)
+
+
+def predictions(stations: int, places: int = 60) -> list[Prediction]:
+    """Seeded predictions of stations at places."""
+    generator = np.random.default_rng(stations)
+    return [
+        Prediction(
+            -80.0 + generator.normal(scale=8.0, size=places),
+            np.exp(generator.normal(scale=0.5, size=places)) * 4.0,
+        )
+        for _ in range(stations)
+    ]
+
+
+def missed(each: list[Prediction], raised_db: float, place: int) -> float:
+    """P(no station reaches its threshold, raised), written out."""
+    return float(
+        np.prod(
+            [
+                ndtr((t + raised_db - p.mean_db[place]) / p.deviation_db[place])
+                for p, t in zip(each, THRESHOLDS, strict=False)
+            ]
+        )
+    )
+
+
+@pytest.mark.parametrize("stations", [2, 3])
+@pytest.mark.parametrize("p_min", [0.0, 0.3, 0.9, 0.999])
+def test_probability_at_the_first_threshold_is_that_of_any(stations: int, p_min: float) -> None:
+    """Exactly, whatever the bound."""
+    each = predictions(stations)
+    law = serving_prediction(each, THRESHOLDS[:stations], p_min)
+    found = connection_probability(law.mean_db, law.deviation_db, THRESHOLDS[0])
+    expected = [1.0 - missed(each, 0.0, place) for place in range(60)]
+    assert found == pytest.approx(expected, abs=1e-13)
+    assert (law.deviation_db > 0.0).all()
+
+
+@pytest.mark.parametrize("p_min", [0.3, 0.9, 0.999])
+def test_margin_is_what_all_thresholds_may_be_raised_by(p_min: float) -> None:
+    """By a root of P(any) written out."""
+    each = predictions(3)
+    law = serving_prediction(each, THRESHOLDS, p_min)
+    margin = bound_margin_db(law.mean_db, law.deviation_db, THRESHOLDS[0], p_min)
+    for place in range(60):
+        root = brentq(lambda m, k=place: 1.0 - missed(each, m, k) - p_min, -200.0, 200.0)
+        assert margin[place] == pytest.approx(root, abs=1e-7)
+
+
+def test_probability_against_draws() -> None:
+    """A million drawn powers of each station."""
+    each = predictions(3, places=4)
+    generator = np.random.default_rng(8)
+    drawn = np.stack([generator.normal(p.mean_db, p.deviation_db, (10**6, 4)) for p in each])
+    share = (serving_power_dbm(drawn, THRESHOLDS) >= THRESHOLDS[0]).mean(axis=0)
+    assert any_probability(each, THRESHOLDS) == pytest.approx(share, abs=2.5e-3)
+    lower = (serving_power_dbm(drawn, THRESHOLDS) >= THRESHOLDS[0] - 3.0).mean(axis=0)
+    assert any_probability(each, THRESHOLDS, slack_db=3.0) == pytest.approx(lower, abs=2.5e-3)
+
+
+def test_serving_power_reaches_the_first_threshold_where_a_station_reaches_its_own() -> None:
+    """By hand."""
+    powers = np.array([[-81.0, -79.0, -90.0], [-75.0, -90.0, -90.0], [-90.0, -90.0, -83.5]])
+    found = serving_power_dbm(powers, THRESHOLDS)
+    assert found == pytest.approx([-79.0, -79.0, -80.5])
+    connected = (powers >= np.array(THRESHOLDS)[:, None]).any(axis=0)
+    assert ((found >= THRESHOLDS[0]) == connected).all()
+
+
+def test_one_station_is_left_as_it_is() -> None:
+    """Not even rounded."""
+    (alone,) = predictions(1)
+    law = serving_prediction([alone], THRESHOLDS[:1], 0.9)
+    assert law is alone
+    powers = np.array([[-70.0, -90.0]])
+    assert (serving_power_dbm(powers, THRESHOLDS[:1]) == powers[0]).all()
+
+
+def test_a_station_out_of_reach_changes_nothing() -> None:
+    """To rounding."""
+    alone, far = predictions(1)[0], Prediction(np.full(60, -400.0), np.full(60, 4.0))
+    law = serving_prediction([alone, far], THRESHOLDS[:2], 0.9)
+    assert law.mean_db == pytest.approx(alone.mean_db, abs=1e-7)
+    assert law.deviation_db == pytest.approx(alone.deviation_db, rel=1e-7)
+
+
+def test_power_that_is_known_exactly_decides() -> None:
+    """A deviation of zero is allowed."""
+    sure = Prediction(np.array([-70.0, -90.0]), np.zeros(2))
+    other = Prediction(np.array([-95.0, -95.0]), np.full(2, 3.0))
+    law = serving_prediction([sure, other], (-80.0, -80.0), 0.9)
+    found = connection_probability(law.mean_db, law.deviation_db, -80.0)
+    assert found == pytest.approx([1.0, ndtr(-5.0)], abs=1e-12)
+    margin = bound_margin_db(law.mean_db, law.deviation_db, -80.0, 0.9)
+    assert margin[0] == pytest.approx(10.0, abs=0.02)
+
+
+def test_shifting_all_powers_and_thresholds_shifts_the_law() -> None:
+    """Only differences count."""
+    each = predictions(2)
+    louder = [Prediction(p.mean_db + 7.0, p.deviation_db) for p in each]
+    law = serving_prediction(each, (-80.0, -76.0), 0.9)
+    other = serving_prediction(louder, (-73.0, -69.0), 0.9)
+    assert other.mean_db == pytest.approx(law.mean_db + 7.0, abs=1e-8)
+    assert other.deviation_db == pytest.approx(law.deviation_db, rel=1e-8)

@@ -1,0 +1,16 @@
+"""Margins of the stages of one set of neighbours, at a single path."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planopt.channel.nearest.neighbours import NeighbourModel
+from planopt.planning.programme.stage_kernel import StageMargins, margins_of
+from planopt.planning.worth.stage_prediction import StagePredictor
+
+
+def stage_margins(
+    model: NeighbourModel, positions_m: np.ndarray, threshold_dbm: float, z: float | np.ndarray
+) -> StageMargins:
+    """Margin of each stage k at ``positions_m[k]``, from the model's k-th neighbour set."""
+    return margins_of(*StagePredictor(model)(positions_m), threshold_dbm, z)

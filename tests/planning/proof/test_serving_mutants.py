@@ -1,0 +1,109 @@
+"""Every small falsification of what the verifier makes of several stations is found out.
+
+As in `test_rules_mutants.py`; at least one of the tests of `test_serving.py` must fail.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
+from types import ModuleType
+
+import numpy as np
+import pytest
+import test_serving
+from test_rules_mutants import source_of
+
+SCORE = "planopt.channel.connection.any_score"
+POWER = "planopt.channel.connection.serving_power"
+SERVING = "planopt.planning.proof.serving"
+PREDICTIONS = "planopt.planning.proof.predictions"
+BROAD = "planopt.planning.proof.broad_prediction"
+WHOLE = "planopt.planning.proof.rules.whole_plan"
+DRAWS = "planopt.planning.proof.rules.path_draws"
+USERS = (
+    SCORE,
+    POWER,
+    SERVING,
+    PREDICTIONS,
+    BROAD,
+    WHOLE,
+    DRAWS,
+    "planopt.planning.proof.circumstances",
+    "planopt.planning.proof.verify",
+    "planopt.planning.proof.rules.single_steps",
+)
+
+# Module, what stands there once, what the mutant has instead.
+MUTANTS = (
+    (SCORE, "_log_normal(score) + none)", "_log_normal(score))"),
+    (SCORE, "return np.where(log_any < log_none, low, -low)", "return low"),
+    (POWER, "thresholds_dbm[0] + spread * score", "thresholds_dbm[0] + score"),
+    (POWER, "thresholds_dbm[0] + spread", "thresholds_dbm[-1] + spread"),
+    (POWER, "(above + slack_db) / deviation", "above / deviation"),
+    (POWER, ".max(axis=0)\n\n\ndef above", ".min(axis=0)\n\n\ndef above"),
+    (POWER, "offsets = thresholds_dbm[0] - np", "offsets = 0.0 * np"),
+    (POWER, "prediction.mean_db - threshold\n", "prediction.mean_db - thresholds_dbm[0]\n"),
+    (
+        PREDICTIONS,
+        "return broad.law([prediction for prediction, _ in found])",
+        "return found[0][0]",
+    ),
+    (BROAD, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
+    (BROAD, "if len(posteriors) > 1:", "if len(posteriors) > 2:"),
+    (
+        WHOLE,
+        "broad.probability(positions_m[1:], slack_db)",
+        "broad.probability(positions_m[1:], 0)",
+    ),
+    (DRAWS, "serving_power_dbm(np.stack(each)", "serving_power_dbm(np.stack(each[:1])"),
+    (DRAWS, "threshold_dbm - slack_db", "threshold_dbm + slack_db"),
+    (DRAWS, "least_dbm >=", "least_dbm <"),
+    (DRAWS, "broad).min(axis=1)", "broad).max(axis=1)"),
+    (DRAWS, "path_prediction(station, path_m), number", "path_prediction(station, path_m), 0"),
+)
+
+
+def facts() -> Iterator[Callable[[], object]]:
+    """Every test of `test_serving.py`, ready to be called, the quick ones first."""
+    yield test_serving.test_a_path_that_is_handed_over_is_verified
+    for by_db in (0.0, 22.0):
+        yield partial(test_serving.test_connectivity_is_that_of_independent_stations, by_db)
+    yield test_serving.test_probable_data_of_one_step_are_the_probability_of_any
+    for station in (0, 1):
+        yield partial(test_serving.test_it_is_not_without_either_station, station)
+        yield partial(test_serving.test_it_is_violated_with_either_threshold_raised, station)
+    for name in test_serving.RULES:
+        yield partial(test_serving.test_rules_hold_with_both_stations_and_not_with_one, name)
+    yield test_serving.test_the_order_of_stations_does_not_matter
+    yield test_serving.test_joint_probability_of_one_step_is_that_of_any
+    for name in ("average", "outage", "joint", "data", "probable data", "hard"):
+        yield partial(test_serving.test_slack_is_what_all_thresholds_must_be_lowered_by, name)
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: f"{mutant[0][8:]}: {mutant[2]}")
+def test_mutant_is_found_out(mutant: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some test fails with it."""
+    module, original, instead = mutant
+    source = source_of(module)
+    assert source.count(original) == 1, "the mutant does not fit the source any more"
+    changed = ModuleType("mutant_of_stations")
+    monkeypatch.setitem(sys.modules, changed.__name__, changed)
+    exec(compile(source.replace(original, instead), "<mutant>", "exec"), changed.__dict__)
+    for user in (*(import_module(name) for name in USERS), test_serving):
+        for name, value in list(vars(user).items()):
+            same = getattr(value, "__module__", None) == module
+            if callable(value) and same and not isinstance(value, type):
+                monkeypatch.setattr(user, name, getattr(changed, name))
+
+    def holds(fact: Callable[[], object]) -> bool:
+        try:
+            with np.errstate(all="ignore"):
+                fact()
+        except Exception:
+            return False
+        return True
+
+    assert not all(holds(fact) for fact in facts())

@@ -1,0 +1,66 @@
+"""Runs for sums of terms with two stations: verified, saved, judged again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from terms_scene import CONNECT, LEARNING, SENDING, TRACKING, own_term, terms_problem
+
+from planopt.channel.connection.serving_power import serving_power_dbm
+from planopt.channel.fields.truth import true_power_dbm
+from planopt.planning.check.check import check
+from planopt.planning.files.belief_file import BELIEF_FILE
+from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.team.team_solve import solve_team
+
+
+def connected(path: Any) -> Any:
+    """An expression of one's own: connected as often as may be."""
+    import casadi as ca
+
+    return ca.sum1(path.connectivity)
+
+
+CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "track": (TRACKING, {"p_min": 0.8}),
+    "sampled": ({**TRACKING, "form": "sampled"}, {}),
+    "connect": (CONNECT, {}),
+    "send": (SENDING, {}),
+    "learn": (LEARNING, {}),
+    "map": ({"kind": "mapping", "form": "information"}, {}),
+    "own": (own_term(connected, 3), {"p_min": 0.8}),
+    "one step": (TRACKING, {"name": "one_step"}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_run_is_verified_and_judged_again(case: str, tmp_path: Path) -> None:
+    """What was driven was connected to whichever station was the better one."""
+    term, planner = CASES[case]
+    problem = terms_problem(term, stations=2, horizon=3, max_steps=2, **planner)
+    run = simulate_team(problem, seed=1)
+    assert run.verified_rate == 1.0
+    log = run.runs[0].log
+    powers = [true_power_dbm(t, log.positions_m) for t in (run.truth, *run.further_truths)]
+    thresholds = [radio.threshold_dbm for radio in problem.stations]
+    assert np.array_equal(log.true_dbm, serving_power_dbm(np.stack(powers), thresholds))
+    any_of_them = (np.stack(powers) >= np.array(thresholds)[:, None]).any(axis=0)
+    assert np.array_equal(log.connected, any_of_them)
+    save_team_run(run, tmp_path)
+    assert check(tmp_path).reasons == ()
+    with np.load(tmp_path / BELIEF_FILE) as archive:
+        arrays = {name: archive[name] for name in archive}
+    arrays["stations[1].power_dbm"][-1] += 0.5
+    np.savez_compressed(tmp_path / BELIEF_FILE, **arrays)
+    assert any("stations[1].power_dbm" in reason for reason in check(tmp_path).reasons)
+
+
+def test_plans_are_judged_again(tmp_path: Path) -> None:
+    """From one belief of both stations."""
+    problem = terms_problem(TRACKING, stations=2, horizon=3, p_min=0.8)
+    save_team_solution(solve_team(problem, seed=2), tmp_path)
+    assert check(tmp_path).reasons == ()

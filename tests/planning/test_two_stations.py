@@ -1,0 +1,265 @@
+"""Plans, runs and saved runs of problems with two stations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planopt.planning.check.check import check
+from planopt.planning.files.belief_file import BELIEF_FILE
+from planopt.planning.files.saved import RUN_FILE, save_simulation
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.simulation import Simulation
+from planopt.planning.plan import Plan, Verdict
+from planopt.planning.prepare import prepare
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.planning.solve import solve
+from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.load import load
+from planopt.problems.problem import Problem
+from tests.planning.scenes import WALL, bad_disc, belief_of, small_problem
+from tests.planning.two_stations import (
+    alone,
+    alone_in,
+    belief_in,
+    east_power,
+    prepared_in,
+    silent,
+    swapped,
+    swapped_belief,
+    two_station_problem,
+    west_power,
+    with_station,
+)
+
+POWERS = (west_power, east_power)
+
+
+def planned(problem: Problem, belief) -> Plan:
+    """A plan from the start."""
+    planner = ReachPlanner(problem, build_scene(problem))
+    return planner.plan(belief, np.asarray(problem.robots[0].start_m))
+
+
+@pytest.mark.parametrize("planner", ["lattice", "nlp", "scp"])
+def test_neither_station_alone_leads_to_the_goal_and_both_do(planner: str) -> None:
+    """It takes 15 steps at full speed, some more on a lattice."""
+    problem = two_station_problem(horizon=20, planner=planner)
+    belief = belief_in(problem, POWERS)
+    plan = planned(problem, belief)
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.certificate.relaxed_steps == ()
+    assert np.linalg.norm(plan.positions_m[-1] - problem.goal_m) <= 1.0
+    for station in (0, 1):
+        left = planned(alone(problem, station), alone_in(belief, station))
+        arrived = np.linalg.norm(left.positions_m[-1] - problem.goal_m) <= 1.0
+        assert not arrived or len(left.certificate.relaxed_steps) > 0
+
+
+@pytest.mark.parametrize("planner", ["lattice", "nlp", "scp"])
+def test_a_silent_station_changes_nothing(planner: str) -> None:
+    """Round a hole in the coverage of the first."""
+    one = small_problem(WALL, horizon=8, planner=planner)
+    power = bad_disc(14.0, 15.0, 4.0)
+    plan = planned(one, belief_of(one, power))
+    both = with_station(one)
+    other = planned(both, belief_in(both, (power, silent)))
+    assert other.verdict is plan.verdict is Verdict.VERIFIED
+    assert other.positions_m == pytest.approx(plan.positions_m, abs=2e-3)
+    assert other.objective == pytest.approx(plan.objective, rel=1e-5)
+    assert other.connectivity == pytest.approx(plan.connectivity, abs=1e-3)
+
+
+@pytest.mark.parametrize("planner", ["lattice", "nlp", "scp"])
+def test_the_order_of_stations_does_not_matter(planner: str) -> None:
+    """To rounding, or to the solver's tolerance."""
+    problem = two_station_problem(horizon=10, planner=planner)
+    belief = belief_in(problem, POWERS)
+    plan = planned(problem, belief)
+    other = planned(swapped(problem), swapped_belief(belief))
+    assert other.verdict is plan.verdict
+    assert other.positions_m == pytest.approx(plan.positions_m, abs=2e-3)
+    assert other.connectivity == pytest.approx(plan.connectivity, abs=1e-3)
+
+
+@pytest.mark.parametrize("slack_max_db", [None, 3.0])
+def test_the_second_station_helps_where_both_are_weak(slack_max_db: float | None) -> None:
+    """Two stations that each connect with 0.7 connect with 0.91."""
+
+    def weak(places: np.ndarray) -> np.ndarray:
+        return np.full(len(places), -79.87)
+
+    one = small_problem(horizon=3)
+    rule = replace(one.constraints.rule, slack_max_db=slack_max_db)
+    one = replace(one, constraints=replace(one.constraints, rule=rule))
+    both = with_station(one)
+    chance = planned(one, belief_of(one, weak)).connectivity
+    plan = planned(both, belief_in(both, (weak, lambda places: weak(places) + 5.0)))
+    away = np.abs(plan.positions_m - planned(one, belief_of(one, weak)).positions_m).max()
+    if away < 1e-9:
+        assert plan.connectivity == pytest.approx(1.0 - (1.0 - chance) ** 2, abs=1e-9)
+    assert plan.connectivity[1:].min() > chance[1:].max()
+
+
+@pytest.fixture(scope="module")
+def driven() -> Iterator[Simulation]:
+    """A run from west to east."""
+    problem = two_station_problem(horizon=4)
+    yield simulate(problem, seed=1, prepared=prepared_in(problem, POWERS))
+
+
+def test_a_run_is_handed_over(driven: Simulation) -> None:
+    """From one station to the next, connected all the way."""
+    assert driven.run.outcome.value == "reached"
+    assert driven.run.verified_rate == 1.0
+    assert driven.run.log.connected.all()
+
+
+def test_a_run_with_a_silent_station_is_the_run_without() -> None:
+    """Places and true powers."""
+    one = small_problem(horizon=4, max_steps=6)
+    both = with_station(one)
+    power = bad_disc(14.0, 15.0, 4.0)
+    alone_run = simulate(one, seed=0, prepared=prepared_in(one, (power,)))
+    run = simulate(both, seed=0, prepared=prepared_in(both, (power, silent)))
+    assert run.run.log.positions_m == pytest.approx(alone_run.run.log.positions_m, abs=5e-3)
+    assert np.array_equal(run.run.log.true_dbm, alone_run.run.log.true_dbm)
+
+
+@pytest.fixture(scope="module")
+def courier(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A saved run of the library's problem, cut short."""
+    problem = load("two_station_courier")
+    problem = replace(problem, planner=replace(problem.planner, max_steps=6, horizon=4))
+    folder = tmp_path_factory.mktemp("courier")
+    save_simulation(simulate(problem, seed=2), folder)
+    return folder
+
+
+def test_a_saved_run_is_judged_again(courier: Path) -> None:
+    """It measured both stations at the same places, and nothing is objected to."""
+    arrays = arrays_of(courier)
+    before = int(arrays["first_measurements"])
+    assert len(arrays["power_dbm"]) > before
+    assert np.array_equal(arrays["positions_m"], arrays["stations[1].positions_m"])
+    assert (arrays["power_dbm"] != arrays["stations[1].power_dbm"])[before:].any()
+    result = check(courier)
+    assert result.reasons == ()
+
+
+def arrays_of(folder: Path) -> dict[str, np.ndarray]:
+    """What a saved belief holds."""
+    with np.load(folder / BELIEF_FILE) as archive:
+        return {name: archive[name] for name in archive}
+
+
+def copied(folder: Path, to: Path, arrays: dict[str, np.ndarray]) -> Path:
+    """The saved run with other arrays."""
+    for name in (RUN_FILE, "steps.csv"):
+        (to / name).write_bytes((folder / name).read_bytes())
+    np.savez_compressed(to / BELIEF_FILE, **arrays)
+    return to
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "by"),
+    [
+        ("power_dbm", 3, 1.0),
+        ("power_dbm", -1, 1.0),
+        ("positions_m", -1, 0.5),
+        ("parameters", 1, 0.01),
+        ("values_db", 5, 0.1),
+        ("theta", 0, 0.1),
+        ("known_before_step", 2, -1),
+    ],
+)
+@pytest.mark.parametrize("station", [0, 1])
+def test_what_was_tampered_with_is_found(
+    courier: Path, tmp_path: Path, name: str, row: int, by: float, station: int
+) -> None:
+    """With its key, of either station."""
+    key = f"stations[1].{name}" if station else name
+    arrays = arrays_of(courier)
+    arrays[key] = arrays[key].copy()
+    arrays[key][row] += by
+    reasons = check(copied(courier, tmp_path, arrays)).reasons
+    assert any(key in reason for reason in reasons)
+
+
+def test_a_station_that_is_missing_is_an_error(courier: Path, tmp_path: Path) -> None:
+    """The file does not fit the problem."""
+    from planopt.errors import InputError
+
+    arrays = {n: a for n, a in arrays_of(courier).items() if not n.startswith("stations[1].")}
+    with pytest.raises(InputError, match=r"stations\[1\]"):
+        check(copied(courier, tmp_path, arrays))
+
+
+def test_a_station_too_many_is_found(courier: Path, tmp_path: Path) -> None:
+    """An array that nothing gives."""
+    arrays = arrays_of(courier)
+    more = {n.replace("[1]", "[2]"): a for n, a in arrays.items() if n.startswith("stations")}
+    reasons = check(copied(courier, tmp_path, arrays | more)).reasons
+    assert any("stations[2].power_dbm" in reason for reason in reasons)
+
+
+def test_a_seed_draws_each_station_its_own_channel() -> None:
+    """The first one's is what it is without the second."""
+    problem = load("two_station_courier")
+    both, first = prepare(problem, 3), prepare(alone(problem, 0), 3)
+    assert np.array_equal(both.truths[0].raster.values, first.truths[0].raster.values)
+    known, other = (posterior.measurements for posterior in both.belief.posteriors)
+    assert np.array_equal(known.positions_m, other.positions_m)
+    assert np.array_equal(known.power_dbm, first.belief.posterior.measurements.power_dbm)
+    lone = prepare(alone(problem, 1), 3)
+    assert not np.array_equal(lone.truths[0].raster.values, both.truths[1].raster.values)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_library_courier_needs_both_stations(seed: int) -> None:
+    """Neither alone gives a verified way that keeps the bound."""
+    problem = load("two_station_courier")
+    plan = solve(problem, horizon=48, seed=seed).plan
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.certificate.relaxed_steps == ()
+    assert (
+        np.linalg.norm(plan.positions_m[-1] - problem.goal_m) <= problem.constraints.goal_radius_m
+    )
+    belief = prepare(problem, seed).belief
+    for station in (0, 1):
+        hard = replace(problem.constraints.rule, slack_max_db=0.0)
+        left = alone(problem, station)
+        left = replace(left, constraints=replace(left.constraints, rule=hard))
+        planner = ReachPlanner(left, build_scene(left))
+        found = planner.plan(alone_in(belief, station), np.asarray(left.robots[0].start_m))
+        arrived = np.linalg.norm(found.positions_m[-1] - left.goal_m) <= 1.0
+        assert not (arrived and found.verdict is Verdict.VERIFIED)
+
+
+RULES = {
+    "average": (0.9, {"connectivity": "average"}),
+    "joint": (0.8, {"connectivity": "joint"}),
+    "outage": (0.9, {"connectivity": "outage", "outage_max_m": 4.0}),
+    "data": (
+        0.0,
+        {"connectivity": "data", "data_mbit": 5.5, "deadline_s": 6.0, "rate_mbit_s": 1.0},
+    ),
+    "slack": (0.9, {"connectivity": "each_step", "slack_max_db": 2.0}),
+}
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_plans_keep_other_rules_where_one_station_gives_way_to_the_other(name: str) -> None:
+    """From the middle of the rectangle, where both are heard, to where only one is."""
+    p_min, rule = RULES[name]
+    base = two_station_problem(horizon=6, start_m=(18.0, 15.0))
+    constraints = replace(base.constraints, p_min=p_min, rule=ConnectivityRule(**rule))
+    problem = replace(base, constraints=constraints)
+    plan = planned(problem, belief_in(problem, POWERS))
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.positions_m[-1, 0] > 26.0

@@ -1,0 +1,115 @@
+"""Stages of several stations: value, gradient and Hessian against finite differences."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from planopt.channel.connectivity import bound_quantile, connection_probability
+from planopt.channel.measurements import Measurements
+from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import ChannelPosterior, condition
+from planopt.channel.prediction import Prediction
+from planopt.objectives.tracking_derivatives import connectivity_derivatives
+from planopt.planning.programme.stage_kernel import margins_of
+from planopt.planning.proof.serving import Serving
+from planopt.planning.worth.serving_stages import ServingStages, stage_predictor
+from planopt.planning.worth.stage_prediction import StagePredictor
+
+PATH = np.array([[12.0, 9.0], [16.3, 11.2], [21.1, 13.0], [27.7, 12.1], [33.4, 8.2]])
+P_MIN = 0.8
+THRESHOLDS = (-62.0, -60.0)
+
+
+@cache
+def posterior(number: int) -> ChannelPosterior:
+    """A channel known from sixty noisy places."""
+    generator = np.random.default_rng(number)
+    places = generator.uniform((0.0, 0.0), (40.0, 20.0), (60, 2))
+    site = Station(((-5.0, 5.0), (45.0, 15.0))[number], 3.0)
+    parameters = ChannelParameters(-28.0, 2.3, 5.0, 12.0, 1.5, site)
+    distance = np.hypot(*(places - site.position_m).T)
+    power = -28.0 - 23.0 * np.log10(distance) + generator.normal(scale=5.0, size=60)
+    return condition(parameters, Measurements(places, power, np.zeros(60, dtype=bool)))
+
+
+@cache
+def serving() -> Serving:
+    """Both stations."""
+    return Serving((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
+
+
+def stages() -> ServingStages:
+    """About the path, from all measurements."""
+    return ServingStages(serving(), PATH, 60)
+
+
+def predicted(places: np.ndarray) -> Prediction:
+    """The law of what each station's own stages predict."""
+    each = [
+        StagePredictor(neighbour_model(posterior(number), PATH, 60))(places) for number in (0, 1)
+    ]
+    return serving().law([Prediction(mean.value, deviation.value) for mean, deviation in each])
+
+
+def test_along_its_own_path_it_is_the_law_of_the_stages() -> None:
+    """Mean, deviation and margin."""
+    mean, deviation = stages()(PATH)
+    law = predicted(PATH)
+    assert mean.value == pytest.approx(law.mean_db, abs=1e-9)
+    assert deviation.value == pytest.approx(law.deviation_db, abs=1e-9)
+
+
+def test_probabilities_are_exact_away_from_it() -> None:
+    """And so are the places that keep a bound."""
+    places = PATH + np.array([1.7, -2.3])
+    mean, deviation = stages()(places)
+    law = predicted(places)
+    found = connection_probability(mean.value, deviation.value, THRESHOLDS[0])
+    expected = connection_probability(law.mean_db, law.deviation_db, THRESHOLDS[0])
+    assert 0.05 < expected.min() < expected.max() < 1.0
+    assert found == pytest.approx(expected, abs=1e-12)
+    # Bounds are kept at the same places, whatever their level.
+    for level in (0.3, 0.8, 0.95):
+        kept = mean.value - bound_quantile(level) * deviation.value >= THRESHOLDS[0]
+        assert (kept == (expected >= level)).all()
+
+
+@pytest.mark.parametrize("what", ["margin", "chance"])
+def test_derivatives_are_finite_differences(what: str) -> None:
+    """Gradient and Hessian."""
+    predict, places, h = stages(), PATH + np.array([0.8, 0.5]), 1e-4
+
+    def value(at: np.ndarray):
+        power = predict(at)
+        if what == "margin":
+            return margins_of(*power, THRESHOLDS[0], 0.84)
+        return connectivity_derivatives(*power, THRESHOLDS[0])
+
+    here = value(places)
+    for axis in (0, 1):
+        step = h * np.eye(2)[axis]
+        there, back = value(places + step), value(places - step)
+        slope = (there.value - back.value) / (2.0 * h)
+        assert here.gradient[:, axis] == pytest.approx(slope, rel=1e-5, abs=1e-7)
+        bend = (there.gradient - back.gradient) / (2.0 * h)
+        assert here.hessian[:, axis : axis + 2] == pytest.approx(bend, rel=1e-4, abs=1e-6)
+
+
+def test_one_station_has_the_predictor_it_always_had() -> None:
+    """Nothing is added where there is one."""
+    assert isinstance(stage_predictor(posterior(0), None, PATH, 30), StagePredictor)
+    assert isinstance(stage_predictor(posterior(0), serving(), PATH, 30), ServingStages)
+
+
+def test_the_order_of_stations_changes_only_the_reference() -> None:
+    """Powers are for the first threshold."""
+    other = ServingStages(Serving((posterior(1), posterior(0)), THRESHOLDS[::-1], P_MIN), PATH, 60)
+    places = PATH + np.array([-1.1, 0.4])
+    one, two = stages()(places), other(places)
+    assert two[0].value - THRESHOLDS[1] == pytest.approx(one[0].value - THRESHOLDS[0], abs=1e-7)
+    assert two[0].gradient == pytest.approx(one[0].gradient, abs=1e-8)
+    assert two[0].hessian == pytest.approx(one[0].hessian, abs=1e-8)

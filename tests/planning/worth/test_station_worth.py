@@ -1,0 +1,135 @@
+"""What paths are worth with two stations: against draws, single stations and written-out sums."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from terms_scene import (
+    CONNECT,
+    LEARNING,
+    SENDING,
+    TRACKING,
+    situation_of,
+    terms_problem,
+)
+
+from planopt.channel.joint import joint_prediction
+from planopt.channel.semidefinite import semidefinite_factor
+from planopt.objectives.energy import expected_transmit_power_w
+from planopt.objectives.filter_gain import covariance_gain, sensing_of
+from planopt.planning.proof.circumstances import NOTHING_ELSE
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.situation import Situation
+
+DRAWS = 200_000
+
+
+def a_path(situation: Situation) -> np.ndarray:
+    """A path between the stations."""
+    steps = np.array([1.2, 0.3]) + 0.2 * np.random.default_rng(3).normal(size=(5, 2))
+    return situation.position_m + np.cumsum(steps, axis=0)
+
+
+def alone(situation: Situation, station: int) -> Situation:
+    """What is known, with one of the stations."""
+    problem = replace(situation.problem, stations=(situation.problem.stations[station],))
+    posterior = situation.stations[station]
+    return replace(situation, problem=problem, posterior=posterior, circumstances=NOTHING_ELSE)
+
+
+def raised(situation: Situation, by_db: float) -> Situation:
+    """The same with all thresholds higher."""
+    stations = tuple(
+        replace(radio, threshold_dbm=radio.threshold_dbm + by_db)
+        for radio in situation.problem.stations
+    )
+    broad = situation.circumstances.broad
+    higher = replace(broad, thresholds_dbm=tuple(r.threshold_dbm for r in stations))
+    return replace(
+        situation,
+        problem=replace(situation.problem, stations=stations),
+        circumstances=replace(situation.circumstances, broad=higher),
+    )
+
+
+def drawn_connected(situation: Situation, path: np.ndarray) -> np.ndarray:
+    """Whether each step is connected to any station, in drawn channels; (DRAWS, N)."""
+    generator = np.random.default_rng(11)
+    found = np.zeros((DRAWS, len(path)), dtype=bool)
+    for posterior, radio in zip(situation.stations, situation.problem.stations, strict=True):
+        law = joint_prediction(posterior, path)
+        normal = generator.standard_normal(found.shape)
+        power = law.mean_db + normal @ semidefinite_factor(law.covariance_db2).T
+        found |= power >= radio.threshold_dbm
+    return found
+
+
+@pytest.mark.parametrize("by_db", [0.0, 6.0])
+def test_distance_until_connected_is_that_of_drawn_channels(by_db: float) -> None:
+    """To whichever station comes first."""
+    situation, _ = situation_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
+    situation = raised(situation, by_db)
+    path = a_path(situation)
+    legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path]), axis=0), axis=1)
+    lost = np.cumprod(~drawn_connected(situation, path), axis=1)
+    before = np.hstack([np.ones((DRAWS, 1)), lost])
+    driven = before @ np.append(legs, 20.0)
+    error = 4.0 * driven.std() / np.sqrt(DRAWS)
+    assert -PathWorth(situation)(path) == pytest.approx(driven.mean(), abs=error + 0.02)
+    each = [-PathWorth(alone(situation, station))(path) for station in (0, 1)]
+    assert -PathWorth(situation)(path) < min(each)
+
+
+def test_search_looks_at_nearly_the_same_distance() -> None:
+    """Filtered, as for one station some hundredths off."""
+    situation, _ = situation_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
+    situation = raised(situation, 5.0)
+    path = a_path(situation)
+    (found,) = LocalRanking(situation, path[None])(path[None])
+    assert found == pytest.approx(PathWorth(situation)(path), rel=0.03)
+
+
+def test_sampled_losses_are_those_of_drawn_channels() -> None:
+    """A packet is lost where no station receives it."""
+    situation, _ = situation_of(terms_problem({**TRACKING, "form": "sampled"}, stations=2))
+    situation = raised(situation, 5.0)
+    path, term = a_path(situation), situation.problem.terms[0]
+    settings = situation.filtered(term)
+    outcomes, counts = np.unique(drawn_connected(situation, path), axis=0, return_counts=True)
+    gain = covariance_gain(outcomes.astype(float), sensing_of(path, settings), settings)
+    mean = gain @ counts / DRAWS
+    spread = np.sqrt((gain - mean) ** 2 @ counts / DRAWS)
+    assert PathWorth(situation)(path) == pytest.approx(mean, abs=4.0 * spread / np.sqrt(512))
+
+
+def test_sending_goes_to_the_station_that_needs_least() -> None:
+    """At each place by itself."""
+    situation, _ = situation_of(terms_problem(SENDING, stations=2))
+    path, term = a_path(situation), situation.problem.terms[0]
+    each = []
+    for station, posterior in enumerate(situation.stations):
+        power, radio = posterior.predict(path), situation.radio(term, station)
+        watts = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
+        each.append(radio.send_s * watts)
+    assert -PathWorth(situation)(path) == pytest.approx(np.min(each, axis=0).sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        LEARNING,
+        {**LEARNING, "criterion": "T"},
+        {**LEARNING, "criterion": "V"},
+        {"kind": "mapping", "form": "information"},
+        {"kind": "mapping", "form": "average"},
+    ],
+)
+def test_what_measurements_tell_of_each_station_adds_up(term: dict[str, object]) -> None:
+    """Stations fade independently of each other."""
+    situation, _ = situation_of(terms_problem(term, stations=2))
+    path = a_path(situation)
+    each = [PathWorth(alone(situation, station))(path) for station in (0, 1)]
+    assert PathWorth(situation)(path) == pytest.approx(sum(each), rel=1e-9)

@@ -1,0 +1,195 @@
+"""Several stations in problem files: keys, what is refused, saving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planopt.errors import InputError
+from planopt.planning.given import draw
+from planopt.problems.casadi_term import casadi_term
+from planopt.problems.library import find_problem
+from planopt.problems.load import load, problem_from_tables
+from planopt.problems.problem import Problem
+from planopt.problems.read_toml import read_toml
+from planopt.problems.save import problem_from_dict, problem_to_dict
+
+Change = Callable[[dict[str, Any]], None]
+
+
+def changed(change: Change, folder: Path = Path()) -> Problem:
+    """The library's problem of two stations, changed."""
+    tables = read_toml(find_problem("two_station_courier"))
+    change(tables)
+    return problem_from_tables(tables, folder=folder, file=None)
+
+
+def logged(tables: dict[str, Any]) -> None:
+    """One log of both stations' powers."""
+    tables["channel"]["measurements"] = {"file": "log.csv", "censored_column": "weak"}
+    tables["stations"][1]["power_column"] = "east_dbm"
+
+
+def raster(tables: dict[str, Any]) -> None:
+    """One map of both stations' gains."""
+    tables["channel"]["truth"] = {
+        "kind": "raster",
+        "file": "gains.npz",
+        "variable": "west_db",
+        "floor_db": -140.0,
+    }
+    tables["stations"][1]["gain_variable"] = "east_db"
+
+
+def both(*changes: Change) -> Change:
+    """One change after the other."""
+
+    def change(tables: dict[str, Any]) -> None:
+        for each in changes:
+            each(tables)
+
+    return change
+
+
+def set_in(*keys: Any) -> Change:
+    """Put the last of `keys` at the others."""
+    *where, last, value = keys
+
+    def change(tables: dict[str, Any]) -> None:
+        found: Any = tables
+        for key in where:
+            found = found[key]
+        found[last] = value
+
+    return change
+
+
+def test_stations_have_thresholds_and_places_of_their_own() -> None:
+    """In the order of the file."""
+    problem = load("two_station_courier")
+    assert [radio.name for radio in problem.stations] == ["west", "east"]
+    assert problem.stations[0].threshold_dbm != problem.stations[1].threshold_dbm
+
+
+@pytest.mark.parametrize("change", [lambda tables: None, logged, raster, both(logged, raster)])
+def test_saving_keeps_every_key(change: Change, tmp_path: Path) -> None:
+    """A problem is the same after a round trip, files by their absolute names."""
+    problem = changed(change, tmp_path)
+    again = problem_from_dict(problem_to_dict(problem))
+    assert again.stations == problem.stations
+    assert problem_to_dict(again) == problem_to_dict(problem)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (set_in("stations", 1, "name", "west"), r"stations\[1\]\.name"),
+        (set_in("stations", 1, "gain_file", "a.npz"), r"stations\[1\]\.gain_file"),
+        (set_in("stations", 0, "gain_variable", "a"), r"stations\[0\]\.gain_variable"),
+        (set_in("stations", 0, "log_file", "a.csv"), r"stations\[0\]\.log_file"),
+        (set_in("stations", 1, "power_column", "a"), r"stations\[1\]\.power_column"),
+        (set_in("stations", 1, "censored_column", "a"), r"stations\[1\]\.censored_column"),
+        (both(raster, set_in("stations", 1, "gain_variable", "west_db")), r"stations\[1\]\.gain"),
+        (both(logged, set_in("stations", 1, "power_column", "power_dbm")), r"stations\[1\]\.log"),
+        (set_in("stations", 1, "threshold_dbm", -1e9), r"stations"),
+        (
+            both(
+                set_in("constraints", "connectivity", "joint"),
+                set_in("constraints", "p_min", 0.9999),
+            ),
+            r"constraints\.p_min",
+        ),
+        (set_in("constraints", "parameter_uncertainty", "all"), r"parameter_uncertainty"),
+    ],
+)
+def test_what_does_not_go_is_refused_with_its_key(change: Change, key: str) -> None:
+    """When the problem is loaded, with what to do."""
+    with pytest.raises(InputError, match=key) as caught:
+        changed(change)
+    assert caught.value.remedy or caught.value.message
+
+
+@pytest.mark.parametrize(
+    ("task", "term"),
+    [
+        (
+            "map",
+            {
+                "kind": "mapping",
+                "form": "two_layer",
+                "variance_threshold_db2": 1.0,
+                "closeness_per_m": 0.1,
+            },
+        ),
+        ("custom", {"kind": "casadi", "steps": 3, "program": "mean"}),
+    ],
+)
+def test_terms_of_one_power_are_refused(task: str, term: dict[str, Any]) -> None:
+    """With the number of the term."""
+    if term["kind"] == "casadi":
+        own = casadi_term(lambda path: path.mean_db[0], 3)
+        term = {"kind": "casadi", "steps": own.steps, "program": own.program}
+
+    def change(tables: dict[str, Any]) -> None:
+        tables["problem"]["task"] = task
+        tables["objective"] = {"terms": [term]}
+        del tables["robots"][0]["goal_m"]
+
+    with pytest.raises(InputError, match=r"objective\.terms\[0\]") as caught:
+        changed(change)
+    assert caught.value.remedy is not None
+    assert caught.value.remedy.endswith("leave one entry of stations")
+
+
+def test_logs_are_read_by_station(tmp_path: Path) -> None:
+    """A common log by column, without the flags of the other; or a log of its own."""
+    lines = ["x_m,y_m,power_dbm,east_dbm,weak"]
+    for k in range(12):
+        lines.append(f"{10 * k},{5 + k % 3},{-50 - k},{-70 + k},{int(k == 4)}")
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    given = draw(changed(logged, tmp_path), 0)
+    west, east = (own.measurements for own in given.stations)
+    assert west.power_dbm == pytest.approx(-50.0 - np.arange(12))
+    assert east.power_dbm == pytest.approx(-70.0 + np.arange(12))
+    assert west.censored.sum() == 1
+    assert not east.censored.any()
+    (tmp_path / "east.csv").write_text(
+        "\n".join(["x_m,y_m,power_dbm,weak", *(f"{9 * k},{k % 4},{-60 - k},0" for k in range(10))])
+    )
+    own = changed(both(logged, set_in("stations", 1, {"log_file": "east.csv"} | EAST)), tmp_path)
+    other = draw(own, 0).further[0].measurements
+    assert other.power_dbm == pytest.approx(-60.0 - np.arange(10))
+
+
+EAST = {
+    "name": "east",
+    "position_m": [160.0, 70.0],
+    "transmit_power_dbm": 23.0,
+    "threshold_dbm": -59.0,
+}
+
+
+def test_maps_are_read_by_station(tmp_path: Path) -> None:
+    """Each with its own transmit power added."""
+    x, y = np.arange(0.5, 180.0), np.arange(0.5, 80.0)
+    shape = (len(y), len(x))
+    np.savez(
+        tmp_path / "gains.npz", x=x, y=y, west_db=np.full(shape, -90.0), east_db=np.full(shape, -80)
+    )
+    given = draw(changed(raster, tmp_path), 0)
+    assert [truth.raster.values[0, 0] for truth in given.truths] == [-70.0, -57.0]
+    with pytest.raises(InputError, match=r"stations\[1\]\.gain_file"):
+        _load_with(tmp_path, both(raster, set_in("stations", 1, "gain_file", "none.npz")))
+
+
+def _load_with(folder: Path, change: Change) -> Problem:
+    """As :func:`changed`, with the files looked for."""
+    from planopt.problems.check_files import check_files
+
+    problem = changed(change, folder)
+    check_files(problem)
+    return problem

@@ -26,6 +26,10 @@ from tracking_scene import TrackingDrive, single_step
 from planopt.planning.plan import Verdict
 
 STEPS = 30
+DRIVES = 3
+"""Equal ones: of each step the least time counts, because a shared machine's clock changes within
+seconds."""
+
 SEED = 0
 COUNTS = (100, 1000, 5000, 50_000)
 HORIZONS = (10, 20, 40)
@@ -35,10 +39,18 @@ HORIZONS = (10, 20, 40)
 @pytest.mark.parametrize("horizon", HORIZONS)
 def test_tracking_step(benchmark: BenchmarkFixture, table: Table, horizon: int, count: int) -> None:
     """Thirty steps; every one of them is verified."""
-    drive = TrackingDrive(horizon, count, SEED)
-    benchmark.pedantic(drive.step, rounds=STEPS)
-    table.add(f"tracking, N = {horizon}", count, drive.wall_s)
-    table.add(f"tracking, N = {horizon}, CPU", count, drive.cpu_s)
+    drives: list[TrackingDrive] = []
+
+    def drive_on() -> None:
+        drive = TrackingDrive(horizon, count, SEED)
+        for _ in range(STEPS):
+            drive.step()
+        drives.append(drive)
+
+    benchmark.pedantic(drive_on, rounds=DRIVES)
+    for name, times in (("", [d.wall_s for d in drives]), (", CPU", [d.cpu_s for d in drives])):
+        table.add(f"tracking, N = {horizon}{name}", count, np.min(times, axis=0).tolist())
+    drive = drives[0]
     gain = [plan.objective / plan.lattice_objective - 1.0 for plan in drive.plans]
     table.note(
         f"N = {horizon}, {count} measurements: the polish gains {100.0 * np.median(gain):.2f} % "

@@ -2,7 +2,8 @@
 
 One to three robots among 0 to 40 obstacles of all shapes (thin, not convex, with courtyards,
 across the border, overlapping), a channel between weak and Munich-like, thresholds from always met
-to never, few measurements or many, every planner, horizons 1 to 20.
+to never, few measurements or many, every planner, horizons 1 to 20. From the seed `WIDE_FROM` on
+also rules of connectivity, dynamics, what moves and distances between robots.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import shapely
+from closed_loop_wide import with_more
 
 from planopt.errors import InputError
 from planopt.problems.load import problem_from_tables
@@ -31,6 +33,10 @@ THRESHOLD_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 1.0, 1.0, 2.0, 2.0, 5.0, 5.0)
 """The threshold is the path loss at so much of the workspace's diagonal."""
 MAX_STEPS = 12
 """Of a closed loop, so that many scenes are seen."""
+WIDE_FROM = 100_000
+"""Seeds from here on have what :mod:`closed_loop_wide` draws."""
+WIDE_DRAWS = 20
+"""Draws of it before a scene is given up: a disc where a robot starts, say, does not fit."""
 PLACE_DRAWS = 400
 """Places drawn for a robot before the scene is given up."""
 
@@ -44,11 +50,26 @@ def random_problem(seed: int, max_steps: int = MAX_STEPS) -> Problem:
             continue
         tables["planner"]["max_steps"] = max_steps
         try:
-            return problem_from_tables(tables, folder=Path(), file=None)
+            problem = problem_from_tables(tables, folder=Path(), file=None)
+            if seed < WIDE_FROM:
+                return problem
+            wide = _wide_problem(tables, np.random.default_rng([seed, 1]))
+            if wide is not None:
+                return wide
         except InputError as error:
             # A footprint may cross itself; anything else would be a fault of the generator.
             if error.key is None or not error.key.startswith("world.obstacles"):
                 raise
+
+
+def _wide_problem(tables: Tables, generator: np.random.Generator) -> Problem | None:
+    """The first draw of more that fits; None where none does."""
+    for _ in range(WIDE_DRAWS):
+        try:
+            return problem_from_tables(with_more(tables, generator), folder=Path(), file=None)
+        except InputError:
+            continue
+    return None
 
 
 def _tables(generator: np.random.Generator, name: str) -> Tables | None:

@@ -38,9 +38,16 @@ def path_cost_s(
     goal_radius_m: float,
     step_s: float,
     effort_weight_s2_m2: float,
+    resting_m: NDArray[np.float64] | None = None,
 ) -> float:
-    """Cost of a path (n + 1, 2) up to its end or its arrival, cost to go not included."""
+    """Cost of a path (n + 1, 2) up to its end or its arrival, cost to go not included.
+
+    A robot that cannot stop at will has arrived where it can stop at the goal as well: `resting_m`
+    (n + 1, 2) is where it would come to stand if it braked from each place.
+    """
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     short_of_goal = np.linalg.norm(positions_m[:-1] - goal_m, axis=1) > goal_radius_m
+    if resting_m is not None:
+        short_of_goal |= np.linalg.norm(resting_m[:-1] - goal_m, axis=1) > goal_radius_m
     costs = np.where(short_of_goal, step_cost_s(lengths, step_s, effort_weight_s2_m2), 0.0)
     return float(costs.sum())

@@ -24,7 +24,7 @@ from planopt.planning.proof.motion import judge_motion
 from planopt.planning.proof.swept_motion import swept_motion
 from planopt.planning.search.start_search import Start
 from planopt.planning.shifted import shifted_drive
-from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
@@ -68,25 +68,33 @@ def driven_starts(
     for start in starts:
         inputs = dynamics.following(judge.state, start.path_m, step_s)
         drive = rolled_out(dynamics, judge.state, inputs, step_s)
-        found.append(_start(judge, situation, drive))
-    shifted = shifted_drive(problem, warm)
-    if shifted is not None and warm is not None and warm.verdict is Verdict.VERIFIED:
-        if len(shifted.inputs) == problem.planner.horizon:
-            found.append(_start(judge, situation, shifted))
+        found.append(driven_start(judge, situation, drive))
+    last = last_drive(problem, warm)
+    if last is not None:
+        found.append(driven_start(judge, situation, last))
     found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.worth))
     return found
 
 
-def _start(judge: Judge, situation: Situation, drive: Drive) -> Start:
-    path = drive.positions_m[1:]
+def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
+    """A verified last plan, one step later and then stopping; None if there is none."""
+    shifted = shifted_drive(problem, warm)
+    if shifted is None or warm is None or warm.verdict is not Verdict.VERIFIED:
+        return None
+    return shifted if len(shifted.inputs) == problem.planner.horizon else None
+
+
+def driven_start(judge: Judge, situation: Situation, drive: Drive) -> Start:
+    """A drive as a start."""
+    candidate = drive_candidate(judge, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
+    path = candidate.path_m
     moved = judge_motion(judge.problem, judge.index, judge.state, drive.positions_m, drive)
     apart = judge_apart(
         judge.circumstances.moving, swept_motion(judge.problem, drive.positions_m, drive)
     )
     clear = not (moved.reasons or apart.reasons)
-    margins = judge.margins_db(situation.power(path))
-    missing = float(-margins[margins < -MARGIN_TOLERANCE_DB].sum())
-    return Start(path, judge.objective(path), missing, drive, clear)
+    missing = rule_missing(situation, path)
+    return Start(path, judge.worth(candidate), missing, drive, clear)
 
 
 def motion_task(
@@ -136,12 +144,12 @@ def without_start(judge: Judge, warm: Plan | None) -> Candidate:
     shifted = shifted_drive(problem, warm)
     rest: Candidate | None = None
     if shifted is not None and warm is not None and len(shifted.inputs) == horizon:
-        rest = judge.judged(_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
+        rest = judge.judged(drive_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
         if rest.verdict is Verdict.VERIFIED and warm.verdict is Verdict.VERIFIED:
             return rest
     inputs = dynamics.braking(judge.state, step_s, horizon)
     braked = rolled_out(dynamics, judge.state, inputs, step_s)
-    stop = judge.judged(_candidate(judge, braked, Rung.STOP, Termination.NO_PATH))
+    stop = judge.judged(drive_candidate(judge, braked, Rung.STOP, Termination.NO_PATH))
     if stop.sound or rest is None:
         return stop
     if len(judge.circumstances.moving):
@@ -149,5 +157,6 @@ def without_start(judge: Judge, warm: Plan | None) -> Candidate:
     return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH) if rest.sound else stop
 
 
-def _candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
+def drive_candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
+    """A drive as a candidate, not yet verified."""
     return judge.candidate(drive.positions_m[1:], rung, termination, drive)

@@ -1,38 +1,21 @@
-"""One receding-horizon step for a sum of terms: global starts, polish, guard, proof, ladder."""
+"""One receding-horizon step for a sum of terms: global starts, and the ladder over them."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from time import perf_counter
 
-from planopt.planning.budget import Budget, budget_from
-from planopt.planning.candidate import Candidate, with_effort
-from planopt.planning.driven import (
-    driven_starts,
-    without_start,
-)
+from planopt.planning.budget import budget_from
+from planopt.planning.driven import driven_starts
 from planopt.planning.ground import Ground
 from planopt.planning.judge import Judge
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.programme.methods import METHODS
-from planopt.planning.search.good_place import ways_to_good_place
-from planopt.planning.search.local_ranking import can_climb
-from planopt.planning.search.next_start import is_worth_following
-from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
+from planopt.planning.ladder import Ladder
+from planopt.planning.plan import Plan
+from planopt.planning.search.start_search import StartSearch
 from planopt.planning.shifted import shifted_path
-from planopt.planning.start_polish import StartPolish
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
-
-DRIVEN_ROUNDS = 12
-"""At most so often the best drive is polished again, about its own sides of obstacles: lines about
-a start that follows a way hold it back at corners."""
-
-SETTLED_SHARE = 3e-3
-"""It is not polished again where that gained less."""
 
 
 class HorizonPlanner:
@@ -50,20 +33,15 @@ class HorizonPlanner:
 
     Attributes
     ----------
-    polish
-        What starts are polished by; None for a planner that does not polish.
+    ladder
+        What makes plans of starts.
     """
 
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
-        self._thorough = thorough
         self.problem = problem
         self.ground = ground
         self._search = StartSearch(problem, ground, thorough)
-        coupled = structure_of(problem) == "full" and problem.planner.horizon > 1
-        self._followed = COUPLED_STARTS if coupled else 1
-        self._driven = problem.robots[0].dynamics is not None
-        polishes = problem.planner.name in METHODS
-        self.polish = StartPolish(problem, ground) if polishes else None
+        self.ladder = Ladder(problem, ground, thorough)
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is.
@@ -80,10 +58,10 @@ class HorizonPlanner:
         begun = perf_counter()
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
         starts = self._search.find_starts(situation, shifted)
-        if self._driven:
+        if self.problem.robots[0].dynamics is not None:
             starts = driven_starts(judge, situation, starts, warm)
         budget = budget_from(self.problem, begun)
-        chosen = self._climb(situation, judge, starts, warm, budget)
+        chosen = self.ladder.climb(situation, judge, starts, warm, budget)
         if chosen.kkt_residual is None:
             # The search predicted its places with others; whoever judges the plan will not.
             alone = PathWorth(replace(situation))(chosen.path_m)
@@ -91,121 +69,3 @@ class HorizonPlanner:
             found = alone if same else chosen.lattice_objective
             chosen = replace(chosen, objective=alone, lattice_objective=found)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
-
-    def _climb(
-        self,
-        situation: Situation,
-        judge: Judge,
-        starts: list[Start],
-        warm: Plan | None,
-        budget: Budget,
-    ) -> Candidate:
-        """Go down the failure ladder until a candidate is verified; else the least bad one."""
-        tried: list[Candidate] = []
-        verified: list[Candidate] = []
-        for number, start in enumerate(starts):
-            unpolished = replace(
-                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
-                lattice_objective=starts[0].worth,
-            )
-            if self.polish is None:
-                unpolished = replace(unpolished, rung=Rung.PLAN)
-            else:
-                rung = Rung.PLAN if number < self._followed or self._driven else Rung.COLD_RETRY
-                for candidate in self.polish.candidates(situation, judge, start, rung, budget):
-                    if candidate.verdict is Verdict.VERIFIED:
-                        verified.append(candidate)
-                    tried.append(candidate)
-                if budget.spent and not verified:
-                    unpolished = replace(unpolished, termination=Termination.TIME_LIMIT)
-            if any(c.sound and c.hopeless for c in tried):
-                break
-            if not any(c.objective >= unpolished.objective for c in verified):
-                unpolished = judge.judged(unpolished)
-                tried.append(unpolished)
-                if unpolished.verdict is Verdict.VERIFIED:
-                    verified.append(unpolished)
-            if verified and self._is_settled(starts, number + 1, verified):
-                break
-        if not verified and not self._driven:
-            found = self._by_way_to_good_place(situation, judge, tried, budget)
-            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
-            tried += found
-        for _ in range(DRIVEN_ROUNDS if self._driven else int(self._thorough)):
-            if not verified:
-                break
-            best = max(candidate.objective for candidate in verified)
-            found = self._once_more(situation, judge, starts, verified, budget)
-            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
-            tried += found
-            if max(candidate.objective for candidate in verified) <= best + SETTLED_SHARE * abs(
-                best
-            ):
-                break
-        if verified:
-            return with_effort(max(verified, key=lambda c: c.objective), tried)
-        # Nothing is verified. Connectivity may be given up, clearance and speed never.
-        sound = [candidate for candidate in tried if candidate.sound]
-        if self._driven:
-            sound.sort(key=lambda candidate: candidate.missing_db)
-        if any(candidate.hopeless for candidate in sound):
-            return with_effort(sound[0], tried)
-        fallback = self._without_start(judge, warm)
-        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
-        return with_effort(chosen, tried)
-
-    def _is_settled(self, starts: list[Start], number: int, verified: list[Candidate]) -> bool:
-        """Whether start `number` need not be followed, there being verified candidates."""
-        if self._thorough or self._driven:
-            return False
-        if number >= min(self._followed, len(starts)):
-            return True
-        # Only of ways that have climbed does the worth tell where they lead.
-        polished = [candidate.path_m for candidate in verified]
-        longest = self.problem.step_length_m
-        return can_climb(self.problem) and not is_worth_following(
-            starts[number], starts[0], polished, longest
-        )
-
-    def _by_way_to_good_place(
-        self, situation: Situation, judge: Judge, tried: list[Candidate], budget: Budget
-    ) -> list[Candidate]:
-        """Go straight to a place that the verifier says was missed."""
-        found: list[Candidate] = []
-        for path in ways_to_good_place(judge, tried):
-            way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
-            if self.polish is not None:
-                start = Start(path, way.objective, rule_missing(situation, path))
-                polished = self.polish.candidates(situation, judge, start, Rung.COLD_RETRY, budget)
-                found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in polished]
-            found.append(judge.judged(way))
-            if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
-                break
-        return found
-
-    def _once_more(
-        self,
-        situation: Situation,
-        judge: Judge,
-        starts: list[Start],
-        verified: list[Candidate],
-        budget: Budget,
-    ) -> list[Candidate]:
-        """Polish the best again, from the measurements and sides of obstacles nearest to it."""
-        if self.polish is None:
-            return []
-        best = max(verified, key=lambda candidate: candidate.objective)
-        again = Start(best.path_m, starts[0].worth, 0.0, best.drive)
-        rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
-        return self.polish.candidates(situation, judge, again, rung, budget)
-
-    def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
-        """Take the last verified plan, shifted and checked again; else stop."""
-        if self._driven:
-            return without_start(judge, warm)
-        path = shifted_path(self.problem, judge.index, judge.position_m, warm)
-        if path is not None:
-            shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
-            if shifted.verdict is Verdict.VERIFIED:
-                return shifted
-        return judge.standing(self.problem.planner.horizon)

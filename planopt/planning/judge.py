@@ -40,6 +40,8 @@ class Judge:
         ``(N, 2)`` the rest of the last plan, which the other robots keep clear of; None without.
     rest
         What the robot's state has beyond its place; nothing of a single integrator.
+    objective_of_drive
+        What a drive is worth, where that is not only by its places; None where it is.
     """
 
     problem: Problem
@@ -50,6 +52,7 @@ class Judge:
     circumstances: Circumstances = NOTHING_ELSE
     reserved_m: NDArray[np.float64] | None = None
     rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    objective_of_drive: Callable[[Drive], float] | None = None
 
     @property
     def state(self) -> NDArray[np.float64]:
@@ -69,9 +72,20 @@ class Judge:
     ) -> Candidate:
         """Make a candidate of a path, not yet verified; `drive` says how it is driven."""
         # A solver may give back places that are no numbers.
-        nothing = np.inf if self.problem.sense == "min" else -np.inf
-        worth = self.objective(path_m) if np.isfinite(path_m).all() else nothing
-        return Candidate(path_m, worth, worth, rung, termination, drive=drive)
+        found = self.sense * -np.inf
+        if np.isfinite(path_m).all():
+            by_drive = None if drive is None else self.objective_of_drive
+            found = self.objective(path_m) if by_drive is None or drive is None else by_drive(drive)
+        return Candidate(path_m, found, found, rung, termination, drive=drive)
+
+    @property
+    def sense(self) -> float:
+        """1 where more of the objective is better, -1 where less is: times this it is a worth."""
+        return 1.0 if self.problem.sense == "max" else -1.0
+
+    def worth(self, candidate: Candidate) -> float:
+        """More is better, whatever the sense of the problem."""
+        return self.sense * candidate.objective
 
     def judged(self, candidate: Candidate) -> Candidate:
         """Ask the verifier."""

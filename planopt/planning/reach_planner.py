@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, with_effort
+from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
@@ -58,12 +59,13 @@ class ReachPlanner:
         self._margins = NodeMargins(scene.road_map, radio.threshold_dbm, problem.constraints.p_min)
         self._search = GlobalSearch(problem, scene, self._margins)
         self._eased = eased(problem)
+        self._region = workspace_region(problem)
         self._rule_search = None
         if not problem.constraints.rule.is_plain:
             self._rule_search = RuleSearch(self._eased, scene)
-            self._region = workspace_region(problem)
         self._nlp: ReachNlp | None = None
-        if problem.planner.name in METHODS:
+        self._driven = DrivenReach(problem, scene) if problem.robots[0].dynamics else None
+        if problem.planner.name in METHODS and self._driven is None:
             lines = LINES_PER_SEGMENT + min(len(problem.workspace.moving), MOVING_LINES)
             self._nlp = build_reach_nlp(
                 problem.planner.horizon,
@@ -75,66 +77,71 @@ class ReachPlanner:
     def plan(
         self,
         belief: Belief,
-        position_m: NDArray[np.float64],
+        state: NDArray[np.float64],
         warm: Plan | None = None,
         history: History = BEGINNING,
     ) -> Plan:
-        """Plan from `position_m` on what is believed now.
+        """Plan from `state` on what is believed now.
 
         Parameters
         ----------
         belief
             Of the stations' channels.
-        position_m
-            ``(2,)`` where the robot is.
+        state
+            ``(s,)`` of the robot, its place first; of a single integrator its place.
         warm
             The plan that led here, one step old; only used if it was verified.
         history
             What has happened on the run before.
         """
         begun = perf_counter()
-        problem, scene = self.problem, self.scene
+        problem, scene, position_m = self.problem, self.scene, state[:2]
         circumstances = circumstances_of(problem, belief.posteriors, history)
         self._margins.refresh(belief.posterior, circumstances.broad)
         moving = circumstances.moving
         rows_of = None
+        situation = Situation(
+            self._eased,
+            belief.posterior,
+            position_m,
+            None,
+            self._region,
+            circumstances=circumstances,
+        )
         if self._rule_search is None:
             start = self._search.find_start(
                 position_m, belief.posterior.measurements.positions_m, moving
             )
         else:
-            situation = Situation(
-                self._eased,
-                belief.posterior,
-                position_m,
-                None,
-                self._region,
-                circumstances=circumstances,
-            )
             start = self._rule_search.find_start(situation, self._margins.margin_db)
             rows_of = partial(step_rows, situation)
         cost = ReachCost(problem, position_m)
         reserved = None
         if len(moving) and warm is not None:
             reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
-        judge = Judge(problem, scene.index, belief, position_m, cost, circumstances, reserved)
-        if start is None:
-            chosen = self._without_start(judge, warm)
+        judge = Judge(
+            problem, scene.index, belief, position_m, cost, circumstances, reserved, state[2:]
+        )
+        connected = problem.reach.cost_to_go == "connected"
+        margin_db = self._margins.margin_db if connected else None
+        budget = budget_from(problem, begun)
+        if self._driven is not None:
+            chosen, pivot = self._driven.chosen(situation, judge, start, margin_db, warm, budget)
+        elif start is None:
+            chosen, pivot = self._without_start(judge, warm), None
         else:
-            connected = problem.reach.cost_to_go == "connected"
             pivot = find_pivot(
                 scene,
                 start,
-                self._margins.margin_db if connected else None,
+                margin_db,
                 problem.step_length_m,
                 problem.constraints.clearance_m,
             )
             cost = replace(cost, pivot=pivot)
-            budget = budget_from(problem, begun)
             judge = replace(judge, objective=cost)
             chosen = self._climb(judge, cost, start, warm, budget, rows_of)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
-        return replace(plan, pivot=cost.pivot)
+        return replace(plan, pivot=pivot)
 
     def _climb(
         self,

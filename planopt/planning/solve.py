@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
@@ -44,5 +42,5 @@ def solve(
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     scene = build_scene(problem)
     belief = prepare(problem, seed).belief
-    plan: Plan = ReachPlanner(problem, scene).plan(belief, np.asarray(problem.robots[0].start_m))
+    plan: Plan = ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
     return Solution(problem, seed, belief, plan)

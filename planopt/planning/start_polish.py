@@ -74,6 +74,7 @@ class StartPolish:
                 has_step_rows(self._problem),
                 has_sum_row(self._problem),
                 motion_shape(self._problem, lines),
+                charged=self._problem.task == "reach",
             )
             self._built[lines] = build_path_nlp(
                 shape, METHODS[settings.name], settings.budget_s, until_settled=True
@@ -120,11 +121,11 @@ class StartPolish:
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
             evaluate=evaluate,
-            scale=VALUE_IN_SOLVER / max(abs(start.worth), 1e-9),
+            scale=VALUE_IN_SOLVER / max(abs(_counted(problem, start)), 1e-9),
         )
         if nlp.shape.motion is not None and start.drive is not None:
             motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive, lines.still)
-            task = replace(task, motion=motion)
+            task = replace(task, motion=motion, charge=start.charge)
         task = with_bounds(task, situation, rows)
         allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
         found: list[Candidate] = []
@@ -136,7 +137,7 @@ class StartPolish:
             path = point.path_m if drive is None else drive.positions_m[1:]
             candidate = replace(
                 judge.candidate(path, rung, point.termination, drive),
-                lattice_objective=start.worth,
+                lattice_objective=judge.sense * start.worth,
                 solve_s=perf_counter() - begun,
                 iterations=point.iterations,
                 kkt_residual=point.kkt_residual,
@@ -150,7 +151,7 @@ class StartPolish:
                 task = _driven_from(recentred(task, situation, rows, point), drive)
                 continue
             improvable = start.clear and start.missing_db == 0.0 and not allocations
-            if improvable and candidate.objective < start.worth:
+            if improvable and judge.worth(candidate) < start.worth:
                 # The start will be asked for in its place.
                 return [*found, candidate]
             candidate = judge.judged(candidate)
@@ -211,6 +212,11 @@ class StartPolish:
         )
         motion = motion_task(problem, self._ground, task.motion.shape, drive, lines.still)
         return replace(task, path_m=path_m, lines=lines.path, motion=motion)
+
+
+def _counted(problem: Problem, start: Start) -> float:
+    """What the value in the solver is about; of a goal, the time of all steps."""
+    return start.worth if start.charge is None else problem.planner.step_s * len(start.path_m)
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:

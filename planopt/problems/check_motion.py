@@ -1,4 +1,4 @@
-"""A robot that cannot turn or stop at will: its task and its start.
+"""A robot that cannot turn or stop at will: its start.
 
 If it is moving at the start it must be able to stop: then there is always a clear plan.
 """
@@ -18,19 +18,12 @@ def check_dynamics(problem: Problem) -> None:
     Raises
     ------
     InputError
-        Its task is for single integrators, or its start is no state of its dynamics.
+        Its start is no state of its dynamics.
     """
     for number, robot in enumerate(problem.robots):
         dynamics = robot.dynamics
         if dynamics is None:
             continue
-        if problem.task == "reach":
-            raise InputError(
-                f"is {dynamics.kind}, and task reach plans for single_integrator only",
-                file=problem.file,
-                key=f"robots[{number}].dynamics",
-                remedy="leave it out, or choose another task",
-            )
         rest = dynamics.state_names[2:]
         if len(robot.start_rest) != len(rest) or not np.isfinite(robot.start_rest).all():
             raise InputError(

@@ -53,10 +53,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
             f"planner.name {tables.planner.name} is not for task reach: use auto, nlp, scp or "
             "lattice"
         )
-    if tables.robots[0].dynamics != "single_integrator":
-        dynamics = tables.robots[0].dynamics
-        return f"task reach is for robots of dynamics single_integrator, not {dynamics}"
-    return None
+    return _dynamics_fault(tables)
 
 
 def _terms_fault(tables: ProblemFile) -> str | None:

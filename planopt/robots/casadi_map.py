@@ -133,6 +133,14 @@ class CasadiMap:
         """None."""
         return 0
 
+    def resting_place(self, state: Components) -> tuple[Any, Any]:
+        """Where it is: nothing is known of how it brakes, and a plan ends at rest."""
+        return state[0], state[1]
+
+    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
+        """Nothing is known of how it turns."""
+        return 0.0
+
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
         """The rest input."""
         return np.tile(np.array(self.rest_input), (steps, 1))

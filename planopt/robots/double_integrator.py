@@ -24,6 +24,9 @@ STOPPED_M_S = 1e-9
 BRAKING_SHARE = 0.8
 """Share of the acceleration that followed paths are slowed down with for turns and their end."""
 
+ROUNDED_SHARE = 1e-3
+"""Speeds below this share of the largest count as about so much where a resting place is meant."""
+
 SWING_SHARE = 0.25
 """How far a followed path may be swung out of at turns, as a share of the longest step."""
 
@@ -132,6 +135,17 @@ class DoubleIntegrator:
             return 0
         # Round-off must not make it a step more than the last plan had left.
         return max(1, math.ceil(speed_m_s / (self.acceleration_max_m_s2 * step_s) - 1e-6))
+
+    def resting_place(self, state: Components) -> tuple[Any, Any]:
+        """v^2 / (2 a_max) ahead; v is rounded, so that its derivative exists at rest."""
+        x, y, vx, vy = state
+        least = ROUNDED_SHARE * self.speed_max_m_s
+        ahead_s = 0.5 * (vx * vx + vy * vy + least**2) ** 0.5 / self.acceleration_max_m_s2
+        return x + ahead_s * vx, y + ahead_s * vy
+
+    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
+        """None: it accelerates to any side."""
+        return 0.0
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
         """Even deceleration over as few steps as it takes, straight ahead."""

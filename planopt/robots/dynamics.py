@@ -114,6 +114,14 @@ class Dynamics(Protocol):
         """The most that it takes from any state within the limits."""
         ...
 
+    def resting_place(self, state: Components) -> tuple[Any, Any]:
+        """About where it comes to stand if it brakes from a state; smooth in the state."""
+        ...
+
+    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
+        """About how long it turns before it drives to a place; smooth, and 0 at the place."""
+        ...
+
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
         """Inputs (steps, m) that stop as soon as they can and then rest."""
         ...

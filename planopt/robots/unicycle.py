@@ -23,6 +23,9 @@ from planopt.world.ways import Arc, StepWay
 PIECE_TURN_RAD = math.pi / 4.0
 """A step is cut into arcs that turn no more than this: its hull is then near to the arc."""
 
+ROUNDED_SHARE = 1e-3
+"""Rounding of the distance to a place that is turned to, as a share of the turning circle."""
+
 
 @dataclass(frozen=True)
 class Unicycle:
@@ -140,6 +143,21 @@ class Unicycle:
     def longest_stop_steps(self, step_s: float) -> int:
         """None."""
         return 0
+
+    def resting_place(self, state: Components) -> tuple[Any, Any]:
+        """Where it is."""
+        return state[0], state[1]
+
+    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
+        """For a bearing b of a place d metres away, about pi / (2 w_max) (1 - cos b) d / (d + r).
+
+        That is what a half turn takes, and less within the turning circle, r = v_max / w_max.
+        """
+        x, y = place[0] - state[0], place[1] - state[1]
+        circle_m = self.speed_max_m_s / self.turn_rate_max_rad_s
+        away = (x * x + y * y + (ROUNDED_SHARE * circle_m) ** 2) ** 0.5
+        ahead = x * cosine(state[2]) + y * sine(state[2])
+        return 0.5 * math.pi / self.turn_rate_max_rad_s * (away - ahead) / (away + circle_m)
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
         """Nothing moves."""

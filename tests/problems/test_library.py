@@ -19,7 +19,9 @@ from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [
     "crowded_track",
+    "harbour_reach",
     "harbour_track",
+    "harbour_traffic",
     "indoor_learn",
     "munich_courier",
     "munich_hard",

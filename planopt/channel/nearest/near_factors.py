@@ -102,14 +102,17 @@ class NearFactors:
     def __init__(self) -> None:
         # The one used last stands last.
         self._groups: list[NearGroup] = []
+        # Those that belong to the posterior served last.
+        self._known: list[NearGroup] = []
+        self._last: ChannelPosterior | None = None
         # Of groups that went: memory that was never written to costs as much as a factor.
         self._spare: list[FactorBuffer] = []
 
     def __len__(self) -> int:
         return len(self._groups)
 
-    def __getstate__(self) -> dict[str, list[NearGroup] | list[FactorBuffer]]:
-        return {"_groups": [], "_spare": []}
+    def __getstate__(self) -> dict[str, list[NearGroup] | list[FactorBuffer] | None]:
+        return {"_groups": [], "_known": [], "_last": None, "_spare": []}
 
     def serving(
         self, posterior: ChannelPosterior, places_m: NDArray[np.float64], count: int
@@ -126,7 +129,12 @@ class NearFactors:
             Fewer than there are measurements.
         """
         near, _ = posterior.index.nearest(places_m, count)
-        known = [group for group in self._groups if group.belongs_to(posterior)]
+        goes_on = self._last is not None and posterior.continues(self._last)
+        known = [
+            group
+            for group in self._groups
+            if (goes_on and group in self._known) or group.belongs_to(posterior)
+        ]
         chosen, lacking = _least_lacking(known, near, len(posterior.measurements))
         left = lacking.sum(axis=1) > LACKING_SHARE * count
         found: list[tuple[NearGroup, Rows]] = []
@@ -151,6 +159,8 @@ class NearFactors:
         served = [group for group, _ in found]
         self._groups = [group for group in self._groups if group not in served] + served
         self._forget(self._groups[: -len(served) - MOST_UNUSED])
+        self._known = [group for group in self._groups if group in served or group in known]
+        self._last = posterior
         return found
 
     def _forget(self, groups: list[NearGroup]) -> None:

@@ -106,7 +106,8 @@ def _fewest(
     """The `count` of least `squared_m2` (k, n); `indices` (k, n) are their numbers, if not 0..n."""
     chosen = np.argpartition(squared_m2, count - 1, axis=1)[:, :count]
     # Partitioning leaves the farthest of the chosen in the last column.
-    farthest = np.take_along_axis(squared_m2, chosen[:, -1:], axis=1)[:, 0]
+    each = np.arange(len(chosen))
+    farthest = squared_m2[each, chosen[:, -1]]
     if indices is not None:
-        chosen = np.take_along_axis(indices, chosen, axis=1)
+        chosen = indices[each[:, None], chosen]
     return chosen, farthest

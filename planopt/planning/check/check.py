@@ -93,11 +93,11 @@ def check(path: Path | str) -> CheckResult:
     remarks += more
     if isinstance(record, PlanRecord):
         certificates, reasons = check_plan(
-            problem, saved.data, record, saved.steps, saved.belief, given
+            problem, saved.data, record, saved.steps, saved.belief, given, saved.file.parent
         )
     else:
         certificates, reasons = check_run(
-            problem, saved.data, record, saved.steps, saved.belief, given
+            problem, saved.data, record, saved.steps, saved.belief, given, saved.file.parent
         )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))

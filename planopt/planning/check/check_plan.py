@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
@@ -17,6 +16,7 @@ from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
 from planopt.planning.explain.case import Case
 from planopt.planning.files.belief_file import SavedBelief, first_posteriors, last_posteriors
 from planopt.planning.files.explanation_json import explanation_again
+from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.saved import PLAN_FILE
 from planopt.planning.files.solution_json import PlanRecord, plan_json
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
@@ -36,6 +36,7 @@ def check_plan(
     steps: Steps,
     belief: SavedBelief,
     given: Given | None,
+    folder: Path,
 ) -> tuple[list[Certificate], list[str]]:
     """The plan's certificate, computed again, and every reason to reject.
 
@@ -47,6 +48,13 @@ def check_plan(
         The files beside it.
     given
         What problem and seed give, if it is to be had.
+    folder
+        Where they are, for messages.
+
+    Raises
+    ------
+    InputError
+        States or inputs of a robot that has some are missing.
     """
     path = steps.positions_m
     if len(path) != problem.planner.horizon + 1:
@@ -56,16 +64,21 @@ def check_plan(
         ]
     index = index_obstacles(problem.workspace)
     posteriors = last_posteriors(belief, first_posteriors(belief))
-    start = np.asarray(problem.robots[0].start_m)
+    robot = problem.robots[0]
+    table = folder / STEPS_FILE
+    drive = drive_of(robot.dynamics, path, steps.motion, table, f"robot {robot.name}")
     circumstances = circumstances_of(problem, posteriors)
     residual = record.certificate.kkt_residual
-    judgement = judge(problem, index, posteriors[0], start, path, residual, circumstances)
+    judgement = judge(
+        problem, index, posteriors[0], robot.start_state, path, residual, circumstances, drive
+    )
     plan = rebuilt_reach_plan(
         problem,
         path,
         judgement,
         record,
         Effort(record.wall_s, record.solve_s, record.iterations),
+        drive,
     )
     explanation = explanation_again(record.explanation)
     case = Case(problem, 0, posteriors, plan, circumstances.moving)
@@ -74,7 +87,7 @@ def check_plan(
         # What was asked is not judged: library_remarks says what there is to say.
         "problem_file": data["problem_file"],
     }
-    reasons = obstacles_met(problem, index, path)
+    reasons = obstacles_met(problem, index, path) if drive is None else []
     reasons += judgement.certificate.reasons
     reasons += in_words(PLAN_FILE, disagreements(data, found))
     reasons += [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from planopt.planning.files.belief_file import (
     last_posteriors,
     posteriors_at,
 )
+from planopt.planning.files.read_drive import drive_of
 from planopt.planning.files.run_json import (
     RunRecord,
     StepTimesRecord,
@@ -51,6 +53,7 @@ def check_run(
     steps: Steps,
     belief: SavedBelief,
     given: Given | None,
+    folder: Path,
 ) -> tuple[list[Certificate], list[str]]:
     """A certificate for each released plan, computed again, and every reason to reject.
 
@@ -62,11 +65,21 @@ def check_run(
         The files beside it.
     given
         What problem and seed give, if it is to be had.
+    folder
+        Where they are, for messages.
+
+    Raises
+    ------
+    InputError
+        States or inputs of a robot that has some are missing.
     """
     index = index_obstacles(problem.workspace)
     track = steps.positions_m
-    reasons = obstacles_met(problem, index, track)
-    if np.abs(track[0] - problem.robots[0].start_m).max() > EXACT:
+    robot, table = problem.robots[0], folder / STEPS_FILE
+    driven = drive_of(robot.dynamics, track, steps.motion, table, f"robot {robot.name}")
+    states = track if driven is None else driven.states
+    reasons = obstacles_met(problem, index, track) if driven is None else []
+    if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: the run does not start at robots[0].start_m")
     truths = () if given is None else given.truths
     true = true_serving_dbm(problem, truths, track) if truths else steps.numbers["true_db"]
@@ -78,12 +91,15 @@ def check_run(
         path = np.stack([released.x_m, released.y_m], axis=1)
         history = history_of(problem, track[:step], connected[: step - 1])
         circumstances = circumstances_of(problem, posteriors, history)
-        here, residual = track[step - 1], released.kkt_residual
-        judgement = judge(problem, index, posteriors[0], here, path, residual, circumstances)
-        plan = rebuilt_reach_plan(problem, path, judgement, released, Effort())
+        place = f"plans[{step - 1}].drive"
+        drive = drive_of(robot.dynamics, path, released.drive, folder / RUN_FILE, place)
+        here, residual = states[step - 1], released.kkt_residual
+        judgement = judge(problem, index, posteriors[0], here, path, residual, circumstances, drive)
+        plan = rebuilt_reach_plan(problem, path, judgement, released, Effort(), drive)
         where = f"{RUN_FILE}, key plans[{step - 1}]"
         reasons += plan_reasons(problem, index, where, step, plan, plans[-1] if plans else None)
-        if np.abs(path[:2] - track[step - 1 : step + 1]).max() > EXACT:
+        ahead = path if drive is None else drive.states
+        if np.abs(ahead[:2] - states[step - 1 : step + 1]).max() > EXACT:
             reasons.append(
                 f"step {step} of {STEPS_FILE} is not the first step of its plan, {RUN_FILE}, key "
                 f"plans[{step - 1}]"
@@ -92,7 +108,7 @@ def check_run(
     posteriors = last_posteriors(belief, posteriors)
     log = step_log(problem, track, true, plans)
     taken = taken_on_the_way(problem, belief, track, true)
-    outcome, reason, faults = _ended(problem, track, taken, plans)
+    outcome, reason, faults = _ended(problem, states, taken, plans)
     run = Run(
         robot=problem.robots[0].name,
         horizon=problem.planner.horizon,
@@ -104,6 +120,7 @@ def check_run(
         log=log,
         metrics=metrics_of(log, plans, outcome),
         rule=rule_metrics(problem, [log]),
+        drive=driven,
     )
     found = {
         **run_json(problem, run),
@@ -115,7 +132,7 @@ def check_run(
     reasons += faults
     reasons += in_words(RUN_FILE, disagreements(data, found))
     reasons += step_time_faults(record.step_s, len(plans))
-    reasons += steps_reasons(steps, steps_of_run(run.robot, log))
+    reasons += steps_reasons(steps, steps_of_run(run.robot, log, run.drive))
     reasons += belief_reasons(problem, belief, posteriors, given, taken, record.seed)
     return [plan.certificate for plan in plans], reasons
 
@@ -154,7 +171,7 @@ def plan_reasons(
 
 
 def _ended(
-    problem: Problem, track_m: NDArray[np.float64], taken: Taken, plans: Sequence[Plan]
+    problem: Problem, states: NDArray[np.float64], taken: Taken, plans: Sequence[Plan]
 ) -> tuple[Outcome, str, list[str]]:
     """How the run ended and why in words, and what is wrong with where it did."""
     learnt: list[bool] = []
@@ -162,14 +179,14 @@ def _ended(
         known = taken.known_before_step
         after = np.append(known[1:], known[0] + len(taken.places_m))
         learnt = (after > known).tolist()
-    places = list(track_m)
+    track = list(states)
     for step in range(len(plans)):
         led_here = plans[step - 1] if step else None
-        ended = ending(problem, places[: step + 1], learnt[:step], led_here)
+        ended = ending(problem, track[: step + 1], learnt[:step], led_here)
         if ended is not None:
             outcome, reason = ended
             return outcome, reason, [f"{STEPS_FILE}: the run goes on after step {step}, {reason}"]
-    ended = ending(problem, places, learnt, plans[-1] if plans else None)
+    ended = ending(problem, track, learnt, plans[-1] if plans else None)
     if ended is None:
         return (
             Outcome.STEP_LIMIT,

@@ -152,7 +152,9 @@ def _reach_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
                     f"{pivot.cost_m:.9g}, but the goal is {straight:.9g} m away from the pivot",
                 )
             )
-    if plan.termination in UNSOLVED or plan.rung not in POLISHED:
+    alone = plan.termination in UNSOLVED or plan.rung not in POLISHED
+    # A robot that cannot turn or stop at will follows several ways, and all are compared with one.
+    if alone if plan.drive is None else plan.rung in WITHOUT_SEARCH:
         faults += _unpolished_faults(plan)
     return faults
 

@@ -40,6 +40,7 @@ def rebuilt_reach_plan(
     judgement: Judgement,
     record: PlanRecord | ReleasedRecord,
     effort: Effort,
+    drive: Drive | None = None,
 ) -> Plan:
     """The plan to a goal, by a path (N + 1, 2) with the robot's own place first.
 
@@ -55,13 +56,15 @@ def rebuilt_reach_plan(
         Rung, termination, lattice objective and pivot are taken from it.
     effort
         Taken as it is.
+    drive
+        How the robot drives along the path; None for the single integrator.
     """
     pivot = None
     if record.pivot is not None:
         place = np.array([record.pivot.x_m, record.pivot.y_m])
         pivot = Pivot(place, record.pivot.cost_m)
-    cost_s = ReachCost(problem, path_m[0], pivot)(path_m[1:])
-    return rebuilt_plan(problem, path_m, judgement, record, effort, cost_s, pivot)
+    cost_s = ReachCost(problem, path_m[0], pivot)(path_m[1:], drive)
+    return rebuilt_plan(problem, path_m, judgement, record, effort, cost_s, pivot, drive)
 
 
 def rebuilt_plan(

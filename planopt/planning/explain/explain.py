@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
@@ -95,8 +93,7 @@ def _reached(problem: Problem, belief: Belief) -> Plan | None:
         scene = build_scene(problem)
     except NoPlanError:
         return None
-    start = np.asarray(problem.robots[0].start_m)
-    return ReachPlanner(problem, scene).plan(belief, start)
+    return ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
 
 
 def _planned(problem: Problem, solution: TeamSolution, number: int) -> Plan:

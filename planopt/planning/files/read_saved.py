@@ -21,6 +21,7 @@ from planopt.planning.files.belief_file import (
     read_belief,
     station_prefix,
 )
+from planopt.planning.files.drive_table import drive_columns
 from planopt.planning.files.run_json import PlannedRecord, RunRecord
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
 from planopt.planning.files.solution_json import REMEDY, NoPlanRecord, PlanRecord, RobotRecord
@@ -96,7 +97,7 @@ def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
     if isinstance(record, NoPlanRecord):
         return Saved(file, data, record, problem, None, None)
     require_even(file, record.robots)
-    steps = read_steps(file.parent / STEPS_FILE)
+    steps = read_steps(file.parent / STEPS_FILE, drive_columns(problem))
     require_rows(file, steps, record.robots)
     belief = read_belief(file.parent / BELIEF_FILE, len(problem.stations))
     if isinstance(record, RunRecord):

@@ -59,7 +59,7 @@ def save_simulation(simulation: Simulation, folder: Path) -> None:
     """
     withdraw(folder)
     run = simulation.run
-    write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log)))
+    write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log, run.drive)))
     write_belief_of_run(
         folder / BELIEF_FILE,
         simulation.belief,

@@ -9,6 +9,7 @@ import numpy as np
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
 from planopt.planning.history import history_of
+from planopt.planning.loop.driven import driven
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.metrics import metrics_of
@@ -61,27 +62,28 @@ def simulate(
     scene = scene if scene is not None else build_scene(problem)
     planning = ReachPlanner(problem, scene)
     belief, truths = prepared.belief, prepared.truths
-    position = np.asarray(problem.robots[0].start_m)
-    track = [position]
+    state = problem.robots[0].start_state
+    track = [state]
     plans: list[Plan] = []
     learnt: list[bool] = []
     ended = ending(problem, track, learnt, None)
     while ended is None:
-        here = true_serving_dbm(problem, truths, np.array(track[1:]).reshape(-1, 2))
+        places = np.array(track)[:, :2]
+        here = true_serving_dbm(problem, truths, places[1:])
         connected = here >= problem.stations[0].threshold_dbm
-        history = history_of(problem, np.array(track), connected)
-        plan = planning.plan(belief, position, plans[-1] if plans else None, history)
+        history = history_of(problem, places, connected)
+        plan = planning.plan(belief, state, plans[-1] if plans else None, history)
         plans.append(plan)
-        position = plan.positions_m[1]
-        track.append(position)
+        state = plan.next_state
+        track.append(state)
         before = len(belief.posterior.measurements)
-        belief = learn_here(problem, truths, belief, position)
+        belief = learn_here(problem, truths, belief, state[:2])
         learnt.append(len(belief.posterior.measurements) > before)
         if on_step is not None:
             on_step(len(plans))
         ended = ending(problem, track, learnt, plan)
     outcome, reason = ended
-    places = np.array(track)
+    places = np.array(track)[:, :2]
     log = step_log(problem, places, true_serving_dbm(problem, truths, places), plans)
     run = Run(
         robot=problem.robots[0].name,
@@ -94,6 +96,7 @@ def simulate(
         log=log,
         metrics=metrics_of(log, plans, outcome),
         rule=rule_metrics(problem, [log]),
+        drive=driven(plans),
     )
     first = len(prepared.belief.posterior.measurements)
     return Simulation(problem, seed, belief, first, run, tuple(plans), truths[0], truths[1:])

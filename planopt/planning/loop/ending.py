@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.arrival import is_at_goal, stands
 from planopt.planning.loop.run import Outcome
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.tolerances import STANDSTILL_M
@@ -19,7 +20,7 @@ place has stalled."""
 
 def ending(
     problem: Problem,
-    track_m: Sequence[NDArray[np.float64]],
+    track: Sequence[NDArray[np.float64]],
     learnt: Sequence[bool],
     plan: Plan | None,
 ) -> tuple[Outcome, str] | None:
@@ -29,24 +30,25 @@ def ending(
     ----------
     problem
         A problem that is to reach a goal.
-    track_m
-        Places (2,), the start first.
+    track
+        States (s,) of the robot, its place first; of a single integrator its place. The start
+        comes first.
     learnt
         Whether something was measured after each step.
     plan
         The plan whose first step was the last one; None at the start.
     """
-    here = track_m[-1]
-    if np.linalg.norm(here - np.asarray(problem.goal_m)) <= problem.constraints.goal_radius_m:
+    here = track[-1]
+    if is_at_goal(problem, here[:2]) and stands(problem, here):
         where = "the start is within" if plan is None else "within"
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
     if plan is not None:
-        stood = bool(np.linalg.norm(here - track_m[-2]) <= STANDSTILL_M)
+        stood = bool(np.linalg.norm((here - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
         # Same place, same belief, and nothing that moves: the next plan would be this one again.
         again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving
         if stood and not learnt[-1] and again:
             return Outcome.STALLED, f"standing still with nothing new to learn{_detail(plan)}"
-        if not any(learnt[-STALL_STEPS:]) and _circling(track_m, problem.step_length_m):
+        if not any(learnt[-STALL_STEPS:]) and _circling(track, problem.step_length_m):
             return Outcome.STALLED, (
                 f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
                 f"with nothing new to learn{_detail(plan)}"
@@ -56,10 +58,16 @@ def ending(
     return None
 
 
-def _circling(track_m: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
-    if len(track_m) <= STALL_STEPS:
+def _unit_m(problem: Problem) -> NDArray[np.float64]:
+    """What makes metres of a state."""
+    dynamics = problem.robots[0].dynamics
+    return np.ones(2) if dynamics is None else np.array(dynamics.unit_m(problem.planner.step_s))
+
+
+def _circling(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
+    if len(track) <= STALL_STEPS:
         return False
-    recent = np.array(track_m[-STALL_STEPS - 1 :])
+    recent = np.array(track[-STALL_STEPS - 1 :])[:, :2]
     return bool(np.linalg.norm(recent - recent[0], axis=1).max() <= 2.0 * step_length_m)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.programme.goal_cost import GoalCharge, goal_cost_gradient
 from planopt.planning.programme.kkt import Bounds
 from planopt.planning.programme.motion_rows import MotionShape, motion_row_values, motion_rows
 from planopt.robots.drive import Drive
@@ -66,6 +67,18 @@ class MotionNumbers:
             return _none(), np.zeros((0, positions_m.size))
         state = self.task.drive.states[0]
         return motion_row_values(self.task.shape, positions_m, w, state, self.line)
+
+    def gradient(
+        self,
+        positions_m: NDArray[np.float64],
+        w: NDArray[np.float64],
+        charge: GoalCharge | None,
+    ) -> NDArray[np.float64]:
+        """Of what the way to a goal costs (2 N + len(w),); zero where none is charged."""
+        if self.task is None or charge is None:
+            return np.zeros(positions_m.size + len(w))
+        state = self.task.drive.states[0]
+        return goal_cost_gradient(self.task.shape, positions_m, w, state, charge)
 
 
 def motion_numbers(

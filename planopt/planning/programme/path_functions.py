@@ -3,7 +3,7 @@
 
 Value v, margins m and total w come with their gradients (dv, dm, dw) and what is not zero of their
 Hessians (hv, hm, hw); all else is symbolic. Parameters are ``head`` (start, scale, slack weight,
-what a dB is worth in the total), the lines, and those of the robot's dynamics.
+what a dB is worth in the total), the lines, and those of the robot's dynamics and its goal.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from planopt.planning.programme.curvature import (
     stage_rows,
     weighted_blocks,
 )
+from planopt.planning.programme.goal_cost import PARAMETERS, goal_cost_s
 from planopt.planning.programme.motion_rows import motion_rows
 from planopt.planning.programme.path_rows import path_rows
 from planopt.planning.programme.path_shape import PathShape
@@ -32,7 +33,7 @@ class PathFunctions:
     Attributes
     ----------
     objective, gradient
-        ``(x, p, v)`` to the objective (minimised), ``(p, dv)`` to its gradient.
+        ``(x, p, v)`` to the objective (minimised), ``(x, p, dv)`` to its gradient.
     rows, jacobian
         ``(x, p, m, w)`` to all rows, ``(x, p, dm, dw)`` to their Jacobian.
     hessian
@@ -52,13 +53,14 @@ class PathFunctions:
 
 @dataclass(frozen=True)
 class _Symbols:
-    """Variables, parameters and the rows of the geometry and the dynamics."""
+    """Variables, parameters, the rows of the geometry and the dynamics, the cost of a goal."""
 
     s: Any
     head: Any
     x: Any
     p: Any
     plain: Any
+    cost: Any
 
 
 def path_functions(shape: PathShape) -> PathFunctions:
@@ -72,12 +74,13 @@ def path_functions(shape: PathShape) -> PathFunctions:
     w, dw, hw = (ca.SX.sym(f"w{size}", size * int(shape.summed)) for size in (1, 2 * n, 3 * n))
     lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + slacks)
     # The solver minimises.
-    objective = -head[2] * v + head[3] * ca.sum1(at.s)
+    objective = head[2] * (at.cost - v) + head[3] * ca.sum1(at.s)
     gradient = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(slacks), ca.SX.zeros(driven))
+    gradient += head[2] * ca.gradient(at.cost, x)
     beside = slacks + driven
     hessian = (
         -lam_f * head[2] * ca.diagcat(curvature(hv, n, shape.structure), ca.SX(beside, beside))
-        + ca.hessian(ca.dot(lam[:plain], at.plain), x)[0]
+        + ca.hessian(lam_f * head[2] * at.cost + ca.dot(lam[:plain], at.plain), x)[0]
     )
     rows, jacobian = at.plain, ca.jacobian(at.plain, x)
     if shape.bounded:
@@ -92,7 +95,7 @@ def path_functions(shape: PathShape) -> PathFunctions:
         jacobian = ca.vertcat(jacobian, ca.horzcat(dw.T, head[4], ca.SX(1, driven)))
     return PathFunctions(
         objective=ca.Function("f", [x, p, v], [objective]),
-        gradient=ca.Function("df", [p, dv], [gradient]),
+        gradient=ca.Function("df", [x, p, dv], [gradient]),
         rows=ca.Function("g", [x, p, m, w], [rows]),
         jacobian=ca.Function("dg", [x, p, dm, dw], [jacobian]),
         hessian=ca.Function("h", [x, p, lam_f, lam, hv, hm, hw], [ca.triu(hessian)]),
@@ -107,9 +110,13 @@ def _symbols(shape: PathShape) -> _Symbols:
     driving = ca.SX.sym("driving", shape.driven)
     head, line = ca.SX.sym("head", 5), ca.SX.sym("line", 4 * n * lines)
     own = ca.SX.sym("own", 0 if motion is None else motion.parameters)
-    plain = path_rows(n, lines, q, head[0:2], line)
+    charge = ca.SX.sym("charge", PARAMETERS * int(shape.charged))
+    plain, cost = path_rows(n, lines, q, head[0:2], line), ca.SX(0)
     if motion is not None:
         start = (head[0], head[1], *(own[i] for i in range(motion.rest)))
         all_lines = ca.vertcat(line, own[motion.rest :])
         plain = ca.vertcat(plain, *motion_rows(motion, q, driving, start, all_lines).stacked())
-    return _Symbols(s, head, ca.vertcat(q, s, driving), ca.vertcat(head, line, own), plain)
+        if shape.charged:
+            cost = goal_cost_s(motion, q, driving, start, charge)
+    x, p = ca.vertcat(q, s, driving), ca.vertcat(head, line, own, charge)
+    return _Symbols(s, head, x, p, plain, cost)

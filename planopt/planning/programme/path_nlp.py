@@ -10,7 +10,8 @@ each stage's connectivity bound::
           total(q_1, ..., q_N) + c t >= bound                             "connectivity"
 
 There are rows of margins, one of a total (a sum over stages), or none. The total's slack t is in dB
-like the others, c what a dB is worth.
+like the others, c what a dB is worth. What the way to a goal costs
+(:mod:`planopt.planning.programme.goal_cost`) is subtracted from the value, where it is charged.
 
 Value and margins come by callbacks with exact first and second derivatives. What the value couples
 (:data:`planopt.planning.programme.path_value.Structure`) is known to the solver. A robot that
@@ -152,7 +153,7 @@ def build_path_nlp(
         lam_g,
         f=parts.objective(x, p, v),
         g=parts.rows(x, p, m, w),
-        gradient=parts.gradient(p, dv),
+        gradient=parts.gradient(x, p, dv),
         jacobian=parts.jacobian(x, p, dm, dw),
         hessian=parts.hessian(x, p, lam_f, lam_g, hv, hm, hw),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.programme.goal_cost import GoalCharge
 from planopt.planning.programme.kkt import Bounds, kkt_residual
 from planopt.planning.programme.motion_task import MotionNumbers, MotionTask, motion_numbers
 from planopt.planning.programme.named_multipliers import named_multipliers
@@ -51,6 +52,8 @@ class PathTask:
         What a dB of slack adds to it.
     motion
         Of the robot's dynamics; None for the single integrator.
+    charge
+        Of the way to a goal; None where none is charged.
     """
 
     start_m: NDArray[np.float64]
@@ -67,6 +70,7 @@ class PathTask:
     total_bound: float | None = None
     total_per_db: float = 0.0
     motion: MotionTask | None = None
+    charge: GoalCharge | None = None
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
@@ -104,11 +108,12 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
             ]
         ),
     )
+    charge = np.zeros(0) if task.charge is None else task.charge.numbers
     nlp.source.use(task.evaluate)
     missing = np.zeros(0) if len(bound) == 0 else _missing_db(task, bound)
     point = nlp.solve(
         np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit), motion.start]),
-        np.concatenate([head, line.ravel(), motion.parameters]),
+        np.concatenate([head, line.ravel(), motion.parameters, charge]),
         variables,
         rows,
     )
@@ -171,12 +176,13 @@ def _residual(
         total[0, : 2 * n] = at.total.gradient.ravel()
         jacobian = np.vstack([jacobian, total])
         slack_columns = np.vstack([slack_columns, [[task.total_per_db]]])
+    by_goal = motion.gradient(point.positions_m, driven, task.charge)
     return kkt_residual(
         np.concatenate(
             [
-                -task.scale * at.value.gradient.ravel(),
+                task.scale * (by_goal[: 2 * n] - at.value.gradient.ravel()),
                 np.full(slacks, task.slack_weight),
-                np.zeros(len(driven)),
+                task.scale * by_goal[2 * n :],
             ]
         ),
         np.hstack([jacobian[:, : 2 * n], slack_columns, jacobian[:, 2 * n :]]),

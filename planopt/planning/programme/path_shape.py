@@ -25,6 +25,8 @@ class PathShape:
         Whether connectivity is bounded at stages, or a sum over them is; not both.
     motion
         Of the rows of the robot's dynamics; None for the single integrator.
+    charged
+        Whether the way to a goal is charged, of a robot with dynamics.
     """
 
     horizon: int
@@ -33,6 +35,7 @@ class PathShape:
     bounded: bool = False
     summed: bool = False
     motion: MotionShape | None = None
+    charged: bool = False
 
     @property
     def slacks(self) -> int:

@@ -31,6 +31,7 @@ def find_pivot(
     node_margin_db: NDArray[np.float64] | None,
     step_length_m: float,
     clearance: float,
+    origin_m: NDArray[np.float64] | None = None,
 ) -> Pivot:
     """Farthest point of the way that is seen from the start path's end, or one out of reach.
 
@@ -43,6 +44,8 @@ def find_pivot(
         change between within and below it. None if it need not.
     step_length_m, clearance
         Longest step, and the clearance that a line of sight must keep.
+    origin_m
+        ``(2,)`` where the pivot must be seen from; None for the start path's end.
     """
     end = int(start.nodes[-1])
     way = way_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
@@ -53,13 +56,14 @@ def find_pivot(
     places = scene.road_map.nodes_m[way]
     chosen = 0
     if len(way) > 1:
-        # Fan of segments from the end to each place, as one path end, p1, end, p2, ...
+        origin = places[0] if origin_m is None else origin_m
+        # Fan of segments from there to each place, as one path origin, p1, origin, p2, ...
         fan = np.empty((2 * (len(way) - 1) + 1, 2))
-        fan[0::2] = places[0]
+        fan[0::2] = origin
         fan[1::2] = places[1:]
         seen = is_clear(swept_clearance_m(scene.index, fan)[0::2], clearance)
         farthest_seen = int(np.argmin(seen)) if not seen.all() else len(seen)
-        ahead = np.linalg.norm(places - places[0], axis=1)
+        ahead = np.linalg.norm(places - origin, axis=1)
         room = LATTICE_DETOUR * len(start.nodes) * step_length_m
         enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
         chosen = max(farthest_seen, enough)

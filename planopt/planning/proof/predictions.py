@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.kriging import predict
+from planopt.channel.nearest.near_factors import NearFactors
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, predict_nearby
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction
@@ -33,7 +36,8 @@ def certified_prediction(
 ) -> tuple[Prediction, str]:
     """Prediction that certificates rest on, and its name in them; by `broad` where there is one.
 
-    With `keep` the groups of neighbours may be those of an earlier step, grown.
+    With `keep` the groups of neighbours may be those of an earlier step, grown; else they are made
+    anew, in the same way wherever that is done.
     """
     if isinstance(broad, Serving):
         found = [certified_prediction(each, positions_m, keep=keep) for each in broad.posteriors]
@@ -44,7 +48,9 @@ def certified_prediction(
         return broad(positions_m), "exact" if exact else f"neighbours:{NEIGHBOURS_BEYOND}"
     if len(posterior.measurements) <= EXACT_LIMIT:
         return predict(posterior, positions_m), "exact"
-    nearby = predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND, keep=keep)
+    if not keep or posterior.near is None:
+        posterior = replace(posterior, near=NearFactors())
+    nearby = predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND, keep=True)
     return nearby, f"neighbours:{NEIGHBOURS_BEYOND}"
 
 

@@ -123,8 +123,8 @@ class LocalRanking:
             for term in at.problem.terms:
                 if not isinstance(term, SlopedTerm):
                     raise AssertionError("ways climb only where the slopes of all terms are known")
-                if slopes and isinstance(term, MotionEnergyTerm):
-                    continue  # no station's: it was counted with the first
+                if slopes and not _tells_of_stations(term):
+                    continue  # it was counted with the first
                 pull = pull.plus(ranked_slope(term, at, batch, station), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
                 # With several, a way climbs as if there were no bound, but takes no step that
@@ -150,6 +150,12 @@ class LocalRanking:
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
         return worth - self._missing_db_cost * ways_missing(at, ways.legs_m, ways.power)
+
+
+def _tells_of_stations(term: SlopedTerm) -> bool:
+    """Whether each station adds to a term, and not only places count."""
+    steers = isinstance(term, MappingTerm) and term.form == "two_layer"
+    return not (steers or isinstance(term, MotionEnergyTerm))
 
 
 def _averages_map(problem: Problem) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.ground import Ground, first_moves
+from planopt.planning.programme.goal_cost import GoalCharge
 from planopt.planning.search.coupled_starts import CoupledStarts
 from planopt.planning.search.ends_apart import best_ends
 from planopt.planning.search.guide import Guide, find_guided
@@ -69,6 +70,8 @@ class Start:
         How a robot drives it that cannot turn or stop at will; None for any other.
     clear
         Whether the robot can drive it as it is, clear of obstacles.
+    charge
+        What the way to a goal is charged by in a polish; None where none is.
     """
 
     path_m: NDArray[np.float64]
@@ -76,6 +79,7 @@ class Start:
     missing_db: float
     drive: Drive | None = None
     clear: bool = True
+    charge: GoalCharge | None = None
 
 
 class StartSearch:

@@ -81,6 +81,21 @@ def test_two_posteriors_of_one_do_not_mix(posterior):
         np.testing.assert_allclose(found.mean_db, fresh.mean_db, atol=0.1)
 
 
+def test_a_branch_that_goes_on_is_served_by_its_own(posterior):
+    """Two extensions in turns, each extended on: no group has a measurement of the other's."""
+    near = posterior.near
+    assert near is not None
+    branches = [posterior, posterior]
+    for step in range(4):
+        for number, power in enumerate((-40.0, -95.0)):
+            at = path(step)[2 + number][None]
+            one = Measurements(at, np.array([power]), np.zeros(1, dtype=bool))
+            branches[number] = extend(branches[number], one)
+            for _ in range(1 + step % 2):
+                served = near.serving(branches[number], path(step), COUNT)
+                assert all(group.belongs_to(branches[number]) for group, _ in served)
+
+
 def test_what_was_not_extended_keeps_nothing(posterior):
     """Two predictions from a conditioned posterior do not depend on each other."""
     fresh = condition(posterior.parameters, posterior.measurements, exact_limit=100)

@@ -1,0 +1,224 @@
+"""The way to a goal of a robot that cannot turn or stop at will: starts, pivot, and the ladder.
+
+The search finds a way of a robot that can. This one follows it, and what lies ahead is counted from
+where it would come to stand: from there the pivot must be seen, and from there the solver is drawn
+to it. A robot that can stop at the goal brakes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.arrival import stops_at_goal
+from planopt.planning.budget import Budget
+from planopt.planning.candidate import Candidate
+from planopt.planning.driven import (
+    drive_candidate,
+    driven_start,
+    dynamics_of,
+    last_drive,
+    without_start,
+)
+from planopt.planning.ground import first_moves
+from planopt.planning.judge import Judge
+from planopt.planning.ladder import Ladder
+from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
+from planopt.planning.programme.goal_cost import ROUNDING_STEPS, GoalCharge
+from planopt.planning.programme.methods import METHODS
+from planopt.planning.programme.pivot import find_pivot
+from planopt.planning.scene import Scene
+from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.search.retime import retime
+from planopt.planning.search.start_search import Start
+from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+from planopt.robots.drive import Drive, rolled_out
+
+FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
+"""So much of the way is followed: more than the horizon, that the robot does not brake where that
+ends, and less where it would swing out too far at a turn."""
+
+GAIN_SHARE = 0.15
+"""What a polish may gain on the way that is followed, as a share of the longest."""
+
+STAGNANT_STEPS = 0.1
+"""A plan that would come to stand within this many longest steps of where it would now gets
+nowhere."""
+
+
+class DrivenReach:
+    """Plans of one problem; keeps the ladder's solvers.
+
+    Parameters
+    ----------
+    problem
+        That is to reach a goal.
+    scene
+        Its geometry.
+    """
+
+    def __init__(self, problem: Problem, scene: Scene) -> None:
+        self._problem = problem
+        self._scene = scene
+        self._ladder = Ladder(problem, scene.ground)
+
+    def chosen(
+        self,
+        situation: Situation,
+        judge: Judge,
+        start: GlobalStart | None,
+        node_margin_db: NDArray[np.float64] | None,
+        warm: Plan | None,
+        budget: Budget,
+    ) -> tuple[Candidate, Pivot | None]:
+        """What is released, and the pivot that it is charged by.
+
+        Parameters
+        ----------
+        situation, judge
+            Of the step.
+        start
+            What the search found, for a robot that turns and stops at will; None if nothing.
+        node_margin_db
+            As :func:`planopt.planning.programme.pivot.find_pivot` takes them.
+        warm
+            The plan that led here, or None.
+        budget
+            Of the step.
+        """
+        judge = _charging(judge, ReachCost(self._problem, judge.position_m))
+        if start is None:
+            return without_start(judge, warm), None
+        starts = self._starts(situation, judge, start, warm)
+        # Of ways that come too near to obstacles, nobody knows where they would end.
+        ends = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
+        now = np.array(dynamics_of(self._problem).resting_place(tuple(judge.state)))
+        pivot = self._pivot(start, ends or [now], node_margin_db)
+        found = self._climb(situation, judge, starts, pivot, warm, budget)
+        if self._gets_nowhere(found):
+            # Perhaps the pivot is not seen from here: then the straight way to it leads nowhere.
+            nearer = self._pivot(start, [now], node_margin_db)
+            if not np.array_equal(nearer.position_m, pivot.position_m):
+                return self._climb(situation, judge, starts, nearer, warm, budget), nearer
+        return found, pivot
+
+    def _starts(
+        self, situation: Situation, judge: Judge, start: GlobalStart, warm: Plan | None
+    ) -> list[Start]:
+        """Ways that the robot can drive: the last plan, and along what was found."""
+        problem, settings = self._problem, self._problem.planner
+        dynamics = dynamics_of(problem)
+        last = last_drive(problem, warm)
+        starts = [] if last is None else [driven_start(judge, situation, last)]
+        way = np.vstack([start.path_m, start.beyond_m])
+        for share in FOLLOWED_HORIZONS:
+            count = math.ceil(share * settings.horizon)
+            path = np.vstack([way, np.tile(way[-1], (count, 1))])
+            path = retime(judge.position_m, path, path[:0], problem.step_length_m - STEP_PAD_M)
+            path = path[np.minimum(np.arange(max(count, settings.horizon)), count - 1)]
+            inputs = dynamics.following(judge.state, path, settings.step_s)[: settings.horizon]
+            followed = rolled_out(dynamics, judge.state, inputs, settings.step_s)
+            starts.append(driven_start(judge, situation, followed))
+            if any(each.clear for each in starts):
+                break
+        return starts
+
+    def _pivot(
+        self,
+        start: GlobalStart,
+        places_m: list[NDArray[np.float64]],
+        node_margin_db: NDArray[np.float64] | None,
+    ) -> Pivot:
+        """The pivot as seen from that of the places (2,) from which the way on is the shortest."""
+        problem, cost_m = self._problem, start.ways.cost_m
+        views = [(int(start.nodes[-1]), start.path_m[-1])]
+        for place in places_m:
+            nodes, lengths = first_moves(self._scene.ground, problem, place)
+            if len(nodes):
+                views.append((int(nodes[np.argmin(lengths + cost_m[nodes])]), place))
+        node, place = min(views[1:] or views, key=lambda view: float(cost_m[view[0]]))
+        return find_pivot(
+            self._scene,
+            replace(start, nodes=np.append(start.nodes[:-1], node)),
+            node_margin_db,
+            problem.step_length_m,
+            problem.constraints.clearance_m,
+            place,
+        )
+
+    def _climb(
+        self,
+        situation: Situation,
+        judge: Judge,
+        starts: list[Start],
+        pivot: Pivot,
+        warm: Plan | None,
+        budget: Budget,
+    ) -> Candidate:
+        """What the ladder makes of the starts, charged by a pivot."""
+        cost = ReachCost(self._problem, judge.position_m, pivot)
+        judge = _charging(judge, cost)
+        if stops_at_goal(self._problem, judge.state):
+            stopped = _stopped(judge)
+            if stopped.verdict is Verdict.VERIFIED:
+                return stopped
+        charged = [
+            replace(
+                each,
+                worth=judge.sense * cost(each.path_m, each.drive),
+                charge=self._charge(cost, pivot, each.drive),
+            )
+            for each in starts
+            if each.drive is not None
+        ]
+        charged.sort(key=lambda each: (not each.clear, round(each.missing_db, 2), -each.worth))
+        return self._ladder.climb(situation, judge, charged, warm, budget)
+
+    def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
+        """What a polish from a drive is charged; by each step where it may come to the pivot."""
+        problem, horizon = self._problem, len(drive.inputs)
+        away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
+        arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)
+        near = GAIN_SHARE * horizon * problem.step_length_m
+        steps = int(arrived[0]) + 1 if len(arrived) else horizon
+        ends = pivot.cost_m == 0.0 and (len(arrived) > 0 or bool(away[-1] <= near))
+        return GoalCharge(
+            pivot.position_m,
+            problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
+            cost.rate_s_m,
+            1.0 / steps if ends else 0.0,
+            ROUNDING_STEPS * problem.step_length_m,
+        )
+
+    def _gets_nowhere(self, found: Candidate) -> bool:
+        """Whether a robot would come to stand about where it would if it braked now."""
+        if found.drive is None:
+            return False
+        resting = resting_places_m(found.drive)
+        moved = float(np.linalg.norm(resting - resting[0], axis=1).max())
+        return moved <= STAGNANT_STEPS * self._problem.step_length_m
+
+
+def _charging(judge: Judge, cost: ReachCost) -> Judge:
+    """The judge by another cost."""
+
+    def of_drive(drive: Drive) -> float:
+        return cost(drive.positions_m[1:], drive)
+
+    return replace(judge, objective=cost, objective_of_drive=of_drive)
+
+
+def _stopped(judge: Judge) -> Candidate:
+    """Brake."""
+    dynamics, planner = dynamics_of(judge.problem), judge.problem.planner
+    braking = dynamics.braking(judge.state, planner.step_s, planner.horizon)
+    drive = rolled_out(dynamics, judge.state, braking, planner.step_s)
+    rung = Rung.LATTICE if planner.name in METHODS else Rung.PLAN
+    found = judge.judged(drive_candidate(judge, drive, rung, Termination.LATTICE_ONLY))
+    return replace(found, rung=Rung.RELAXED) if found.relaxes else found

@@ -1,0 +1,207 @@
+"""Robots that cannot turn or stop at will on the way to a goal: quick, clear, and at rest there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from motion_scene import with_dynamics
+from scenes import WALL, bad_band, belief_of, good_everywhere, prepared_of, small_problem
+
+from planopt import load
+from planopt.planning.check.check import check
+from planopt.planning.files.saved import save_simulation, save_solution
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.run import Outcome
+from planopt.planning.plan import Verdict
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.scene import build_scene
+from planopt.planning.shifted import shifted_drive
+from planopt.planning.solve import solve
+from planopt.problems.problem import Problem
+from planopt.robots.double_integrator import DoubleIntegrator
+from planopt.robots.dynamics import Dynamics
+from planopt.robots.unicycle import Unicycle
+from planopt.world.workspace import Obstacle
+
+BOAT = DoubleIntegrator(2.0, 0.5)
+CART = Unicycle(2.0, 0.6)
+BACK = (np.pi,)
+"""Heading of a cart that turns its back on the goal."""
+
+
+def reach(*polygons: shapely.Polygon, dynamics: Dynamics, rest=(), **settings) -> Problem:
+    """The small problem for a robot with these dynamics; without effort, so that it is quick."""
+    asked = {"effort_weight_s2_m2": 0.0, "cost_to_go": "geodesic"} | settings
+    return with_dynamics(small_problem(*polygons, **asked), dynamics, *rest)
+
+
+def driven(problem: Problem, power_at=good_everywhere):
+    """A closed loop."""
+    return simulate(problem, prepared=prepared_of(problem, power_at))
+
+
+def bang_bang_s(distance_m: float, dynamics: DoubleIntegrator) -> float:
+    """Least time from rest to rest along a line: accelerate, cruise, brake."""
+    speed, most = dynamics.speed_max_m_s, dynamics.acceleration_max_m_s2
+    if distance_m <= speed**2 / most:
+        return 2.0 * np.sqrt(distance_m / most)
+    return distance_m / speed + speed / most
+
+
+def swept_distance_m(problem: Problem, simulation) -> float:
+    """Least distance of a run's dense samples to the obstacles, by GEOS alone."""
+    drive, least = simulation.run.drive, np.inf
+    for state, control in zip(drive.states[:-1], drive.inputs, strict=True):
+        for part in np.linspace(0.0, problem.planner.step_s, 21):
+            place = shapely.Point(*drive.dynamics.step(tuple(state), tuple(control), part)[:2])
+            least = min([least, *(place.distance(o.polygon) for o in problem.workspace.obstacles)])
+    return least
+
+
+@pytest.mark.parametrize("horizon", [1, 3, 10])
+@pytest.mark.parametrize("acceleration", [0.3, 1.0])
+def test_open_line_is_driven_in_about_the_least_time(horizon: int, acceleration: float) -> None:
+    """Not sooner than bang-bang control comes to rest in the goal's disc, and two steps later."""
+    dynamics = DoubleIntegrator(2.0, acceleration)
+    problem = reach(dynamics=dynamics, horizon=horizon)
+    simulation = driven(problem)
+    least = bang_bang_s(30.0 - problem.constraints.goal_radius_m, dynamics)
+    assert simulation.run.outcome is Outcome.REACHED
+    assert simulation.run.verified_rate == 1.0
+    assert least <= simulation.run.metrics.goal_time_s <= least + 2.0
+    assert np.hypot(*simulation.run.drive.states[-1, 2:]) <= 1e-9
+
+
+@pytest.mark.parametrize("horizon", [1, 4, 10])
+@pytest.mark.parametrize(("dynamics", "rest"), [(BOAT, ()), (CART, BACK)])
+def test_goal_behind_a_wall_is_reached(dynamics: Dynamics, rest, horizon: int) -> None:
+    """Every step verified, the way clear by samples, and the robot at rest at the goal."""
+    problem = reach(WALL, dynamics=dynamics, rest=rest, horizon=horizon)
+    simulation = driven(problem)
+    assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
+    assert simulation.run.verified_rate == 1.0
+    assert swept_distance_m(problem, simulation) >= problem.constraints.clearance_m - 1e-6
+    end = simulation.run.drive.states[-1]
+    assert np.hypot(end[0] - 35.0, end[1] - 15.0) <= problem.constraints.goal_radius_m
+
+
+def test_cart_turns_before_it_drives() -> None:
+    """With its back to the goal and one step to look ahead, distance alone says: stay."""
+    problem = reach(dynamics=CART, rest=BACK, horizon=1)
+    states = driven(problem).run.drive.states
+    turning = int(np.argmax(np.abs(states[:, 2] - np.pi) > np.pi / 3.0))
+    assert np.hypot(*(states[:turning, :2] - states[0, :2]).T).max() <= 2.0
+
+
+def test_boat_at_speed_towards_a_wall() -> None:
+    """It brakes or swerves in time, and goes round."""
+    problem = reach(WALL, dynamics=BOAT, rest=(2.0, 0.0), start_m=(14.0, 15.0), horizon=8)
+    simulation = driven(problem)
+    assert simulation.run.outcome is Outcome.REACHED
+    assert simulation.run.verified_rate == 1.0
+    assert swept_distance_m(problem, simulation) >= problem.constraints.clearance_m - 1e-6
+
+
+@pytest.mark.parametrize(("dynamics", "rest"), [(BOAT, ()), (CART, BACK)])
+def test_narrow_gap(dynamics: Dynamics, rest) -> None:
+    """Half a metre more than the robot needs."""
+    walls = (shapely.box(19.0, 0.0, 21.0, 14.2), shapely.box(19.0, 15.7, 21.0, 30.0))
+    simulation = driven(reach(*walls, dynamics=dynamics, rest=rest, horizon=6))
+    assert simulation.run.outcome is Outcome.REACHED
+    assert simulation.run.verified_rate == 1.0
+
+
+def test_robot_can_always_stop() -> None:
+    """The rest of every released plan, then braking, is clear: on any map of the channel."""
+    problem = reach(WALL, dynamics=BOAT, horizon=5)
+    for plan in driven(problem).plans[:12]:
+        drive = shifted_drive(problem, plan)
+        index = build_scene(problem).index
+        ways = drive.dynamics.ways(drive.states[:-1], drive.inputs, problem.planner.step_s)
+        ways.append(drive.dynamics.stop_way(drive.states[-1], problem.planner.step_s))
+        clear = min(way.clearance_m(index) for way in ways)
+        assert clear >= problem.constraints.clearance_m - 1e-6
+
+
+@pytest.mark.parametrize(("dynamics", "rest"), [(BOAT, (0.5, 0.0)), (CART, (0.4,))])
+def test_mirrored_scene_gives_the_mirrored_plan(dynamics: Dynamics, rest) -> None:
+    """Upside down, with what the robot starts with."""
+    block = shapely.box(14.0, 8.0, 20.0, 19.0)
+    problem = reach(block, dynamics=dynamics, rest=rest, horizon=6)
+    turned = Obstacle("block", shapely.box(14.0, 11.0, 20.0, 22.0))
+    robot = replace(problem.robots[0], start_rest=(rest[0], 0.0) if len(rest) == 2 else (-rest[0],))
+    workspace = replace(problem.workspace, obstacles=(turned,))
+    mirrored = replace(problem, workspace=workspace, robots=(robot,))
+    one, other = (
+        ReachPlanner(p, build_scene(p)).plan(belief_of(p), p.robots[0].start_state)
+        for p in (problem, mirrored)
+    )
+    assert one.verdict is other.verdict is Verdict.VERIFIED
+    assert other.objective == pytest.approx(one.objective, rel=1e-3)
+    assert 30.0 - other.positions_m[:, 1] == pytest.approx(one.positions_m[:, 1], abs=0.05)
+
+
+def test_cost_of_a_plan_counts_from_where_it_would_stand() -> None:
+    """By hand: steps short of the goal, effort, and metres from the resting place on."""
+    problem = reach(dynamics=BOAT, horizon=2, effort_weight_s2_m2=0.1)
+    plan = ReachPlanner(problem, build_scene(problem)).plan(
+        belief_of(problem), problem.robots[0].start_state
+    )
+    lengths = np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1)
+    velocity = plan.drive.states[-1, 2:]
+    resting = plan.positions_m[-1] + velocity * np.hypot(*velocity) / (2.0 * 0.5)
+    ahead = np.linalg.norm(resting - plan.pivot.position_m) + plan.pivot.cost_m
+    rate = (1.0 + 0.1 * 2.0**2) / 2.0
+    expected = 2.0 + 0.1 * (lengths**2).sum() + rate * ahead
+    assert plan.objective == pytest.approx(expected, abs=1e-3)
+
+
+def test_unconnected_gap_is_crossed_or_gone_round() -> None:
+    """The bound is kept where a way keeps it."""
+    problem = reach(dynamics=BOAT, cost_to_go="connected", horizon=8)
+    simulation = driven(problem, bad_band(18.0, 22.0, 22.0))
+    assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
+    assert simulation.run.log.positions_m[:, 1].max() > 20.0
+
+
+def test_lattice_planner() -> None:
+    """What follows the search alone comes to the goal as well."""
+    simulation = driven(reach(WALL, dynamics=BOAT, planner="lattice", horizon=4))
+    assert simulation.run.outcome is Outcome.REACHED
+    assert simulation.run.verified_rate == 1.0
+
+
+def test_convex_steps_find_what_interior_points_find() -> None:
+    """The same plan to a goal at rest, nearly."""
+    costs = []
+    for planner in ("nlp", "scp"):
+        problem = reach(dynamics=BOAT, planner=planner, horizon=6, start_m=(29.0, 15.0))
+        plan = ReachPlanner(problem, build_scene(problem)).plan(
+            belief_of(problem), problem.robots[0].start_state
+        )
+        assert plan.verdict is Verdict.VERIFIED
+        costs.append(plan.objective)
+    assert costs[1] == pytest.approx(costs[0], abs=0.1)
+
+
+@pytest.mark.parametrize(("dynamics", "rest"), [(None, ()), (CART, BACK)])
+def test_saved_plan_and_run_are_judged_again(dynamics, rest, tmp_path) -> None:
+    """From disk; a heading or velocity that is not what was driven is found out."""
+    problem = load("harbour_reach")
+    problem = problem if dynamics is None else with_dynamics(problem, dynamics, *rest)
+    problem = replace(problem, planner=replace(problem.planner, horizon=4, max_steps=6))
+    save_simulation(simulate(problem), tmp_path / "run")
+    assert check(tmp_path / "run").reasons == ()
+    save_solution(solve(problem), tmp_path / "plan")
+    assert check(tmp_path / "plan").reasons == ()
+    for folder in (tmp_path / "run", tmp_path / "plan"):
+        lines = (folder / "steps.csv").read_text().splitlines()
+        cells = lines[3].split(",")
+        column = lines[0].split(",").index(problem.robots[0].dynamics.state_names[2])
+        cells[column] = str(float(cells[column]) + 1e-3)
+        changed = [*lines[:3], ",".join(cells), *lines[4:]]
+        (folder / "steps.csv").write_text("\n".join(changed) + "\n")
+        assert check(folder).verdict is Verdict.VIOLATED

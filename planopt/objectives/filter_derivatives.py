@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.filter_gain import covariance_gain, information_gain
+from planopt.objectives.filter_gain import covariance_gain
 from planopt.objectives.stage_chain import chained
 from planopt.objectives.tracking_derivatives import tracking_reward_derivatives
 from planopt.objectives.tracking_filter import FilteredTracking, bounding_information
@@ -37,7 +37,9 @@ def information_gain_derivatives(
     weight = settings.tracking.weight
     # Both coordinates of the position gain this much information.
     received = tracking_reward_derivatives(chance, sensing, np.full(steps, 0.5))
-    known = bounding_information(chance.value[:, None], sensing.value[:, None], settings)
+    # With the packets, and without any: both in one pass.
+    arrival = np.stack([chance.value, np.zeros(steps)])
+    known, without = bounding_information(arrival[..., None], sensing.value[:, None], settings)
     before = np.concatenate([settings.information[None], known[:-1]])
     spread = covariance_of(before)
     pushed = model.transition @ spread
@@ -58,7 +60,7 @@ def information_gain_derivatives(
         hessian[:k, :k] -= 2.0 * bent.reshape(k, 16) @ now.reshape(k, 16).T
         tangent[:k] = gain[k] @ now @ gain[k].T
         tangent[k, 0, 0] = tangent[k, 1, 1] = 1.0
-    value = float(information_gain(chance.value, sensing.value, settings))
+    value = float(weight @ np.trace(known - without, axis1=1, axis2=2))
     hessian = 0.5 * (hessian + hessian.T)
     return chained(value, slope[:, None], hessian[:, None, :, None], [received])
 

@@ -71,13 +71,13 @@ def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> Non
     )
 
 
-def legend_above(panel: Panel) -> None:
+def legend_above(panel: Panel, columns: int = 6) -> None:
     """Legend of curves on the line of the panel's title, where it covers none of them."""
     panel.legend(
         fontsize=NOTE_PT,
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
-        ncols=6,
+        ncols=columns,
         frameon=False,
         borderaxespad=0.0,
         columnspacing=1.2,

@@ -178,10 +178,10 @@ def _draw_rungs(panel: Panel, run: TeamRun) -> None:
             linewidths=1.3,
             label=f"not verified ({len(unproven)})",
         )
-    dress(panel, f"plans: {100.0 * run.verified_rate:.0f} % verified", TIME, "", grid=False)
+    dress(panel, f"{100.0 * run.verified_rate:.0f} % verified", TIME, "", grid=False)
     name_rows(panel, run.problem)
     if len(run.runs[0].log.t_s) > 1:
-        legend_above(panel)
+        legend_above(panel, 3)
 
 
 def _times(run: Run, rung: Rung) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,19 +36,19 @@ class TargetModel:
             raise InputError(f"{self.step_s!r} is no time step", key="step_s")
         require_covariance(self.acceleration_covariance_m2_s4, 2, "acceleration_covariance_m2_s4")
 
-    @property
+    @cached_property
     def transition(self) -> NDArray[np.float64]:
         """``(4, 4)`` A."""
         found = np.eye(4)
         found[:2, 2:] = self.step_s * np.eye(2)
         return found
 
-    @property
+    @cached_property
     def noise_gain(self) -> NDArray[np.float64]:
         """``(4, 2)`` B."""
         return np.vstack([0.5 * self.step_s**2 * np.eye(2), self.step_s * np.eye(2)])
 
-    @property
+    @cached_property
     def process_covariance(self) -> NDArray[np.float64]:
         """``(4, 4)`` B Theta B'."""
         return self.noise_gain @ self.acceleration_covariance_m2_s4 @ self.noise_gain.T

@@ -109,6 +109,8 @@ def test_rungs_and_verdicts(simulation):
     assert counts == {"plan (8)": 8, "relaxed (2)": 2, "shifted (2)": 2, "not verified (1)": 1}
     ring = collection_of(strip, "not verified (1)").get_offsets()
     np.testing.assert_array_equal(ring, [[12.0, 1.0]])
+    title = next(text for text in strip.get_children() if "verified" in getattr(text, "_text", ""))
+    assert not title.get_window_extent().overlaps(strip.get_legend().get_window_extent())
 
 
 def test_small_errors_do_not_look_large(simulation):

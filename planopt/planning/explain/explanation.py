@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+LIMITS = ("robots[", "planner.", "world.")
+"""Begins of keys that say what there is to do it with: nobody asks for them to be kept."""
+
 
 @dataclass(frozen=True)
 class Relaxation:
@@ -47,6 +50,7 @@ class Relaxation:
         asked = self.constraint
         if self.value is not None:
             asked += f" = {_shown(self.value, self.unit)}"
+        fails = "stands in the way" if self.constraint.startswith(LIMITS) else "cannot be kept"
         where = f" at steps {_ranges(self.stages)}" if self.stages else ""
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
         by = f", short by {short}" if short else ""
@@ -56,7 +60,7 @@ class Relaxation:
             else f"{_shown(self.relaxed_value, self.unit)} would do"
         )
         proof = "verified" if self.verified else "not verified"
-        return f"{asked} cannot be kept{where}{by}; {change} ({proof} by solving again)"
+        return f"{asked} {fails}{where}{by}; {change} ({proof} by solving again)"
 
 
 def towards(value: float, step_digits: int, down: bool) -> float:

@@ -235,9 +235,10 @@ def _needless_outage(
     saved = float((outage[missed - 1] - outage[missed]).sum())
     if driven <= saved + OUTAGE_LEEWAY_STEPS * problem.step_length_m:
         return []
+    changes = "shortens" if saved >= 0.0 else "lengthens"
     return [
         f"{driven:.1f} m are driven below constraints.p_min {problem.constraints.p_min:g}, which "
-        f"shortens what must be driven below it on the way to the goal by {saved:.1f} m"
+        f"{changes} what must be driven below it on the way to the goal by {abs(saved):.1f} m"
     ]
 
 

@@ -137,7 +137,7 @@ def test_terms_of_one_power_are_refused(task: str, term: dict[str, Any]) -> None
     def change(tables: dict[str, Any]) -> None:
         tables["problem"]["task"] = task
         tables["objective"] = {"terms": [term]}
-        del tables["robots"][0]["goal_m"]
+        del tables["robots"][0]["goal_m"], tables["constraints"]["goal_radius_m"]
 
     with pytest.raises(InputError, match=r"objective\.terms\[0\]") as caught:
         changed(change)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.local_channel import (
     LocalChannel,
     LocalGrid,
@@ -29,7 +28,7 @@ from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
 from planopt.planning.worth.region import region_along
 from planopt.planning.worth.situation import Situation
-from planopt.problems.objective import MappingTerm
+from planopt.problems.objective import MappingTerm, MotionEnergyTerm
 from planopt.problems.problem import Problem
 
 ANCHORS, REGION_ANCHORS = 24, 64
@@ -53,22 +52,18 @@ MISSING_DB_SHARE = 10.0
 
 
 def can_climb(problem: Problem) -> bool:
-    """Whether :meth:`LocalRanking.slopes` knows all of a problem: its terms, one station."""
-    return len(problem.stations) == 1 and all(has_slope(term) for term in problem.terms)
+    """Whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
+    return all(has_slope(term) for term in problem.terms)
 
 
 @dataclass(frozen=True, eq=False)
-class _NearStation:
-    """One station's channel near the ways, its precision, and where its map is wanted."""
+class _Station:
+    """One station's channel near the ways, and where its map is wanted: to climb, and to rank."""
 
     channel: LocalChannel
     precision: NDArray[np.float32]
     fine: LocalGrid | None
     coarse: LocalGrid | None
-
-    def batch(self, ways_m: NDArray[np.float64], *, fine: bool = False) -> WayBatch:
-        """Its power along ways."""
-        return WayBatch(self.channel, self.precision, ways_m, self.fine if fine else self.coarse)
 
 
 class LocalRanking:
@@ -84,16 +79,17 @@ class LocalRanking:
 
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
-        self._missing_db_cost: float | None = None
-        self._stations = [self._near(posterior, about_m) for posterior in situation.stations]
-
-    def _near(self, posterior: ChannelPosterior, about_m: NDArray[np.float64]) -> _NearStation:
-        most = MAPPED_NEIGHBOURS if _averages_map(self._situation.problem) else MOST_NEIGHBOURS
+        most = MAPPED_NEIGHBOURS if _averages_map(situation.problem) else MOST_NEIGHBOURS
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
-        channel = local_channel(posterior, _anchors(about_m, ANCHORS), count)
-        fine = self._grid(channel, _anchors(about_m, REGION_ANCHORS))
-        coarse = None if fine is None else _thinned(fine)
-        return _NearStation(channel, channel.precision.astype(np.float32), fine, coarse)
+        anchors = _anchors(about_m, ANCHORS)
+        self._missing_db_cost: float | None = None
+        self._stations: list[_Station] = []
+        for posterior in situation.stations:
+            channel = local_channel(posterior, anchors, count)
+            fine = self._grid(channel, _anchors(about_m, REGION_ANCHORS))
+            coarse = None if fine is None else _thinned(fine)
+            precision = channel.precision.astype(np.float32)
+            self._stations.append(_Station(channel, precision, fine, coarse))
 
     def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
         """About `CLIMBED_PLACES` of the map that ways about `about_m` (a, 2) can change.
@@ -113,29 +109,39 @@ class LocalRanking:
 
         Where connectivity is bounded, ways that miss the bound come after all others.
         """
-        batches = [station.batch(ways_m) for station in self._stations]
-        return self._value(RankedWays(self._situation, batches))
+        return self._value(self._ways(ways_m))
 
     def slopes(
         self, ways_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The same values, and their derivatives by the places ``(c, N, 2)``; of one station."""
-        at = self._situation
-        (station,) = self._stations
-        batch = station.batch(ways_m, fine=True)
-        ways = RankedWays(at, [batch])
-        value, pull = self._value(ways), Pull()
-        for term in at.problem.terms:
-            if not isinstance(term, SlopedTerm):
-                raise AssertionError("ways climb only where the slopes of all terms are known")
-            pull = pull.plus(ranked_slope(term, ways), term.weight)
-        if self._missing_db_cost is not None:
-            missing = missing_slope(at, batch)
-            pull = pull.plus(missing, -self._missing_db_cost)
-        return value, slopes_of(batch, pull)
+        """The same values, and their derivatives by the places ``(c, N, 2)``."""
+        at, ways = self._situation, self._ways(ways_m, climbed=True)
+        value = self._value(ways)
+        slopes: list[NDArray[np.float64]] = []
+        for batch, station in zip(ways.stations, at.stations, strict=True):
+            pull = Pull()
+            for term in at.problem.terms:
+                if not isinstance(term, SlopedTerm):
+                    raise AssertionError("ways climb only where the slopes of all terms are known")
+                if slopes and not _tells_of_stations(term):
+                    continue  # it was counted with the first
+                pull = pull.plus(ranked_slope(term, at, batch, station), term.weight)
+            if self._missing_db_cost is not None and len(at.stations) == 1:
+                # With several, a way climbs as if there were no bound, but takes no step that
+                # misses more.
+                pull = pull.plus(missing_slope(at, batch), -self._missing_db_cost)
+            slopes.append(slopes_of(batch, pull))
+        return value, slopes[0] if len(slopes) == 1 else np.sum(slopes, axis=0)
+
+    def _ways(self, ways_m: NDArray[np.float64], *, climbed: bool = False) -> RankedWays:
+        batches = [
+            WayBatch(own.channel, own.precision, ways_m, own.fine if climbed else own.coarse)
+            for own in self._stations
+        ]
+        return RankedWays(self._situation, ways_m, batches)
 
     def _value(self, ways: RankedWays) -> NDArray[np.float64]:
-        at = ways.at
+        at = self._situation
         worth = np.zeros(len(ways.ways_m))
         for term in at.problem.terms:
             worth += term.weight * ranked_value(term, ways)
@@ -144,6 +150,12 @@ class LocalRanking:
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
         return worth - self._missing_db_cost * ways_missing(at, ways.legs_m, ways.power)
+
+
+def _tells_of_stations(term: SlopedTerm) -> bool:
+    """Whether each station adds to a term, and not only places count."""
+    steers = isinstance(term, MappingTerm) and term.form == "two_layer"
+    return not (steers or isinstance(term, MotionEnergyTerm))
 
 
 def _averages_map(problem: Problem) -> bool:

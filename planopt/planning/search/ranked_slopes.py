@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.path_loss_learning import theta_information
-from planopt.planning.search.ranked_terms import RankedWays, path_form_parts
+from planopt.planning.search.ranked_terms import path_form_parts
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.search.way_slopes import (
     TINY_M,
@@ -20,19 +21,20 @@ from planopt.problems.objective import LearningTerm, MappingTerm, MotionEnergyTe
 SlopedTerm = LearningTerm | MappingTerm | MotionEnergyTerm
 
 
-def ranked_slope(term: SlopedTerm, ways: RankedWays) -> Pull:
-    """Derivatives of :func:`planopt.planning.search.ranked_terms.ranked_value`; of one station."""
-    at, (batch,) = ways.at, ways.stations
+def ranked_slope(
+    term: SlopedTerm, at: Situation, batch: WayBatch, station: ChannelPosterior
+) -> Pull:
+    """Derivatives of what `ranked_terms` values of one station's power."""
     match term:
         case LearningTerm():
-            return _learning(term, at, batch)
+            return _learning(term, at, batch, station)
         case MotionEnergyTerm():
             by_length = np.full(batch.shape, -term.per_metre_j_m)
             return pull_of_legs(at.position_m, batch.ways_m, by_length)
         case MappingTerm(form="two_layer"):
             return _steering(at, batch)
         case MappingTerm(form="path"):
-            return _path(term, ways, batch)
+            return _path(term, at, batch)
         case MappingTerm(form="information"):
             return pull_of_universal(batch, 0.5 * batch.inverse)
         case MappingTerm():
@@ -44,9 +46,10 @@ def has_slope(term: Term) -> bool:
     return isinstance(term, SlopedTerm)
 
 
-def _learning(term: LearningTerm, at: Situation, batch: WayBatch) -> Pull:
+def _learning(
+    term: LearningTerm, at: Situation, batch: WayBatch, station: ChannelPosterior
+) -> Pull:
     """With X = S^-1 B and Z the criterion's derivative by B' S^-1 B: 2 X Z by B, -X Z X' by S."""
-    (station,) = at.stations
     criterion = at.criterion(term, station)
     x = np.linalg.solve(batch.covariance, batch.trend)
     before = None if criterion.kind == "T" else theta_information(station)
@@ -61,16 +64,16 @@ def _steering(at: Situation, batch: WayBatch) -> Pull:
     return Pull(by_place=offset / np.maximum(np.linalg.norm(offset, axis=2), TINY_M)[:, :, None])
 
 
-def _path(term: MappingTerm, ways: RankedWays, batch: WayBatch) -> Pull:
+def _path(term: MappingTerm, at: Situation, batch: WayBatch) -> Pull:
     """L_ii^2 changes by L_ii^2 n_i' dS n_i, n_i row i of L^-1."""
-    decay = ways.at.uncertainty(term).decay_per_m
-    variance, excess, near = path_form_parts(term, ways, batch)
+    decay = at.uncertainty(term).decay_per_m
+    variance, excess, near = path_form_parts(term, at, batch)
     rows = np.linalg.inv(batch.factor)
     weight = np.where(excess > 0.0, variance * near, 0.0)
     found = pull_of_universal(batch, rows.transpose(0, 2, 1) @ (weight[:, :, None] * rows))
     # A leg is in the way to its own place and to all after it.
     after = np.cumsum((excess * near)[:, ::-1], axis=1)[:, ::-1]
-    return found.plus(pull_of_legs(ways.at.position_m, batch.ways_m, -decay * after), 1.0)
+    return found.plus(pull_of_legs(at.position_m, batch.ways_m, -decay * after), 1.0)
 
 
 def _average(batch: WayBatch) -> Pull:

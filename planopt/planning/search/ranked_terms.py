@@ -47,17 +47,15 @@ class RankedWays:
     ----------
     at
         What is known.
+    ways_m
+        ``(c, N, 2)``.
     stations
         Each station's power along all of them.
     """
 
     at: Situation
+    ways_m: NDArray[np.float64]
     stations: Sequence[WayBatch]
-
-    @property
-    def ways_m(self) -> NDArray[np.float64]:
-        """``(c, N, 2)``."""
-        return self.stations[0].ways_m
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -84,9 +82,7 @@ class RankedWays:
     @cached_property
     def legs_m(self) -> NDArray[np.float64]:
         """Lengths of the steps of every way, ``(c, N)``."""
-        begin = np.broadcast_to(self.at.position_m, (len(self.ways_m), 1, 2))
-        ends = np.concatenate([begin, self.ways_m], axis=1)
-        return np.linalg.norm(np.diff(ends, axis=1), axis=2)
+        return legs_m(self.at, self.ways_m)
 
 
 def ranked_value(term: Term, ways: RankedWays) -> NDArray[np.float64]:
@@ -178,17 +174,17 @@ def _learning(
 def _mapping(term: MappingTerm, ways: RankedWays) -> NDArray[np.float64]:
     at = ways.at
     if term.form != "two_layer":
-        return _added(_mapped(term, ways, batch) for batch in ways.stations)
+        return _added(_mapped(term, at, batch) for batch in ways.stations)
     if at.steering_m is None:
         return np.zeros(ways.shape[0])
     start = float(np.linalg.norm(at.position_m - at.steering_m))
     return (start - np.linalg.norm(ways.ways_m - at.steering_m, axis=2)).sum(axis=1)
 
 
-def _mapped(term: MappingTerm, ways: RankedWays, batch: WayBatch) -> NDArray[np.float64]:
+def _mapped(term: MappingTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
     """What the measurements of one station tell."""
     if term.form == "path":
-        _, excess, near = path_form_parts(term, ways, batch)
+        _, excess, near = path_form_parts(term, at, batch)
         return (excess * near).sum(axis=1)
     if term.form == "information":
         diagonal = np.diagonal(batch.factor, axis1=1, axis2=2)
@@ -197,12 +193,12 @@ def _mapped(term: MappingTerm, ways: RankedWays, batch: WayBatch) -> NDArray[np.
 
 
 def path_form_parts(
-    term: MappingTerm, ways: RankedWays, batch: WayBatch
+    term: MappingTerm, at: Situation, batch: WayBatch
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """L_ii^2, what of it is above the threshold, and psi of the way there; each ``(c, N)``."""
-    settings = ways.at.uncertainty(term)
+    settings = at.uncertainty(term)
     variance = np.diagonal(batch.factor, axis1=1, axis2=2) ** 2
-    near = np.exp(-settings.decay_per_m * np.cumsum(ways.legs_m, axis=1))
+    near = np.exp(-settings.decay_per_m * np.cumsum(legs_m(at, batch.ways_m), axis=1))
     return variance, np.maximum(variance - settings.threshold_db2, 0.0), near
 
 
@@ -212,3 +208,9 @@ def _average(batch: WayBatch) -> NDArray[np.float64]:
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)
     return np.trace(np.linalg.solve(batch.universal, gathered), axis1=1, axis2=2)
+
+
+def legs_m(at: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths of the steps of every way, ``(c, N)``."""
+    ends = np.concatenate([np.broadcast_to(at.position_m, (len(ways_m), 1, 2)), ways_m], axis=1)
+    return np.linalg.norm(np.diff(ends, axis=1), axis=2)

@@ -14,8 +14,11 @@ from planopt.planning.worth.path_worth import PathWorth
 
 
 def mapping(form):
-    """A mapping term."""
-    return {"kind": "mapping", "form": form, "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
+    """A mapping term, with the keys that go with its form."""
+    term = {"kind": "mapping", "form": form}
+    if form in ("path", "two_layer"):
+        term |= {"variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
+    return term
 
 
 def ways_of(situation, count=7):

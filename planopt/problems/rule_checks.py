@@ -32,16 +32,17 @@ def check_rule(problem: Problem) -> None:
             key="constraints.slack_price",
             remedy="leave it out: slack_max_db alone bounds the slack",
         )
-    last = max(planner.max_steps, planner.horizon)
+    end_s = max(planner.max_steps, planner.horizon) * planner.step_s
+    first_s = min(rule.connected_times_s, default=0.0)
+    if first_s > end_s * (1.0 + WHOLE_STEPS):
+        raise InputError(
+            f"begin with {first_s:g}, and a run ends after {end_s:g} s: nothing would be asked",
+            file=problem.file,
+            key="constraints.connected_times_s",
+            remedy="state earlier times, or raise planner.max_steps",
+        )
     for number, time_s in enumerate(rule.connected_times_s):
         steps = time_s / planner.step_s
-        if round(steps) > last:
-            raise InputError(
-                f"is {time_s:g}, and a run ends after {last * planner.step_s:g} s",
-                file=problem.file,
-                key=f"constraints.connected_times_s[{number}]",
-                remedy="state earlier times, or raise planner.max_steps",
-            )
         if round(steps) < 1 or abs(steps - round(steps)) > WHOLE_STEPS:
             raise InputError(
                 f"is {time_s:g}, which is no multiple of planner.step_s {planner.step_s:g}",

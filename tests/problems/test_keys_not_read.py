@@ -72,15 +72,15 @@ def test_probability_of_a_way_that_is_certain(mapping, built):
 
 
 def test_stated_times_that_no_run_comes_to(mapping, built):
-    """The last is the end of the longest run, or of the plan where that is longer."""
+    """One must be before the end of the longest run, or of the plan where that is longer."""
     mapping["planner"] |= {"horizon": 4, "max_steps": 6, "step_s": 0.5}
-    rule = {"connectivity": "stated_times", "connected_times_s": [1.0, 3.0]}
+    rule = {"p_min": 0.9, "connectivity": "stated_times", "connected_times_s": [3.0, 5.0]}
     mapping["constraints"] |= rule
     built(mapping)
     late = copy.deepcopy(mapping)
-    late["constraints"]["connected_times_s"] = [1.0, 3.5]
-    with pytest.raises(InputError, match=r"is 3.5, and a run ends after 3 s") as caught:
+    late["constraints"]["connected_times_s"] = [5.0, 3.5]
+    with pytest.raises(InputError, match=r"begin with 3.5, and a run ends after 3 s") as caught:
         built(late)
-    assert caught.value.key == "constraints.connected_times_s[1]"
+    assert caught.value.key == "constraints.connected_times_s"
     late["planner"]["horizon"] = 7
     built(late)

@@ -439,7 +439,7 @@ def test_another_task_is_not_judged(plan_folder: Path) -> None:
     def learn_instead(data: dict) -> None:
         tables = data["problem_file"]
         tables["problem"]["task"] = "learn"
-        del tables["robots"][0]["goal_m"]
+        del tables["robots"][0]["goal_m"], tables["constraints"]["goal_radius_m"]
         tables["objective"] = {"terms": [{"kind": "path_loss_learning"}]}
 
     edit_json(plan_folder, "plan.json", learn_instead)

@@ -195,8 +195,8 @@ def _terms(generator: np.random.Generator, task: str) -> list[Tables]:
         }
         drawn = generator.permutation(4)[: generator.integers(1, 3)]
         terms += [[*others, energy][index] for index in drawn]
-    steering = [term for term in terms if term.get("form") == "two_layer"]
-    return [term for term in terms if term not in steering[1:]]
+    steering = [at for at, term in enumerate(terms) if term.get("form") == "two_layer"]
+    return [term for at, term in enumerate(terms) if at not in steering[1:]]
 
 
 def _weight(generator: np.random.Generator) -> float:

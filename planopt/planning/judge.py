@@ -116,7 +116,7 @@ class Judge:
         """
         place = np.tile(self.position_m, (horizon, 1))
         standing = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
-        if standing.sound or self.reserved_m is None:
+        if standing.sound or self.reserved_m is None or np.array_equal(self.reserved_m, place):
             return standing
         return self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
 

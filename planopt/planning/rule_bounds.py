@@ -16,6 +16,7 @@ from planopt.planning.candidate import Candidate
 from planopt.planning.plan import Verdict
 from planopt.planning.programme.path_polish import PathTask
 from planopt.planning.programme.polished import Polished
+from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.risk_allocation import USED_SHARE, Allocation, next_allocation
@@ -60,8 +61,12 @@ def with_bounds(task: PathTask, situation: Situation, rows: RuleRows) -> PathTas
     )
 
 
-def lacks(situation: Situation, rows: RuleRows, point: Polished) -> bool:
-    """Whether a returned path misses a bound where the solver thought that it keeps it."""
+def lacks(situation: Situation, rows: RuleRows, point: Polished, *, firmly: bool = False) -> bool:
+    """Whether a returned path misses a bound where the solver thought that it keeps it.
+
+    With `firmly` also where it keeps a step's bound by less than the search's predictions are off:
+    the proof may find it missed, and then looks for places that keep it, which is dear.
+    """
     if not len(point.slack_db) or not np.isfinite(point.path_m).all():
         return False
     power = situation.power(point.path_m)
@@ -69,7 +74,9 @@ def lacks(situation: Situation, rows: RuleRows, point: Polished) -> bool:
         missing = _slack_of_sum(rows, power) > MARGIN_TOLERANCE_DB
         return bool(point.slack_db[0] <= GIVEN_UP_DB and missing)
     margins = rows.margins_db(power)
-    return bool((margins[point.slack_db <= GIVEN_UP_DB] < -MARGIN_TOLERANCE_DB).any())
+    unsure = firmly and not is_search_exact(situation.posterior)
+    least = SEARCH_ERROR_DB if unsure else -MARGIN_TOLERANCE_DB
+    return bool((margins[point.slack_db <= GIVEN_UP_DB] < least).any())
 
 
 def recentred(task: PathTask, situation: Situation, rows: RuleRows, point: Polished) -> PathTask:

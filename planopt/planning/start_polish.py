@@ -130,7 +130,7 @@ class StartPolish:
         allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
         found: list[Candidate] = []
         tried: list[Allocation] = []
-        for _ in range(REPAIRS + allocations):
+        for attempt in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
             drive = polished_drive(problem, judge.state, point.inputs)
@@ -143,7 +143,7 @@ class StartPolish:
                 kkt_residual=point.kkt_residual,
                 multipliers=point.multipliers,
             )
-            if lacks(situation, rows, point):
+            if lacks(situation, rows, point, firmly=attempt == 0):
                 # It is known to be improvable, and proving that would be dear.
                 found.append(candidate)
                 if budget.spent or point.termination not in RETURNED:

@@ -21,7 +21,7 @@ from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.world.moving_obstacle import MovingObstacle, centres_at
 
 SHARES = np.linspace(0.0, 1.0, 201)
-CROSSING = MovingObstacle("cart", 2.0, (0.0,), ((20.0, 5.0),), (0.0, 1.0))
+CROSSING = MovingObstacle("tram", 2.0, (0.0,), ((20.0, 5.0),), (0.0, 1.0))
 ONCOMING = MovingObstacle("cart", 2.0, (0.0,), ((34.0, 15.0),), (-1.5, 0.0))
 PARKING = MovingObstacle("van", 3.0, (0.0, 9.5, 20.0), ((25.0, 15.0), (20.0, 15.0), (20.0, 40.0)))
 CORRIDOR = (shapely.box(8.0, 0.0, 32.0, 10.0), shapely.box(8.0, 20.0, 32.0, 30.0))

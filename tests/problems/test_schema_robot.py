@@ -102,11 +102,10 @@ def test_a_start_from_which_it_cannot_stop_is_refused(learn, built, start, veloc
     assert built(learn).robots[0].start_rest == (-velocity[0], 0.0)
 
 
-def test_other_tasks_and_planners_refuse(tables, built) -> None:
-    """A goal, and planners that look one step ahead, are for single integrators."""
+def test_a_goal_goes_with_any_dynamics(tables, built) -> None:
+    """A robot that drifts on may have one."""
     tables["robots"][0] |= HEAVY
-    with pytest.raises(InputError, match="single_integrator, not double_integrator"):
-        built(tables)
+    assert built(tables).robots[0].dynamics is not None
 
 
 @pytest.mark.parametrize("planner", ["one_step", "random", "lawnmower"])

@@ -26,6 +26,14 @@ SEARCH_NEIGHBOURS = 128
 """Nearest measurements a place beyond that: some thousandths of a dB off, and no slower however
 many there are."""
 
+SEARCH_ERROR_DB = 2e-3
+"""Beyond that, margins smaller than this are not relied on before they are certified."""
+
+
+def is_search_exact(posterior: ChannelPosterior) -> bool:
+    """Whether searches look at what certificates rest on."""
+    return len(posterior.measurements) <= SEARCH_EXACT_LIMIT
+
 
 def certified_prediction(
     posterior: ChannelPosterior,
@@ -64,6 +72,6 @@ def search_prediction(
         return broad.law([search_prediction(each, positions_m) for each in broad.posteriors])
     if broad is not None:
         return broad(positions_m)
-    if len(posterior.measurements) <= SEARCH_EXACT_LIMIT:
+    if is_search_exact(posterior):
         return predict(posterior, positions_m)
     return predict_nearby(posterior, positions_m, SEARCH_NEIGHBOURS)

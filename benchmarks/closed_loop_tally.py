@@ -130,7 +130,7 @@ def _unlogged(problem: Problem, plan: Plan) -> str | None:
     if plan.verdict is not Verdict.VERIFIED and not plan.certificate.reasons:
         return f"{plan.rung.value}: {plan.verdict.value} for no reason"
     lengths = np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1)
-    if plan.rung is Rung.STOP and lengths.max() > 0.0:
+    if plan.rung is Rung.STOP and plan.drive is None and lengths.max() > 0.0:
         return "a stop that moves"
     if plan.certificate.min_clearance_m < problem.constraints.clearance_m - 1e-6:
         return f"{plan.rung.value}: nearer than the clearance"

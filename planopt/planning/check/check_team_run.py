@@ -42,6 +42,7 @@ from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
+from planopt.planning.team.team_ending import steps_to_drive, team_ending
 from planopt.planning.team.team_run import ChannelLog
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_summary import summary_of
@@ -53,6 +54,7 @@ from planopt.planning.team.team_tables import (
 )
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.region import workspace_region
+from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import braked_motion
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles
@@ -82,7 +84,7 @@ def check_team_run(
         What problem and seed give, if it is to be had.
     """
     problem, seed = saved.problem, record.seed
-    faults = _length_faults(saved, record)
+    faults = _plan_faults(saved, record)
     if faults:
         return [], faults
     truths = () if given is None else given.truths
@@ -95,6 +97,9 @@ def check_team_run(
         ]
     )
     delivered = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
+    faults = _length_faults(problem, delivered)
+    if faults:
+        return [], faults
     seeds = team_seeds(problem, seed)
     watches = watched(watch_target(problem, seeds.target), tracks, delivered, seeds.target)
     released = [_released(saved, record, number) for number in range(len(problem.robots))]
@@ -102,8 +107,9 @@ def check_team_run(
         _driven(saved, record, number, index, region, watches, released, delivered[:, number])
         for number in range(len(problem.robots))
     ]
+    ended = team_ending(problem, delivered)
     runs = [
-        completed_run(problem_of_robot(problem, number), seed, track, true_dbm, one.plans)
+        completed_run(problem_of_robot(problem, number), seed, track, true_dbm, one.plans, ended)
         for number, (track, true_dbm, one) in enumerate(zip(tracks, true, driven, strict=True))
     ]
     target = target_log(watches, delivered)
@@ -225,15 +231,21 @@ def _leads_elsewhere(planned: NDArray[np.float64], states: NDArray[np.float64], 
     return bool(np.abs(planned[:2] - states[step - 1 : step + 1]).max() > EXACT)
 
 
-def _length_faults(saved: SavedTeam, record: TeamRunRecord) -> list[str]:
-    """Runs and plans are as long as the problem says; nothing can be judged where they are not."""
-    planner, steps = saved.problem.planner, len(saved.steps[0].steps) - 1
+def _length_faults(problem: Problem, delivered: NDArray[np.bool_]) -> list[str]:
+    """Runs are as long as the problem says; nothing can be judged where they are not."""
+    steps, asked = len(delivered), steps_to_drive(problem, delivered)
+    if steps == asked:
+        return []
+    why = f"planner.max_steps is {problem.planner.max_steps}"
+    if asked < problem.planner.max_steps:
+        why = f"all robots were connected after step {asked}"
+    return [f"{STEPS_FILE}: the run ends after step {steps}, {why}"]
+
+
+def _plan_faults(saved: SavedTeam, record: TeamRunRecord) -> list[str]:
+    """Plans are as long as the problem says."""
+    planner = saved.problem.planner
     faults: list[str] = []
-    if steps != planner.max_steps:
-        faults.append(
-            f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
-            f"{planner.max_steps}"
-        )
     for number, robot in enumerate(record.plans):
         for step, released in enumerate(robot.released):
             if len(released.x_m) != planner.horizon + 1:

@@ -21,8 +21,9 @@ def completed_run(
     track_m: NDArray[np.float64],
     true_dbm: NDArray[np.float64],
     plans: Sequence[Plan],
+    ended: tuple[Outcome, str],
 ) -> Run:
-    """The run of a problem with one robot, which has driven all its steps.
+    """The run of a problem with one robot.
 
     Parameters
     ----------
@@ -32,6 +33,8 @@ def completed_run(
         ``(steps + 1, 2)`` where the robot was, and ``(steps + 1,)`` the true power there.
     plans
         The plan that each step was the first of.
+    ended
+        The outcome, and why.
     """
     log = step_log(problem, track_m, true_dbm, plans)
     return Run(
@@ -40,9 +43,9 @@ def completed_run(
         planner=problem.planner.name,
         cost_to_go=None,
         seed=seed,
-        outcome=Outcome.COMPLETED,
-        reason=f"all {problem.planner.max_steps} steps driven",
+        outcome=ended[0],
+        reason=ended[1],
         log=log,
-        metrics=metrics_of(log, plans, Outcome.COMPLETED),
+        metrics=metrics_of(log, plans, ended[0]),
         drive=driven(plans),
     )

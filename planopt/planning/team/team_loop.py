@@ -24,6 +24,7 @@ from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
+from planopt.planning.team.team_ending import steps_to_drive, team_ending
 from planopt.planning.team.team_run import TeamRun
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_step import TeamMoment, plan_together
@@ -44,6 +45,8 @@ def simulate_team(
     on_step: Callable[[int], None] | None = None,
 ) -> TeamRun:
     """Drive a problem's robots in the true channel for `planner.max_steps` steps.
+
+    A run of the task connect ends once all robots are connected.
 
     Parameters
     ----------
@@ -110,6 +113,9 @@ def simulate_team(
         rows.append(channel_row(beliefs[0].posteriors, truths, region.grid_m))
         if on_step is not None:
             on_step(step)
+        if steps_to_drive(problem, np.array(delivered)) == step:
+            break
+    ended = team_ending(problem, np.array(delivered))
     return TeamRun(
         problem=problem,
         seed=seed,
@@ -121,6 +127,7 @@ def simulate_team(
                 np.array(track),
                 true_serving_dbm(problem, truths, np.array(track)),
                 made,
+                ended,
             )
             for member, track, made in zip(crew, tracks, plans, strict=True)
         ),

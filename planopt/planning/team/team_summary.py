@@ -68,7 +68,7 @@ def summary_of(
         horizon=problem.planner.horizon,
         planner=problem.planner.name,
         seed=seed,
-        outcome=Outcome.COMPLETED,
+        outcome=runs[0].outcome,
         reason=runs[0].reason,
         metrics=team_metrics(problem, runs, target, channel),
         rungs=dict(rungs),

@@ -15,7 +15,11 @@ from planopt.problems.settings import BASELINES
 from planopt.problems.tables import Table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from planopt.problems.schema import ProblemFile
+    from planopt.problems.schema_moving import MovingTable
+    from planopt.problems.schema_robot import RobotTable
 
 MOST_TURN_RAD = 2.0 * math.pi
 """What a robot may turn in a step: more than a circle of the same input is nothing to plan."""
@@ -33,7 +37,7 @@ TASK_TERMS: dict[str, tuple[type[Table], ...]] = {
 def task_fault(tables: ProblemFile) -> str | None:
     """What keeps tables from being a problem of its task, in words; None if nothing does."""
     fault = _reach_fault(tables) if tables.problem.task == "reach" else _terms_fault(tables)
-    return fault or _moving_fault(tables)
+    return fault or _same_name("world.moving", tables.world.moving)
 
 
 def _reach_fault(tables: ProblemFile) -> str | None:
@@ -74,10 +78,7 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     tracked = any(isinstance(term, TrackingTable) for term in terms)
     if tracked != bool(tables.targets):
         return "a term of kind tracking and an entry of targets go together"
-    names = [robot.name for robot in tables.robots]
-    if len(set(names)) < len(names):
-        return "two robots have one name"
-    return _dynamics_fault(tables)
+    return _same_name("robots", tables.robots) or _dynamics_fault(tables)
 
 
 def _dynamics_fault(tables: ProblemFile) -> str | None:
@@ -99,9 +100,13 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
     return None
 
 
-def _moving_fault(tables: ProblemFile) -> str | None:
-    """What keeps moving things from being told apart."""
-    names = [moving.name for moving in tables.world.moving]
-    if len(set(names)) < len(names):
-        return "two of world.moving have one name"
+def _same_name(table: str, entries: Sequence[RobotTable] | Sequence[MovingTable]) -> str | None:
+    """What keeps the entries of a table from being told apart."""
+    names = [entry.name for entry in entries]
+    for number, name in enumerate(names):
+        if names.index(name) < number:
+            return (
+                f"{table}[{number}].name is that of {table}[{names.index(name)}] too: "
+                "give each a name of its own"
+            )
     return None

@@ -415,7 +415,7 @@ def twice(tables: Tables) -> None:
         (give_goal, "task track has no robots.goal_m"),
         (mapping_first, "begin with one of kind tracking"),
         (way_beyond, "objective.cost_to_go is for task reach, not for track"),
-        (twice, "two robots have one name"),
+        (twice, r"robots\[1\].name is that of robots\[0\] too"),
     ],
 )
 def test_tables_that_do_not_fit_the_task(

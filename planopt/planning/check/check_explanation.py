@@ -39,6 +39,8 @@ def explanation_faults(case: Case, explanation: Sequence[Relaxation]) -> list[st
     faults: list[str] = []
     for one in explanation:
         name = one.constraint
+        if one.robot != case.problem.robots[case.number].name:
+            faults.append(f"explanation: {name} is said of {one.robot}, whose plan this is not")
         about = [(fault, key) for fault in missed for key in _keys(case, fault) if key.name == name]
         if not about:
             faults.append(f"explanation: {name} does not concern a plan that there is")

@@ -13,10 +13,11 @@ from terms_scene import TRACKING, terms_problem
 
 from planopt.planning.check.check import check
 from planopt.planning.explain.explain import explain, explain_no_plan
-from planopt.planning.files.saved import save_record
+from planopt.planning.files.saved import save_record, save_solution
 from planopt.planning.files.solution_json import no_plan_json
 from planopt.planning.files.team_saved import save_team_solution
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_solve import solve_team
 from planopt.problems.load import load
 from planopt.world.workspace import Obstacle
@@ -129,6 +130,21 @@ def test_a_verified_plan_needs_no_explanation(tmp_path, saved):
     data = json.loads((tmp_path / "plan.json").read_text())
     assert data["explanation"] == [] and check(tmp_path).reasons == ()
     assert blamed(tmp_path, {**data, "explanation": saved[1]["explanation"][:1]})
+
+
+def test_a_robot_that_there_is_not(tmp_path):
+    """To a goal as well: an explanation is of a robot of the problem."""
+    problem = load("open_field")
+    radio = problem.stations[0]
+    deaf = replace(problem, stations=(replace(radio, threshold_dbm=radio.threshold_dbm + 80.0),))
+    solution = solve(deaf, horizon=2)
+    assert solution.plan.verdict is Verdict.VIOLATED
+    solution = replace(solution, explanation=explain(solution))
+    save_solution(solution, tmp_path)
+    data = json.loads((tmp_path / "plan.json").read_text())
+    assert blamed(tmp_path, data) == []
+    data["explanation"][0]["robot"] = "nobody"
+    assert any("nobody" in reason for reason in blamed(tmp_path, data))
 
 
 def test_no_plan(tmp_path):

@@ -84,9 +84,6 @@ def check_team_run(
         What problem and seed give, if it is to be had.
     """
     problem, seed = saved.problem, record.seed
-    faults = _plan_faults(saved, record)
-    if faults:
-        return [], faults
     truths = () if given is None else given.truths
     index, region = index_obstacles(problem.workspace), workspace_region(problem)
     tracks = np.array([steps.positions_m for steps in saved.steps])
@@ -97,7 +94,7 @@ def check_team_run(
         ]
     )
     delivered = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
-    faults = _length_faults(problem, delivered)
+    faults = _length_faults(problem, delivered) + _plan_faults(saved, record)
     if faults:
         return [], faults
     seeds = team_seeds(problem, seed)

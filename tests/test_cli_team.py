@@ -99,3 +99,19 @@ def test_costs_to_go_are_refused(short: Path, capsys) -> None:
     assert main(["compare", str(short), "--horizons", "2", "--costs-to-go", "geodesic"]) == 2
     assert "objective.cost_to_go" in capsys.readouterr().err
     assert main(["solve", str(short), "--cost-to-go", "geodesic"]) == 2
+
+
+def test_a_run_that_never_connects_is_exit_code_4(tmp_path: Path, capsys) -> None:
+    """And one that does ends there, with 0."""
+    text = (library_folder() / "indoor_learn.toml").read_text()
+    text = text.replace('task = "learn"', 'task = "connect"')
+    text = re.sub(r"max_steps = \d+", "max_steps = 3", text) + "\n[report]\nfigures = false\n"
+    text = re.sub(r"(\[\[objective\.terms\]\]\n)(?:.+\n)+", r'\1kind = "until_connected"\n', text)
+    file = tmp_path / "connect.toml"
+    for threshold, code, words in (
+        ("-200.0", 0, "completed (connected after step 1)"),
+        ("20.0", 4, "step_limit (not connected after planner.max_steps 3)"),
+    ):
+        file.write_text(re.sub(r"threshold_dbm = \S+", f"threshold_dbm = {threshold}", text))
+        assert main(["simulate", str(file), "--horizon", "2"]) == code
+        assert words in capsys.readouterr().out

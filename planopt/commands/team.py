@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from planopt.planning.team.team_run import TeamRun
     from planopt.planning.team.team_solution import TeamSolution
 
-NOT_VERIFIED = 3
+NOT_VERIFIED, NOT_CONNECTED = 3, 4
 
 
 def solve_asked(asked: Asked) -> int:
@@ -58,10 +58,11 @@ def solve_asked(asked: Asked) -> int:
 
 
 def simulate_asked(asked: Asked) -> int:
-    """Drive all robots. Exit code 0 verified throughout, 3 not throughout."""
+    """Drive all robots. Exit code 0 verified throughout, 3 not, 4 never connected (connect)."""
     from planopt.planning.files.saved import withdraw
     from planopt.planning.files.team_run_json import team_run_json
     from planopt.planning.files.team_saved import save_team_run
+    from planopt.planning.loop.run import Outcome
     from planopt.planning.team.team_loop import simulate_team
 
     with results_folder(asked.out) as folder:
@@ -76,6 +77,8 @@ def simulate_asked(asked: Asked) -> int:
                     picture_team_run(run, folder)
             save_team_run(run, folder)
     show(asked.json, team_run_json(run), _run_in_words(run))
+    if run.runs[0].outcome is Outcome.STEP_LIMIT:
+        return NOT_CONNECTED
     return 0 if run.verified_rate == 1.0 else NOT_VERIFIED
 
 

@@ -84,11 +84,11 @@ def simulate_asked(asked: Asked) -> int:
 
 def _plans_in_words(solution: TeamSolution) -> str:
     problem = solution.problem
-    value = sum(plan.objective for plan in solution.plans)
+    value, count = sum(plan.objective for plan in solution.plans), len(solution.plans)
     lines = [
         f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon}, "
         f"planner {problem.planner.name}, seed {solution.seed}",
-        f"  value {shown_number(value)} of {len(solution.plans)} plans",
+        f"  value {shown_number(value)}" + (f" of {count} plans" if count > 1 else ""),
     ]
     for plan in solution.plans:
         certificate = plan.certificate

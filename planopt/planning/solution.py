@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from planopt.channel.belief import Belief
 from planopt.planning.explain.explanation import Relaxation
-from planopt.planning.plan import Plan
+from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Problem
 
 
@@ -34,7 +34,17 @@ class Solution:
     plan: Plan
     explanation: tuple[Relaxation, ...] = ()
 
+    @property
+    def plans(self) -> tuple[Plan]:
+        """The plan alone, as what has several robots has several."""
+        return (self.plan,)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The plan's."""
+        return self.plan.verdict
+
 
 def exit_code(solution: Solution) -> int:
     """0 verified, 3 solved but not verified, 4 no plan."""
-    return {"verified": 0, "none": 4}.get(solution.plan.verdict.value, 3)
+    return {"verified": 0, "none": 4}.get(solution.verdict.value, 3)

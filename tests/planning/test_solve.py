@@ -99,3 +99,10 @@ def test_threshold_that_cannot_be_met(horizon):
 def test_exit_codes(solution, verdict, code):
     """Design section 3."""
     assert exit_code(replace(solution, plan=replace(solution.plan, verdict=verdict))) == code
+
+
+def test_plans_and_verdict_are_asked_for_as_of_several_robots():
+    """One robot's solution answers to the same names."""
+    solution = solve(load("open_field"), horizon=3)
+    assert solution.plans == (solution.plan,)
+    assert solution.verdict is solution.plan.verdict

@@ -96,7 +96,7 @@ def simulate(
         log=log,
         metrics=metrics_of(log, plans, outcome),
         rule=rule_metrics(problem, [log]),
-        drive=driven(plans),
+        drive=driven(problem.robots[0], plans),
     )
     first = len(prepared.belief.posterior.measurements)
     return Simulation(problem, seed, belief, first, run, tuple(plans), truths[0], truths[1:])

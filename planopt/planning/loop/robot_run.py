@@ -47,5 +47,5 @@ def completed_run(
         reason=ended[1],
         log=log,
         metrics=metrics_of(log, plans, ended[0]),
-        drive=driven(plans),
+        drive=driven(problem.robots[0], plans),
     )

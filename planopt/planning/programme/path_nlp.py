@@ -58,8 +58,9 @@ NEAR_START: dict[str, Any] = {
 first drives the iterates to the middle, one long solve in ten does not return (40 steps). Least
 squares for the first multipliers, scaling (the value comes scaled), refinement of well conditioned
 steps and a look at their residuals cost a fifth of the time and gain nothing. Corrections of the
-second order, and shorter steps in small stages, cost a fifth of the evaluations. The few solves that need
-more than 30 iterations may gain most: half of the worth in one Munich-like scene of 20."""
+second order, and shorter steps in small stages, cost a fifth of the evaluations. The few solves
+that need more than 30 iterations may gain most: half of the worth in one Munich-like scene of 20.
+"""
 
 DRIVEN: dict[str, Any] = {
     "ipopt.mu_init": 1e-2,

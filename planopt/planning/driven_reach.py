@@ -92,7 +92,7 @@ class DrivenReach:
         budget
             Of the step.
         """
-        judge = _charging(judge, ReachCost(self._problem, judge.position_m))
+        judge = _charging(judge, ReachCost(self._problem, judge.position_m, situation.power))
         if start is None:
             return without_start(judge, warm), None
         starts = self._starts(situation, judge, start, warm)
@@ -162,7 +162,7 @@ class DrivenReach:
         budget: Budget,
     ) -> Candidate:
         """What the ladder makes of the starts, charged by a pivot."""
-        cost = ReachCost(self._problem, judge.position_m, pivot)
+        cost = ReachCost(self._problem, judge.position_m, situation.power, lambda _: pivot)
         judge = _charging(judge, cost)
         if stops_at_goal(self._problem, judge.state):
             stopped = _stopped(judge)

@@ -66,11 +66,14 @@ class Pivot:
     position_m
         ``(2,)``.
     cost_m
-        Metres, those below the connectivity bound counted more than once.
+        Metres from there to the goal, those below the bound counted at the outage price.
+    metre_cost
+        What a metre on the way to it counts, at least 1.
     """
 
     position_m: NDArray[np.float64]
     cost_m: float
+    metre_cost: float = 1.0
 
 
 @dataclass(frozen=True)

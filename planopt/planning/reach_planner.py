@@ -19,15 +19,13 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import MOVING_LINES
-from planopt.planning.programme.pivot import find_pivot
+from planopt.planning.programme.pivot import Ahead, find_pivot
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
-from planopt.planning.search.good_place import ways_to_good_place
-from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.search.rule_search import RuleSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
@@ -55,14 +53,10 @@ class ReachPlanner:
     def __init__(self, problem: Problem, scene: Scene) -> None:
         self.problem = problem
         self.scene = scene
-        radio = eased(problem).stations[0]
-        self._margins = NodeMargins(scene.road_map, radio.threshold_dbm, problem.constraints.p_min)
-        self._search = GlobalSearch(problem, scene, self._margins)
         self._eased = eased(problem)
+        self._search = GlobalSearch(self._eased, scene)
         self._region = workspace_region(problem)
-        self._rule_search = None
-        if not problem.constraints.rule.is_plain:
-            self._rule_search = RuleSearch(self._eased, scene)
+        self._goal_grid = build_goal_grid(problem, scene.index)
         self._nlp: ReachNlp | None = None
         self._driven = DrivenReach(problem, scene) if problem.robots[0].dynamics else None
         if problem.planner.name in METHODS and self._driven is None:
@@ -96,10 +90,10 @@ class ReachPlanner:
         """
         begun = perf_counter()
         problem, scene, position_m = self.problem, self.scene, state[:2]
-        circumstances = circumstances_of(problem, belief.posteriors, history)
-        self._margins.refresh(belief.posterior, circumstances.broad)
+        circumstances = circumstances_of(
+            problem, belief.posteriors, history, goal_grid=self._goal_grid
+        )
         moving = circumstances.moving
-        rows_of = None
         situation = Situation(
             self._eased,
             belief.posterior,
@@ -108,14 +102,10 @@ class ReachPlanner:
             self._region,
             circumstances=circumstances,
         )
-        if self._rule_search is None:
-            start = self._search.find_start(
-                position_m, belief.posterior.measurements.positions_m, moving
-            )
-        else:
-            start = self._rule_search.find_start(situation, self._margins.margin_db)
-            rows_of = partial(step_rows, situation)
-        cost = ReachCost(problem, position_m)
+        start = self._search.find_start(situation)
+        plain = problem.constraints.rule.is_plain
+        rows_of = None if plain else partial(step_rows, situation)
+        cost = ReachCost(problem, position_m, situation.power)
         reserved = None
         if len(moving) and warm is not None:
             reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
@@ -123,7 +113,7 @@ class ReachPlanner:
             problem, scene.index, belief, position_m, cost, circumstances, reserved, state[2:]
         )
         connected = problem.reach.cost_to_go == "connected"
-        margin_db = self._margins.margin_db if connected else None
+        margin_db = self._search.margins.margin_db if connected else None
         budget = budget_from(problem, begun)
         if self._driven is not None:
             chosen, pivot = self._driven.chosen(situation, judge, start, margin_db, warm, budget)
@@ -137,9 +127,10 @@ class ReachPlanner:
                 problem.step_length_m,
                 problem.constraints.clearance_m,
             )
-            cost = replace(cost, pivot=pivot)
+            cost = replace(cost, ahead=Ahead(problem, scene, start, pivot))
             judge = replace(judge, objective=cost)
             chosen = self._climb(judge, cost, start, warm, budget, rows_of)
+            pivot = cost.pivot_of(chosen.path_m)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         return replace(plan, pivot=pivot)
 
@@ -181,9 +172,6 @@ class ReachPlanner:
         sound: list[Candidate] = []
         if not verified:
             sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
-            found = self._by_way_to_good_place(judge, refiner, [*tried, lattice])
-            verified = [c for c in found if c.verdict is Verdict.VERIFIED]
-            tried += found
         if verified:
             return with_effort(min(verified, key=lambda c: c.objective), tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
@@ -192,20 +180,6 @@ class ReachPlanner:
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
         return with_effort(chosen, tried)
-
-    def _by_way_to_good_place(
-        self, judge: Judge, refiner: Refiner | None, tried: list[Candidate]
-    ) -> list[Candidate]:
-        """Go straight to a place that the verifier says was missed."""
-        found: list[Candidate] = []
-        for path in ways_to_good_place(judge, tried):
-            if refiner is not None:
-                found += refiner.attempts_from(path)
-            way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
-            found.append(judge.judged(way))
-            if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
-                break
-        return found
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""

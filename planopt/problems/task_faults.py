@@ -68,7 +68,7 @@ def _terms_fault(tables: ProblemFile) -> str | None:
         return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
     if any(robot.goal_m is not None for robot in tables.robots):
         return f"task {task} has no robots.goal_m"
-    for key in ("effort_weight_s2_m2", "cost_to_go"):
+    for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price"):
         if key in tables.objective.model_fields_set:
             return f"objective.{key} is for task reach, not for {task}"
     if "goal_radius_m" in tables.constraints.model_fields_set:

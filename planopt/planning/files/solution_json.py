@@ -60,6 +60,7 @@ class PivotRecord(Record):
     x_m: Number
     y_m: Number
     cost_m: NotNegative
+    metre_cost: float = Field(default=1.0, ge=1, le=1e7)
 
 
 class PlanRecord(Record):
@@ -168,7 +169,7 @@ def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:
     if pivot is None:
         return None
     x_m, y_m = pivot.position_m.tolist()
-    return {"x_m": x_m, "y_m": y_m, "cost_m": pivot.cost_m}
+    return {"x_m": x_m, "y_m": y_m, "cost_m": pivot.cost_m, "metre_cost": pivot.metre_cost}
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
@@ -188,7 +189,8 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
         "relaxed_steps": list(certificate.relaxed_steps),
         "relaxation_db": finite_list(certificate.relaxation_db),
         "best_margin_db": finite_list(certificate.best_margin_db),
-        "no_connected_way": certificate.no_connected_way,
+        "path_cost_m": finite(certificate.path_cost_m),
+        "best_cost_m": finite(certificate.best_cost_m),
         "reasons": list(certificate.reasons),
         **({} if rule is None else {"rule": asdict(rule)}),
     }
@@ -211,7 +213,8 @@ def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
         "relaxed_steps": [],
         "relaxation_db": [],
         "best_margin_db": [],
-        "no_connected_way": False,
+        "path_cost_m": None,
+        "best_cost_m": None,
         "reasons": list(reasons),
     }
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.ground import first_moves
 from planopt.planning.plan import Pivot
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.road_map import way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
 
 LOOKAHEAD_STEPS = 5.0
@@ -23,6 +25,45 @@ LOOKAHEAD_STEPS = 5.0
 LATTICE_DETOUR = 0.03
 """A lattice path is at most this share longer than the straight one (16 headings: 2.7 %). The pivot
 lies at least that far ahead, or a polished path would come to it and have nowhere to go."""
+
+
+class Ahead:
+    """The rest of the way from wherever a path ends, as a pivot.
+
+    Parameters
+    ----------
+    problem, scene, start
+        What is planned, where, and the cost-to-go.
+    pivot
+        That counts for every place which sees it.
+    """
+
+    def __init__(self, problem: Problem, scene: Scene, start: GlobalStart, pivot: Pivot) -> None:
+        self._problem = problem
+        self._scene = scene
+        self._start = start
+        self._pivot = pivot
+
+    def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
+        """The cheaper of the pivot, if it is seen from `end_m` (2,), and nodes within a step.
+
+        The pivot, seen or not, where there is no node.
+        """
+        problem, start, pivot = self._problem, self._start, self._pivot
+        to_pivot = float(np.linalg.norm(pivot.position_m - end_m))
+        seen = swept_clearance_m(self._scene.index, np.stack([end_m, pivot.position_m]))
+        is_seen = to_pivot == 0.0 or bool(is_clear(seen, problem.constraints.clearance_m)[0])
+        nodes, lengths = first_moves(self._scene.ground, problem, end_m)
+        if not len(nodes):
+            return pivot
+        metre = start.metre_cost[nodes]
+        metre = 0.5 * (metre + metre[np.argmin(lengths)])
+        total = lengths * metre + start.ways.cost_m[nodes]
+        best = int(np.argmin(total))
+        if is_seen and to_pivot * pivot.metre_cost + pivot.cost_m <= total[best]:
+            return pivot
+        place = self._scene.road_map.nodes_m[nodes[best]]
+        return Pivot(place, float(start.ways.cost_m[nodes[best]]), float(metre[best]))
 
 
 def find_pivot(
@@ -67,4 +108,5 @@ def find_pivot(
         room = LATTICE_DETOUR * len(start.nodes) * step_length_m
         enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
         chosen = max(farthest_seen, enough)
-    return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]))
+    metre_cost = 0.5 * float(start.metre_cost[end] + start.metre_cost[way[chosen]])
+    return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]), metre_cost)

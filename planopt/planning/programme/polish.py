@@ -47,8 +47,8 @@ class ReachTask:
         ``(N,)`` what the margins must reach.
     slack_limit_db
         ``(N,)`` how much of it may be missing; zero where the bound is hard.
-    elastic
-        Minimise the missing dB instead of the cost.
+    slack_price_s_db
+        What a missing dB costs.
     """
 
     start_m: NDArray[np.float64]
@@ -64,19 +64,14 @@ class ReachTask:
     margins: MarginFunction
     bound_db: NDArray[np.float64]
     slack_limit_db: NDArray[np.float64]
-    elastic: bool = False
-
-
-ELASTIC_COST_SCALE = 1e-4
-"""Weight of the cost beside the missing dB in an elastic solve: only settles ties."""
+    slack_price_s_db: float = 0.0
 
 
 def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     """Solve the programme from the task's start path."""
     n = nlp.horizon
-    scale, slack_weight = (ELASTIC_COST_SCALE, 1.0) if task.elastic else (1.0, 0.0)
     head = np.array(
-        [*task.start_m, *task.pivot_m, task.effort_s_m2, task.rate_s_m, scale, slack_weight]
+        [*task.start_m, *task.pivot_m, task.effort_s_m2, task.rate_s_m, task.slack_price_s_db]
     )
     line = task.lines.rows(task.clearance_m + CLEARANCE_PAD_M)
     positions = _position_bounds(task, n)
@@ -135,7 +130,7 @@ def _residual(
         return float("inf")
     q = np.vstack([task.start_m, point.positions_m])
     steps = np.diff(q, axis=0)
-    effort, rate, scale, slack_weight = head[4:]
+    effort, rate, slack_price = head[4:]
     gradient = np.zeros((n, 2))
     gradient += 2.0 * effort * steps
     gradient[:-1] -= 2.0 * effort * steps[1:]
@@ -152,7 +147,7 @@ def _residual(
     slack_columns[-n:] = np.eye(n)
     rows = np.concatenate([plain, margins.value + point.slack_db])
     return kkt_residual(
-        np.concatenate([scale * gradient.ravel(), np.full(n, slack_weight)]),
+        np.concatenate([gradient.ravel(), np.full(n, slack_price)]),
         np.hstack([jacobian, slack_columns]),
         rows,
         row_bounds,

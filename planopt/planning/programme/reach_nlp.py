@@ -7,7 +7,7 @@ checking of the files that touch its types.
 Variables are the positions q_1..q_N and a slack s_k of each stage's connectivity bound. With h the
 step duration::
 
-    min   scale (w / h sum |q_k - q_{k-1}|^2 + rate |q_N - pivot|) + slack_weight sum s_k
+    min   w / h sum |q_k - q_{k-1}|^2 + rate |q_N - pivot| + slack_price sum s_k
     s.t.  the rows of planopt.planning.programme.path_rows
           margin_k(q_k) + s_k >= bound_k             k = 1..N             "connectivity"
 
@@ -69,11 +69,11 @@ class ReachNlp:
 
 
 def _objective(n: int, q: Any, s: Any, p: Any) -> Any:
-    """Assemble the cost; `p` = start (2), pivot (2), effort / h, rate, scale, slack weight."""
+    """Assemble the cost; `p` = start (2), pivot (2), effort / h, rate, slack price."""
     before = ca.vertcat(p[0:2], q[: 2 * n - 2])
     effort = p[4] * ca.sumsqr(q - before)
     to_pivot = ca.sqrt(ca.sumsqr(q[2 * n - 2 :] - p[2:4]) + PIVOT_ROUNDING_M**2)
-    return p[6] * (effort + p[5] * to_pivot) + p[7] * ca.sum1(s)
+    return effort + p[5] * to_pivot + p[6] * ca.sum1(s)
 
 
 def build_reach_nlp(
@@ -87,7 +87,7 @@ def build_reach_nlp(
     source = MarginSource(n)
     margins = path_callbacks("margin", n, n, 3 * n, source.at)
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", n)
-    head, line = ca.SX.sym("head", 8), ca.SX.sym("line", 4 * n * lines)
+    head, line = ca.SX.sym("head", 7), ca.SX.sym("line", 4 * n * lines)
     x_sx, p_sx = ca.vertcat(q, s), ca.vertcat(head, line)
     f_sx = _objective(n, q, s, head)
     g_sx = path_rows(n, lines, q, head[0:2], line)

@@ -121,9 +121,7 @@ def judge(
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None
     if constraints.rule.by_step:
-        steps = judge_single_steps(
-            problem, under.history, index, posterior, start_m, positions_m, power, under.broad
-        )
+        steps = judge_single_steps(problem, under, index, posterior, start_m, positions_m, power)
         result = steps.result
         reasons += steps.reasons
     else:
@@ -141,7 +139,8 @@ def judge(
         relaxed_steps=() if steps is None else steps.relaxed_steps,
         relaxation_db=() if steps is None else steps.relaxation_db,
         best_margin_db=() if steps is None else steps.best_margin_db,
-        no_connected_way=steps is not None and steps.no_connected_way,
+        path_cost_m=None if steps is None else steps.path_cost_m,
+        best_cost_m=None if steps is None else steps.best_cost_m,
         reasons=tuple(reasons),
         min_separation_m=apart.min_separation_m,
         min_moving_clearance_m=apart.min_moving_clearance_m,

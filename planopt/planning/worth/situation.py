@@ -19,7 +19,7 @@ from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.objectives.until_connected import Search
-from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.serving import Serving
 from planopt.planning.worth.region import region_near
@@ -67,7 +67,7 @@ class Situation:
     region: Region
     steering_m: NDArray[np.float64] | None = None
     information: NDArray[np.float64] | None = None
-    circumstances: Circumstances = NOTHING_ELSE
+    circumstances: Circumstances = field(default_factory=Circumstances)
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 from planopt.errors import InputError
 from planopt.problems.read_toml import read_toml
@@ -85,8 +86,9 @@ def find_problem(path_or_name: Path | str) -> Path:
 
 def _description(path: Path) -> str:
     """Return the description in `path`, without the seconds that validating all of it takes."""
-    head = read_toml(path).get("problem")
-    description = head.get("description", "") if isinstance(head, dict) else None
+    head: Any = read_toml(path).get("problem")
+    tables = cast("dict[str, Any]", head if isinstance(head, dict) else {"description": None})
+    description = tables.get("description", "")
     if not isinstance(description, str):
         raise InputError(
             "is missing or no text", file=path, key="problem.description", remedy="one sentence"

@@ -27,7 +27,7 @@ from planopt.channel.estimation.least_squares import (
     coefficient_covariance,
     least_squares,
 )
-from planopt.channel.estimation.lemma1 import capped_bins, enough, lemma1_fit, seed_bins
+from planopt.channel.estimation.lemma1 import capped_bins, enough, lemma1_fit, printed_bins
 from planopt.channel.estimation.nls_fit import nls_fit
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, reml_fit, thinned
 from planopt.channel.mean_model import MeanModel
@@ -135,8 +135,8 @@ def _from_bins(
     if method == "nls":
         return nls_fit(correlation, alpha, count, bounds)
     bins = (
-        seed_bins(correlation, alpha)
-        if method == "seed"
+        printed_bins(correlation, alpha)
+        if method == "lemma1"
         else capped_bins(correlation, alpha, allows.extent_m)
     )
     if not enough(bins):

@@ -14,7 +14,7 @@ from planopt.errors import InputError
 
 if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit
-    from planopt.channel.estimation.convex_fit import Loss
+    from planopt.channel.estimation.fit_method import Loss
     from planopt.channel.logs.log_format import LogFormat
     from planopt.channel.measurements import Measurements
     from planopt.channel.station.station_position import StationMethod

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.convex_fit import Loss, convex_fit
+from planopt.channel.estimation.convex_fit import convex_fit
 from planopt.channel.estimation.covariance_fit import (
     FALLBACK_TOTAL_VARIANCE_DB2,
     CovarianceBounds,
@@ -20,7 +20,7 @@ from planopt.channel.estimation.empirical_correlation import (
     EmpiricalCorrelation,
     empirical_correlation,
 )
-from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.estimation.fit_method import FitMethod, Loss
 from planopt.channel.estimation.identifiability import Identifiability
 from planopt.channel.estimation.least_squares import (
     LeastSquares,

@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.convex_fit import Loss
 from planopt.channel.estimation.estimate import (
     Estimate,
     GivenToFit,
@@ -24,6 +23,7 @@ from planopt.channel.estimation.estimate import (
 from planopt.channel.estimation.fit_method import (
     FitMethod,
     GivenMethod,
+    Loss,
     require_loss,
     require_method,
 )

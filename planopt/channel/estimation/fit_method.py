@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Literal, cast, get_args
 
-from planopt.channel.estimation.convex_fit import Loss
 from planopt.errors import InputError
 
 FitMethod = Literal["lemma1", "capped", "convex", "nls", "reml"]
+
+Loss = Literal["squares", "huber", "absolute"]
 
 GivenMethod = FitMethod | Literal["seed"]
 """What a caller may write: today's names and those of `ALIASES`."""

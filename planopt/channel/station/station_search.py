@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.convex_fit import Loss
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.fit_method import GivenMethod
+from planopt.channel.estimation.fit_method import GivenMethod, Loss
 from planopt.channel.estimation.identifiability import require_usable
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
 from planopt.channel.measurements import Measurements

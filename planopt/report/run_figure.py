@@ -81,7 +81,7 @@ def _true_power(simulation: Simulation) -> Raster:
 def _draw_driven(panel: Panel, log: StepLog) -> list[Artist]:
     """Draw the driven path: blue on white where connected, else dashes of vermillion on black.
 
-    Lightness and dashes tell them apart without colour. Each is drawn, and named, where there is any.
+    Lightness and dashes tell them apart without colour. Each is drawn where there is any.
     """
     from matplotlib.collections import LineCollection
 

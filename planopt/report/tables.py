@@ -1,9 +1,10 @@
-"""A comparison as a plain-text table."""
+"""Comparisons, and predicted against true connection, as plain-text tables."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from planopt.channel.validation.reliability import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
 from planopt.studies.comparison import Comparison, Row
 
@@ -58,7 +59,48 @@ def comparison_text(comparison: Comparison) -> str:
     )
     if to_goal:
         title += "; time to goal over the runs that arrived"
-    return "\n".join([title, "", *_aligned([header, *lines])])
+    table = [title, "", *_aligned([header, *lines], 2)]
+    return "\n".join([*table, "", *reliability_lines(comparison.reliability, "steps", "seeds")])
+
+
+def reliability_lines(bins: Sequence[ReliabilityBin], what: str, groups: str) -> list[str]:
+    """Table of predicted against true connection, one line a bin; no line without bins.
+
+    Parameters
+    ----------
+    bins
+        As :func:`planopt.channel.validation.reliability.reliability` gives them.
+    what, groups
+        What was predicted and what it is grouped by, in the plural.
+    """
+    if not bins:
+        return []
+    known = any(one.interval for one in bins)
+    header = ["predicted P", what, groups, "mean predicted", "connected"]
+    lines = [
+        [
+            f"{one.low:g} to {one.high:g}",
+            str(one.count),
+            str(one.groups),
+            f"{one.predicted:.4f}",
+            f"{one.realised:.4f}",
+            *([_interval(one)] if known else []),
+        ]
+        for one in bins
+    ]
+    how = f"intervals over {groups}" if known else f"no interval from fewer than {FEWEST_GROUPS}"
+    title = f"predicted against true connection; {how}"
+    if known:
+        return [title, *_aligned([[*header, "95 % interval"], *lines], 1)]
+    return [f"{title} {groups}", *_aligned([header, *lines], 1)]
+
+
+def _interval(one: ReliabilityBin) -> str:
+    """The interval, with a mark where it misses the mean prediction."""
+    if one.interval is None:
+        return MISSING
+    words = f"{one.interval[0]:.4f} to {one.interval[1]:.4f}"
+    return words if one.agrees else f"{words} *"
 
 
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
@@ -102,12 +144,12 @@ def _mean(rows: dict[str, Row], metric: str, *, interval: bool = False) -> str:
     return text
 
 
-def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of columns two spaces apart, the first two (words) to the left, the others right."""
+def _aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
+    """Lines of columns two spaces apart, the first `words` to the left, the others right."""
     widths = [max(len(line[column]) for line in table) for column in range(len(table[0]))]
     return [
         "  ".join(
-            cell.ljust(width) if column < 2 else cell.rjust(width)
+            cell.ljust(width) if column < words else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in table

@@ -82,16 +82,20 @@ def fit(
                 report = held_out(log, fitted, hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
-            from planopt.commands.pictures import picture_fit, picture_held_out
             from planopt.files import write_text
             from planopt.planning.files.solution_json import strict_text
 
-            picture_fit(fitted.measurements, fitted.found, folder)
-            if report is not None:
-                picture_held_out(report, folder)
             write_text(folder / FIT_FILE, strict_text(data))
-    lines = [_in_words(data), *([] if report is None else held_out_reliability_words(report))]
-    show(json, data, "\n".join(lines))
+        # Results come before pictures: whatever happens to these, the numbers are there.
+        lines = [_in_words(data), *([] if report is None else held_out_reliability_words(report))]
+        show(json, data, "\n".join(lines))
+        if folder is not None:
+            from planopt.commands.pictures import picture_fit, picture_held_out
+
+            with progress("drawing"):
+                picture_fit(fitted.measurements, fitted.found, folder)
+                if report is not None:
+                    picture_held_out(report, folder)
     return 0
 
 

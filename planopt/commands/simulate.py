@@ -63,6 +63,6 @@ def _in_words(simulation: Simulation) -> str:
             f"  truly connected {metrics.true_connected_share:.1%} of the steps, longest outage "
             f"{metrics.longest_outage_m:.1f} m, least predicted probability "
             f"{shown_number(metrics.predicted_min_connectivity)}",
-            *(f"  {line}" for line in reliability_lines(run_reliability([run]), "steps", "runs")),
+            *(f"  {line}" for line in reliability_lines(run_reliability([run]), "steps")),
         ]
     )

@@ -137,9 +137,6 @@ def _run_in_words(run: TeamRun) -> str:
             f"  {robots}, {run.verified_rate:.1%} of the steps verified "
             f"({', '.join(f'{name} {count}' for name, count in rungs.items())})",
             f"  {shown}",
-            *(
-                f"  {line}"
-                for line in reliability_lines(run_reliability(run.runs), "steps", "runs")
-            ),
+            *(f"  {line}" for line in reliability_lines(run_reliability(run.runs), "steps")),
         ]
     )

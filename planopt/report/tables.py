@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from planopt.channel.validation.reliability import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
@@ -63,7 +63,9 @@ def comparison_text(comparison: Comparison) -> str:
     return "\n".join([*table, "", *reliability_lines(comparison.reliability, "steps", "seeds")])
 
 
-def reliability_lines(bins: Sequence[ReliabilityBin], what: str, groups: str) -> list[str]:
+def reliability_lines(
+    bins: Sequence[ReliabilityBin], what: str, groups: str | None = None
+) -> list[str]:
     """Table of predicted against true connection, one line a bin; no line without bins.
 
     Parameters
@@ -71,28 +73,30 @@ def reliability_lines(bins: Sequence[ReliabilityBin], what: str, groups: str) ->
     bins
         As :func:`planopt.channel.validation.reliability.reliability` gives them.
     what, groups
-        What was predicted and what it is grouped by, in the plural.
+        What was predicted and what it is grouped by, in the plural; None for one group.
     """
     if not bins:
         return []
-    known = any(one.interval for one in bins)
-    header = ["predicted P", what, groups, "mean predicted", "connected"]
-    lines = [
-        [
-            f"{one.low:g} to {one.high:g}",
-            str(one.count),
-            str(one.groups),
-            f"{one.predicted:.4f}",
-            f"{one.realised:.4f}",
-            *([_interval(one)] if known else []),
-        ]
-        for one in bins
+    title = "predicted against true connection"
+    columns: list[tuple[str, Callable[[ReliabilityBin], str]]] = [("predicted P", _range)]
+    columns += [(what, lambda one: str(one.count))]
+    if groups is not None:
+        columns += [(groups, lambda one: str(one.groups))]
+    columns += [
+        ("mean predicted", lambda one: f"{one.predicted:.4f}"),
+        ("connected", lambda one: f"{one.realised:.4f}"),
     ]
-    how = f"intervals over {groups}" if known else f"no interval from fewer than {FEWEST_GROUPS}"
-    title = f"predicted against true connection; {how}"
-    if known:
-        return [title, *_aligned([[*header, "95 % interval"], *lines], 1)]
-    return [f"{title} {groups}", *_aligned([header, *lines], 1)]
+    if any(one.interval for one in bins):
+        title += f"; intervals over {groups}"
+        columns += [("95 % interval", _interval)]
+    elif groups is not None:
+        title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
+    header = [heading for heading, _ in columns]
+    return [title, *_aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
+
+
+def _range(one: ReliabilityBin) -> str:
+    return f"{one.low:g} to {one.high:g}"
 
 
 def _interval(one: ReliabilityBin) -> str:

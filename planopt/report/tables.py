@@ -10,6 +10,8 @@ from planopt.studies.comparison import Comparison, Row
 
 MISSING = "-"
 
+_Column = tuple[str, Callable[[ReliabilityBin], str]]
+
 
 VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
 """Columns of every task; the first is of no metric."""
@@ -78,17 +80,14 @@ def reliability_lines(
     if not bins:
         return []
     title = "predicted against true connection"
-    columns: list[tuple[str, Callable[[ReliabilityBin], str]]] = [("predicted P", _range)]
-    columns += [(what, lambda one: str(one.count))]
+    columns: list[_Column] = [("predicted P", _range), (what, lambda one: str(one.count))]
     if groups is not None:
-        columns += [(groups, lambda one: str(one.groups))]
-    columns += [
-        ("mean predicted", lambda one: f"{one.predicted:.4f}"),
-        ("connected", lambda one: f"{one.realised:.4f}"),
-    ]
+        columns.append((groups, lambda one: str(one.groups)))
+    columns.append(("mean predicted", lambda one: f"{one.predicted:.4f}"))
+    columns.append(("connected", lambda one: f"{one.realised:.4f}"))
     if any(one.interval for one in bins):
         title += f"; intervals over {groups}"
-        columns += [("95 % interval", _interval)]
+        columns.append(("95 % interval", _interval))
     elif groups is not None:
         title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
     header = [heading for heading, _ in columns]

@@ -12,6 +12,7 @@ from planopt.channel.validation.reliability import ReliabilityBin, reliability
 from planopt.planning.loop.run import Run
 from planopt.planning.team.team_summary import TeamSummary
 from planopt.problems.problem import Problem
+from planopt.short_repr import short_repr
 
 Driven = Run | TeamSummary
 """A run as comparisons list it: to a goal, or of all robots of a sum of terms."""
@@ -86,6 +87,8 @@ class Comparison:
     runs: tuple[Driven, ...]
     rows: tuple[Row, ...]
     wall_s: float
+
+    __repr__ = short_repr
 
     @property
     def reliability(self) -> tuple[ReliabilityBin, ...]:

@@ -27,6 +27,7 @@ from planopt.channel.validation.held_out import (
 )
 from planopt.channel.validation.reliability import ReliabilityBin, reliability
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 PATH_LOSS = "path_loss"
 """The predictor that others are compared with."""
@@ -84,6 +85,8 @@ class HeldOutReport:
     censored: int
     threshold_dbm: float
     scores: dict[str, HeldOutScore]
+
+    __repr__ = short_repr
 
 
 def predictors_of(

@@ -63,7 +63,7 @@ def test_options_and_methods(capsys: pytest.CaptureFixture[str]) -> None:
     """Every option in the tables exists, and every option of a log and every method is there."""
     assert main(["fit", "--help"]) == 0
     shown = set(re.findall(r"--[a-z-]+", capsys.readouterr().out))
-    named = set(re.findall(r"--[a-z][a-z-]+", PAGE)) - {"--threshold", "--picture"}
+    named = set(re.findall(r"--[a-z][a-z-]+", PAGE)) - {"--picture"}
     assert named <= shown
     assert shown - named <= {"--help", "--out", "--json"}
     for method in get_args(FitMethod):

@@ -6,11 +6,65 @@ Nothing else leaves the package for bad input. The command line maps :class:`Inp
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+
+LONGEST_WORD = 300
+"""Names in messages are cut beyond this; the paths of files are rarely longer."""
+
+LONGEST_MESSAGE = 1200
+"""Messages are cut in the middle beyond this."""
+
+LISTED = 12
+"""Of names that a message lists, so many are shown."""
 
 
 class PlanoptError(Exception):
-    """Base of every error that planopt raises on purpose."""
+    """Base of every error that planopt raises on purpose.
+
+    Parameters
+    ----------
+    text
+        What it says. Names and values in it may come from any file, so that it is shortened and
+        made printable: no terminal codes, no lone surrogates.
+    """
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__(printable(text))
+
+
+def printable(text: str) -> str:
+    r"""Return `text` on one line, escaped where it cannot be printed, its long words cut.
+
+    Examples
+    --------
+    >>> printable("obstacle \ud800 of\nline 2")
+    'obstacle \\ud800 of line 2'
+    """
+    words = (_cut(word, LONGEST_WORD) for word in text.split())
+    line = _cut(" ".join(words), LONGEST_MESSAGE)
+    if line.isprintable():
+        return line
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii")
+        for letter in line
+    )
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names as a message lists them: those that fit, and how many more there are."""
+    known = list(names)
+    shown = ", ".join(_cut(name, LONGEST_WORD // 5) for name in known[:LISTED])
+    more = len(known) - LISTED
+    return f"{shown} and {more} more" if more > 0 else shown or "none"
+
+
+def _cut(text: str, most: int) -> str:
+    """Return `text` without its middle where it is longer than `most`."""
+    if len(text) <= most:
+        return text
+    kept = most // 2
+    return f"{text[:kept]}...{text[-kept // 2 :]}"
 
 
 class InputError(PlanoptError):

@@ -78,7 +78,7 @@ def fit(
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
             from planopt.commands.pictures import picture_fit, picture_held_out
-            from planopt.files import write_text
+            from planopt.files.whole import write_text
             from planopt.planning.files.solution_json import strict_text
 
             picture_fit(fitted.measurements, fitted.found, folder)

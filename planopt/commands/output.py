@@ -121,7 +121,7 @@ def results_folder(out: Path | None) -> Generator[Path | None]:
     if out is None:
         yield None
         return
-    from planopt.files import writable_folder
+    from planopt.files.whole import writable_folder
 
     existed = out.exists()
     writable_folder(out)

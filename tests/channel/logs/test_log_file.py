@@ -63,7 +63,7 @@ def test_named_columns_flags_and_floor(tmp_path):
         ("x_m,y_m,power_dbm\n1,2\n", "2 cells where the header has 3", 2, None),
         ("x_m,y_m,power_dbm\n1,2,-70,9\n", "4 cells where the header has 3", 2, None),
         ('x_m,y_m,power_dbm\n1,2,"-70\n', "not a CSV row", 2, None),
-        ("x_m,y_m,power_dbm\n1,2,\0\n", "not a text file", None, None),
+        ("x_m,y_m,power_dbm\n1,2,\0\n", "is not text", None, None),
     ],
 )
 def test_bad_content_is_located(tmp_path, text, words, line, column):
@@ -126,11 +126,11 @@ def test_bad_times_and_receivers(tmp_path, cells, option, words, column):
 
 def test_files_that_are_no_text(tmp_path):
     """A missing file, a folder and bytes that are not UTF-8."""
-    assert "cannot be read" in refused(tmp_path / "absent.csv").message
-    assert "cannot be read" in refused(tmp_path).message
+    assert "no such file" in refused(tmp_path / "absent.csv").message
+    assert "is a folder" in refused(tmp_path).message
     path = tmp_path / "binary.csv"
     path.write_bytes(b"\x89PNG\xff\xfe")
-    assert "not a text file" in refused(path).message
+    assert "is not UTF-8 text" in refused(path).message
 
 
 def test_an_index_becomes_a_line(tmp_path):

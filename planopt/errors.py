@@ -93,11 +93,11 @@ class InputError(PlanoptError):
         row: int | None = None,
         remedy: str | None = None,
     ) -> None:
-        self.message = message
-        self.file = None if file is None else str(file)
-        self.key = key
+        self.message = printable(message)
+        self.file = None if file is None else printable(str(file))
+        self.key = None if key is None else printable(key)
         self.row = row
-        self.remedy = remedy
+        self.remedy = None if remedy is None else printable(remedy)
         where = ", ".join(
             part
             for part in (
@@ -107,8 +107,8 @@ class InputError(PlanoptError):
             )
             if part is not None
         )
-        text = f"{where}: {message}" if where else message
-        super().__init__(text if remedy is None else f"{text} ({remedy})")
+        text = f"{where}: {self.message}" if where else self.message
+        super().__init__(text if remedy is None else f"{text} ({self.remedy})")
 
     def located(self, file: Path | str) -> InputError:
         """The same error with its file filled in, for code that did not know it."""

@@ -109,3 +109,17 @@ def test_too_little_is_left(tmp_path: Path, capsys) -> None:
     path.write_text("x_m,y_m,power_dbm,day\n1,0,-40,0\n2,0,-50,0\n3,0,-55,1\n3,0,-56,1\n")
     assert main(["fit", str(path), "--station", "0,0", "--hold-out", "day"]) == 2
     assert "without some of the groups" in capsys.readouterr().err
+
+
+def test_numbers_are_there_before_pictures(log: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    """Where drawing fails, the file and the text have been written."""
+
+    def fail(*_: object) -> None:
+        raise OSError("no ink")
+
+    monkeypatch.setattr("planopt.commands.pictures.save_figure", fail)
+    out = tmp_path / "fit"
+    with pytest.raises(OSError, match="no ink"):
+        run(log, "--hold-out", "day", "--out", str(out))
+    assert "held out by day" in capsys.readouterr().out
+    assert [file.name for file in out.iterdir()] == ["fit.json"]

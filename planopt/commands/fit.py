@@ -77,15 +77,18 @@ def fit(
                 report = held_out(log, fitted, hold_out)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
-            from planopt.commands.pictures import picture_fit, picture_held_out
-            from planopt.files.whole import write_text
-            from planopt.planning.files.solution_json import strict_text
+            from planopt.files.whole import strict_text, write_text
 
-            picture_fit(fitted.measurements, fitted.found, folder)
-            if report is not None:
-                picture_held_out(report, folder)
             write_text(folder / FIT_FILE, strict_text(data))
-    show(json, data, _in_words(data))
+        # Results come before pictures: whatever happens to these, the numbers are there.
+        show(json, data, _in_words(data))
+        if folder is not None:
+            from planopt.commands.pictures import picture_fit, picture_held_out
+
+            with progress("drawing"):
+                picture_fit(fitted.measurements, fitted.found, folder)
+                if report is not None:
+                    picture_held_out(report, folder)
     return 0
 
 

@@ -26,7 +26,7 @@ def simulate(asked: Asked) -> int:
     problem, seed = asked.problem, asked.seed
     with results_folder(asked.out) as folder:
         try:
-            with progress("driving, steps:") as advance:
+            with progress("driving, steps:", problem.planner.max_steps) as advance:
                 simulation = drive(problem, seed=seed, on_step=lambda _: advance())
         except NoPlanError as error:
             data = no_run_json(problem, seed, str(error))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from planopt.planning.loop.run import Run
 from planopt.planning.team.team_summary import TeamSummary
 from planopt.problems.problem import Problem
+from planopt.short_repr import short_repr
 
 Driven = Run | TeamSummary
 """A run as comparisons list it: to a goal, or of all robots of a sum of terms."""
@@ -81,3 +82,5 @@ class Comparison:
     runs: tuple[Driven, ...]
     rows: tuple[Row, ...]
     wall_s: float
+
+    __repr__ = short_repr

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names, read_npz
+from planopt.short_repr import short_repr
 from planopt.world.footprints import LARGEST_COORDINATE_M
 
 UNEVEN_CELLS = 1e-3
@@ -37,6 +38,8 @@ class Raster:
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
     values: NDArray[np.float64]
+
+    __repr__ = short_repr
 
     @property
     def cell_m(self) -> tuple[float, float]:

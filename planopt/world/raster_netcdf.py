@@ -91,25 +91,26 @@ def _newer(path: Path, content: bytes, variable: str) -> list[NDArray[np.float64
         with h5netcdf.File(hdf5, "r") as file:
             held = file.variables
             _require_map(path, {name: held[name].dimensions for name in held}, variable)
-            found: list[NDArray[np.float64]] = []
-            for name in (*AXES, variable):
-                require_array_size(path, name, *held[name].shape)
-                # Chunks are unpacked whole.
-                require_array_size(path, name, *(held[name].chunks or ()))
-                found.append(_floats(held[name][...], held[name].attrs, path, name))
-            return found
+            return [
+                _floats(held[name][...], held[name].attrs, path, name) for name in (*AXES, variable)
+            ]
 
 
 def _require_own_data(path: Path, hdf5: Any) -> None:
-    """Refuse HDF5 that takes its content from other files."""
+    """Refuse HDF5 that takes its content from other files, or declares too much of it."""
     import h5py
 
     for name in hdf5:
         if isinstance(hdf5.get(name, getlink=True), h5py.ExternalLink):
             raise InputError("links to another file", file=path, key=name)
         item = hdf5[name]
-        if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+        if not isinstance(item, h5py.Dataset):
+            continue
+        if item.external or item.is_virtual:
             raise InputError("takes its values from another file", file=path, key=name)
+        require_array_size(path, name, *(item.shape or ()))
+        # Chunks are unpacked whole.
+        require_array_size(path, name, *(item.chunks or ()))
 
 
 def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str) -> None:

@@ -25,6 +25,7 @@ from planopt.channel.validation.held_out import (
     marginal_predictor,
 )
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 PATH_LOSS = "path_loss"
 """The predictor that others are compared with."""
@@ -75,6 +76,8 @@ class HeldOutReport:
     measurements: int
     censored: int
     scores: dict[str, HeldOutScore]
+
+    __repr__ = short_repr
 
 
 def predictors_of(

@@ -163,7 +163,7 @@ def average(channel, way, gates):
 
 def above(channel, way, gates):
     """The path form, some steps of it below the threshold."""
-    settings = Uncertainty(12.0, 0.05, START)
+    settings = Uncertainty(8.0, 0.05, START)
     return path_uncertainty_derivatives(channel, way, settings, gates)
 
 

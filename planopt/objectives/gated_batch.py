@@ -13,7 +13,6 @@ S_g depend as they do on the place; :func:`by_places` then puts in how gates cha
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planopt.channel.parameters import ChannelParameters
 from planopt.objectives.batch_derivatives import BatchDerivatives, PathDerivatives, Rows

@@ -1,11 +1,11 @@
 """Which places of a path bring a measurement: one rule for the loop, objectives, searches, solvers.
 
-A robot measures at the end of a step unless a measurement was taken nearer than the spacing before:
+A robot measures at the end of a step, but not nearer than the spacing to an earlier measurement:
 there multipath is known already, and another reading of it would tell nothing. The same holds
-between the steps of one plan. :meth:`MeasuringRule.takes` is that rule. Solvers cannot climb it, and
-climb :meth:`MeasuringRule.gates` instead: a smooth amplitude for every place, zero wherever the rule
-takes nothing, one from a little beyond the spacing on. What a solver counts is never more than what
-the loop will collect.
+between the steps of one plan. :meth:`MeasuringRule.takes` is that rule. Solvers cannot climb it;
+they climb :meth:`MeasuringRule.gates` instead, a smooth amplitude for every place: zero wherever
+the rule takes nothing, one from a little beyond the spacing on. So a solver never counts more than
+what the loop will collect.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ OPEN_SPACINGS = 1.25
 """The smooth gate is fully open from so many spacings on."""
 
 MOST_BESIDE = 8
-"""So many earlier measurements are looked at near one place. Where more are within the spacing and a
-quarter of it the nearest close it."""
+"""So many earlier measurements are looked at near one place, the nearest. Where more are so near
+these close it."""
+
+FEW_KNOWN = 64
+"""Up to so many measurements are not looked through for those nearby."""
 
 FEW_PAIRS = 20_000
 """Up to so many pairs of places and measurements are compared one by one; beyond, in a tree."""
@@ -67,16 +70,13 @@ class MeasuringRule:
     def near(self, ways_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
         """The same rule for places no farther than `beyond_m` from some of `ways_m` (..., 2)."""
         places = ways_m.reshape(-1, 2)
-        if not len(places):
+        if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self
         room = beyond_m + self.open_m
         low, high = places.min(axis=0) - room, places.max(axis=0) + room
         return MeasuringRule(
             self.spacing_m,
-            tuple(
-                known[((known >= low) & (known <= high)).all(axis=1)] if len(known) else known
-                for known in self.known_m
-            ),
+            tuple(known[((known >= low) & (known <= high)).all(axis=1)] for known in self.known_m),
         )
 
     def is_open(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -221,8 +221,8 @@ class Gates:
         return found
 
     def _log_slopes(self) -> NDArray[np.float64]:
-        """Derivatives of the logarithms of a single way's gates by all coordinates; ``(N, 2 N)``."""
-        steps = self.value.shape[1]
+        """Derivatives of log gates of a single way by all its coordinates; ``(N, 2 N)``."""
+        steps = int(self.value.shape[1])
         found = np.zeros((steps, steps, 2))
         every = np.arange(steps)
         between = self._ways_m[0][:, None] - self._ways_m[0]
@@ -234,7 +234,7 @@ class Gates:
 
 
 def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
-    """log s, and its first and second derivative by the squared distance; ``(3, ...)``.
+    """Return log s with first and second derivative by the squared distance; ``(3, ...)``.
 
     s = u^3 (10 - 15 u + 6 u^2) rises from 0 at the spacing to 1 where gates are fully open, with
     two continuous derivatives. Where s is 0 its logarithm is minus infinity and derivatives are 0:
@@ -256,7 +256,7 @@ def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[n
 
 
 def _squared_between_m2(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squared distances of every place from the earlier ones of its way, else infinite; (c, N, N)."""
+    """Squared distances of places from the earlier ones of their way, else inf; (c, N, N)."""
     steps = ways_m.shape[1]
     x, y = ways_m[..., 0], ways_m[..., 1]
     found = (x[:, :, None] - x[:, None]) ** 2
@@ -268,7 +268,7 @@ def _squared_between_m2(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
 def _nearest(
     places_m: NDArray[np.float64], known_m: NDArray[np.float64], count: int, within_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Distances of up to `count` nearest of `known_m`, ascending, infinite beyond; their indices."""
+    """Distances of up to `count` nearest of `known_m`, ascending, inf beyond; their indices."""
     nothing = np.full((len(places_m), 1), np.inf)
     nowhere = nothing, np.zeros(nothing.shape, dtype=np.intp)
     there = min(count, len(known_m))

@@ -21,7 +21,7 @@ NO_PLAN = 4
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     """Print the JSON object if it was asked for, else the text."""
     if as_json:
-        from planopt.planning.files.solution_json import strict_text
+        from planopt.files import strict_text
 
         typer.echo(strict_text(data), nl=False)
     else:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.channel.estimation.fit_method import FitMethod, current_name
 from planopt.channel.multipath.multipath_field import MultipathKind, multipath_of
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.errors import InputError
-from planopt.problems.channel_setup import FitMethod
 from planopt.problems.tables import Decibels, FileName, Table
 
 MIN_DEVIATION_DB = 0.001
@@ -176,8 +176,13 @@ class FitTable(Table):
     """``[channel.fit]``: how parameters are estimated."""
 
     method: FitMethod = Field(
-        default="reml", description="seed, capped, convex, nls or reml (Lemma 1 and better)."
+        default="reml", description="lemma1, capped, convex, nls or reml (Lemma 1 and better)."
     )
+
+    @field_validator("method", mode="before")
+    @classmethod
+    def _current_name(cls, method: object) -> object:
+        return current_name(method) if isinstance(method, str) else method
 
 
 class ChannelTable(Table):

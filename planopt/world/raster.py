@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 UNEVEN_CELLS = 1e-3
 """How far, in cells, a coordinate may be off the even grid: float32 files are."""
@@ -37,6 +38,8 @@ class Raster:
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
     values: NDArray[np.float64]
+
+    __repr__ = short_repr
 
     @property
     def cell_m(self) -> tuple[float, float]:

@@ -48,6 +48,9 @@ def simulate(asked: Asked) -> int:
 
 
 def _in_words(simulation: Simulation) -> str:
+    from planopt.planning.loop.metrics import run_reliability
+    from planopt.report.tables import reliability_lines
+
     run = simulation.run
     metrics = run.metrics
     rungs = ", ".join(f"{name} {count}" for name, count in run.rungs.items())
@@ -60,5 +63,6 @@ def _in_words(simulation: Simulation) -> str:
             f"  truly connected {metrics.true_connected_share:.1%} of the steps, longest outage "
             f"{metrics.longest_outage_m:.1f} m, least predicted probability "
             f"{shown_number(metrics.predicted_min_connectivity)}",
+            *(f"  {line}" for line in reliability_lines(run_reliability([run]), "steps")),
         ]
     )

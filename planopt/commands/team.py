@@ -120,6 +120,9 @@ def _of(robot: str, solution: TeamSolution) -> list[object]:
 
 
 def _run_in_words(run: TeamRun) -> str:
+    from planopt.planning.loop.metrics import run_reliability
+    from planopt.report.tables import reliability_lines
+
     planner = run.problem.planner
     rungs: Counter[str] = Counter()
     for one in run.runs:
@@ -134,5 +137,6 @@ def _run_in_words(run: TeamRun) -> str:
             f"  {robots}, {run.verified_rate:.1%} of the steps verified "
             f"({', '.join(f'{name} {count}' for name, count in rungs.items())})",
             f"  {shown}",
+            *(f"  {line}" for line in reliability_lines(run_reliability(run.runs), "steps")),
         ]
     )

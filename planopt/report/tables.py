@@ -1,13 +1,16 @@
-"""A comparison as a plain-text table."""
+"""Comparisons, and predicted against true connection, as plain-text tables."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from planopt.channel.validation.reliability import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
 from planopt.studies.comparison import Comparison, Row
 
 MISSING = "-"
+
+_Column = tuple[str, Callable[[ReliabilityBin], str]]
 
 
 VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
@@ -58,7 +61,49 @@ def comparison_text(comparison: Comparison) -> str:
     )
     if to_goal:
         title += "; time to goal over the runs that arrived"
-    return "\n".join([title, "", *_aligned([header, *lines])])
+    table = [title, "", *_aligned([header, *lines], 2)]
+    return "\n".join([*table, "", *reliability_lines(comparison.reliability, "steps", "seeds")])
+
+
+def reliability_lines(
+    bins: Sequence[ReliabilityBin], what: str, groups: str | None = None
+) -> list[str]:
+    """Table of predicted against true connection, one line a bin; no line without bins.
+
+    Parameters
+    ----------
+    bins
+        As :func:`planopt.channel.validation.reliability.reliability` gives them.
+    what, groups
+        What was predicted and what it is grouped by, in the plural; None for one group.
+    """
+    if not bins:
+        return []
+    title = "predicted against true connection"
+    columns: list[_Column] = [("predicted P", _range), (what, lambda one: str(one.count))]
+    if groups is not None:
+        columns.append((groups, lambda one: str(one.groups)))
+    columns.append(("mean predicted", lambda one: f"{one.predicted:.4f}"))
+    columns.append(("connected", lambda one: f"{one.realised:.4f}"))
+    if any(one.interval for one in bins):
+        title += f"; intervals over {groups}"
+        columns.append(("95 % interval", _interval))
+    elif groups is not None:
+        title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
+    header = [heading for heading, _ in columns]
+    return [title, *_aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
+
+
+def _range(one: ReliabilityBin) -> str:
+    return f"{one.low:g} to {one.high:g}"
+
+
+def _interval(one: ReliabilityBin) -> str:
+    """The interval, with a mark where it misses the mean prediction."""
+    if one.interval is None:
+        return MISSING
+    words = f"{one.interval[0]:.4f} to {one.interval[1]:.4f}"
+    return words if one.agrees else f"{words} *"
 
 
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
@@ -102,12 +147,12 @@ def _mean(rows: dict[str, Row], metric: str, *, interval: bool = False) -> str:
     return text
 
 
-def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of columns two spaces apart, the first two (words) to the left, the others right."""
+def _aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
+    """Lines of columns two spaces apart, the first `words` to the left, the others right."""
     widths = [max(len(line[column]) for line in table) for column in range(len(table[0]))]
     return [
         "  ".join(
-            cell.ljust(width) if column < 2 else cell.rjust(width)
+            cell.ljust(width) if column < words else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in table

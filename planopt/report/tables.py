@@ -46,13 +46,16 @@ def comparison_text(comparison: Comparison) -> str:
         settings.setdefault(setting, {})[row.metric] = row
     to_goal = comparison.problem.task == "reach"
     shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
-    costs = ["cost to go"] if to_goal else []
-    words = [*costs, "planner"]
+    words = ["cost to go", "planner"] if to_goal else ["planner"]
     headings = [heading for heading, _ in shown]
     header = [*words, "horizon", "runs", "stalled", *headings, "step p50 [ms]", "step p95 [ms]"]
     lines = [
-        [*setting[-len(words) - 1 : -1], *_cells(setting[-1], rows, [name for _, name in shown])]
-        for setting, rows in settings.items()
+        [
+            *([str(cost_to_go)] if to_goal else []),
+            planner,
+            *_cells(horizon, rows, [name for _, name in shown]),
+        ]
+        for (cost_to_go, planner, horizon), rows in settings.items()
     ]
     title = (
         f"{comparison.problem.name}: {len(comparison.runs)} runs in {comparison.wall_s:.1f} s; "

@@ -21,7 +21,7 @@ NO_PLAN = 4
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     """Print the JSON object if it was asked for, else the text."""
     if as_json:
-        from planopt.files import strict_text
+        from planopt.files.whole import strict_text
 
         typer.echo(strict_text(data), nl=False)
     else:
@@ -121,7 +121,7 @@ def results_folder(out: Path | None) -> Generator[Path | None]:
     if out is None:
         yield None
         return
-    from planopt.files import writable_folder
+    from planopt.files.whole import writable_folder
 
     existed = out.exists()
     writable_folder(out)

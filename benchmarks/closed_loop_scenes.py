@@ -26,7 +26,7 @@ TASKS = ("reach", "reach", "track", "learn", "map")
 """As often as each stands here; `reach` has two costs to go."""
 CRITERIA = ("T", "D", "A", "V")
 FORMS = ("information", "average", "path", "two_layer")
-FITS = ("reml", "reml", "reml", "convex", "nls", "capped", "seed")
+FITS = ("reml", "reml", "reml", "convex", "nls", "capped", "lemma1")
 MUNICH_LIKE = {"shadow_std_db": 9.0, "decorrelation_m": 70.0, "multipath_std_db": 4.0}
 OBSTACLES = (0, 1, 3, 6, 12, 25, 40)
 THRESHOLD_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 1.0, 1.0, 2.0, 2.0, 5.0, 5.0)

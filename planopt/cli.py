@@ -1,7 +1,7 @@
 """The command line: ``planopt COMMAND``.
 
 Exit code 0 verified, 2 usage or bad input, 3 solved but not verified, 4 no plan, 130 interrupted.
-Errors are one line on standard error.
+Errors are one line on standard error, and with ``--json`` one JSON object on standard output too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from planopt.commands.library import list_problems, schema
 from planopt.commands.map import map_log
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
-from planopt.errors import PlanoptError
+from planopt.errors import InputError, PlanoptError
+from planopt.files.whole import strict_text
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -79,12 +80,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except PlanoptError as error:
-        message = str(error)
+        message, found = str(error), error
     except Exception as error:
         # Typer's usage errors have no public base class over the versions we allow.
         format_message = getattr(error, "format_message", None)
         if format_message is None:
             raise
-        message = f"{str(format_message()).rstrip('.')} (see planopt --help)"
-    print(f"planopt: {' '.join(message.split())}", file=sys.stderr)
+        message, found = f"{str(format_message()).rstrip('.')} (see planopt --help)", error
+    message = " ".join(message.split())
+    if "--json" in (sys.argv[1:] if arguments is None else arguments):
+        print(strict_text(error_json(message, found)), end="")
+    print(f"planopt: {message}", file=sys.stderr)
     return BAD_INPUT
+
+
+def error_json(message: str, error: Exception) -> dict[str, str | int | None]:
+    """Return what ``--json`` prints where a command fails: the message, and its place if known."""
+    place = ("file", "key", "row", "remedy")
+    known = vars(error) if isinstance(error, InputError) else {}
+    return {"error": message, **{name: known.get(name) for name in place}}

@@ -1,5 +1,6 @@
 """Bad input on the command line: exit code 2, one line on stderr, nothing half-written."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,10 @@ def fails(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
     """The single line of stderr of a command that must fail with exit code 2."""
     assert main(arguments) == 2
     printed = capsys.readouterr()
-    assert printed.out == ""
+    if "--json" in arguments:
+        assert f"planopt: {json.loads(printed.out)['error']}\n" == printed.err
+    else:
+        assert printed.out == ""
     assert printed.err.startswith("planopt: ") and printed.err.count("\n") == 1
     return printed.err
 
@@ -81,6 +85,19 @@ def test_a_bad_problem(name: str, command: str, tmp_path: Path, capsys) -> None:
 def test_bad_usage(arguments: list[str], capsys) -> None:
     """Options and arguments that cannot be used."""
     fails(capsys, arguments)
+
+
+def test_an_error_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One object says what was wrong, where, and what to do; null is what is not known."""
+    (tmp_path / "log.csv").write_text("x_m,y_m,power_dbm\n1,2,many\n")
+    log = str(tmp_path / "log.csv")
+    assert main(["fit", log, "--station", "0,0", "--json"]) == 2
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"error", "file", "key", "row", "remedy"}
+    assert (found["file"], found["key"], found["row"]) == (log, "power_dbm", 2)
+    assert main(["solve", "--json", "--frob"]) == 2
+    found = json.loads(capsys.readouterr().out)
+    assert "--frob" in found["error"] and found["file"] is None
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_a_bad_log_is_one_line(name: str, tmp_path: Path, capsys) -> None:
     path.write_text(text)
     assert main(["fit", str(path), "--station", "0,0", "--json", "--out", str(out)]) == 2
     printed = capsys.readouterr()
-    assert printed.out == "" and printed.err.count("\n") == 1
+    assert next(iter(json.loads(printed.out))) == "error" and printed.err.count("\n") == 1
     assert "bad.csv" in printed.err and word in printed.err
     assert not out.exists()
 
@@ -207,3 +207,12 @@ def test_options_that_cannot_be_used(shared_log: Path, options, words, capsys) -
     """One error that names the option, or the log's line and column; exit code 2."""
     assert main(["fit", str(shared_log), "--station", "0,0", *options]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_the_earlier_name_of_lemma1(log: Path, capsys) -> None:
+    """`seed` is still understood, and the output has the current name."""
+    arguments = ["fit", str(log), "--station", "0,0", *COLUMNS, "--json", "--method"]
+    for name in ("lemma1", "seed"):
+        assert main([*arguments, name]) == 0
+    first, second = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    assert first == second and first["method"] == "lemma1"

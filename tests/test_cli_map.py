@@ -61,7 +61,7 @@ def test_defaults_and_picture(log: Path, capsys) -> None:
     """About 200 cells over what was measured, the weakest power as threshold, and a picture."""
     out, picture = log.parent / "map.npz", log.parent / "pictures" / "map.png"
     arguments = ["map", str(log), "--station", "unknown", "--out", str(out)]
-    assert main([*arguments, "--picture", str(picture), "--method", "seed"]) == 0
+    assert main([*arguments, "--picture", str(picture), "--method", "lemma1"]) == 0
     text = capsys.readouterr().out
     measurements = read_log(log)
     raster = read_raster(out, "connectivity")

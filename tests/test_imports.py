@@ -44,6 +44,15 @@ def test_command_line_is_light() -> None:
     assert not modules_after("import planopt.cli") & HEAVY
 
 
+def test_list_is_light() -> None:
+    """Listing the library reads descriptions only: no numerics, no validation of worlds."""
+    loaded = modules_after(
+        "import contextlib, io\nfrom planopt.cli import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()):\n    assert main(['list']) == 0"
+    )
+    assert not loaded & {"numpy", "shapely", "planopt.problems.schema", *HEAVY}
+
+
 @pytest.mark.parametrize("module", ["proof.verify", "proof.reachability"])
 def test_verifier_stands_alone(module: str) -> None:
     """Loading the verifier loads no solver and nothing of the transcription or the search."""

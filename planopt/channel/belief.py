@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import ChannelPosterior, extend
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Belief:
     fit: ChannelFit
     posterior: ChannelPosterior
     further: tuple[Belief, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def posteriors(self) -> tuple[ChannelPosterior, ...]:

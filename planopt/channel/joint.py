@@ -22,6 +22,7 @@ from planopt.channel.places import require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +44,8 @@ class JointPrediction:
 
     mean_db: NDArray[np.float64]
     covariance_db2: NDArray[np.float64]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         count = len(self.mean_db)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.places import MAX_COORDINATE_M
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 MAX_POWER_DB = 1e6
 """No power is further from 0 dBm: far beyond, its squares overflow."""
@@ -52,6 +53,8 @@ class Measurements:
     position_std_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     time_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     receiver: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         count = len(self.power_dbm)

@@ -34,6 +34,7 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
 from planopt.channel.prediction import Prediction
+from planopt.short_repr import short_repr
 
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Design points along each principal axis of the likelihood, in its deviations."""
@@ -63,6 +64,8 @@ class MarginalPosterior:
 
     components: tuple[ChannelPosterior, ...]
     weights: NDArray[np.float64]
+
+    __repr__ = short_repr
 
     def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
         """Mean and deviation of the mixture at `positions_m` (n, 2)."""

@@ -41,6 +41,7 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_finite
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
 
@@ -109,6 +110,8 @@ class ChannelPosterior:
     buffer: FactorBuffer | None = field(default=None, repr=False)
     information: NeighbourInformation | None = field(default=None, repr=False)
     near: NearFactors | None = field(default=None, repr=False)
+
+    __repr__ = short_repr
 
     @property
     def has_factor(self) -> bool:

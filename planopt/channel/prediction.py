@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.short_repr import short_repr
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -23,6 +25,8 @@ class Prediction:
 
     mean_db: NDArray[np.float64]
     deviation_db: NDArray[np.float64]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from planopt.errors import InputError
 
 if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit
-    from planopt.channel.estimation.convex_fit import Loss
-    from planopt.channel.estimation.fit_method import FitMethod
+    from planopt.channel.estimation.fit_method import Loss
     from planopt.channel.logs.log_format import LogFormat
     from planopt.channel.measurements import Measurements
     from planopt.channel.station.station_position import StationMethod
@@ -33,7 +32,7 @@ StationMethodOption = Annotated[
     ),
 ]
 MethodOption = Annotated[
-    str, typer.Option("--method", metavar="NAME", help="seed, capped, convex, nls or reml.")
+    str, typer.Option("--method", metavar="NAME", help="lemma1, capped, convex, nls or reml.")
 ]
 LossOption = Annotated[
     str,
@@ -133,8 +132,7 @@ def read_and_fit(
     from planopt.channel.logs.log_file import at_file_line, parse_station, read_power_log
     from planopt.channel.station.station_search import fit_channel_and_station
 
-    require_method(method, "--method")
-    chosen = cast("FitMethod", method)
+    chosen = require_method(method, "--method")
     require_loss(loss, chosen, "--loss")
     rho = cast("Loss", loss)
     site = parse_station(station)

@@ -26,7 +26,7 @@ def simulate(asked: Asked) -> int:
     problem, seed = asked.problem, asked.seed
     with results_folder(asked.out) as folder:
         try:
-            with progress("driving, steps:") as advance:
+            with progress("driving, steps:", problem.planner.max_steps) as advance:
                 simulation = drive(problem, seed=seed, on_step=lambda _: advance())
         except NoPlanError as error:
             data = no_run_json(problem, seed, str(error))
@@ -48,6 +48,9 @@ def simulate(asked: Asked) -> int:
 
 
 def _in_words(simulation: Simulation) -> str:
+    from planopt.planning.loop.metrics import run_reliability
+    from planopt.report.tables import reliability_lines
+
     run = simulation.run
     metrics = run.metrics
     rungs = ", ".join(f"{name} {count}" for name, count in run.rungs.items())
@@ -58,7 +61,8 @@ def _in_words(simulation: Simulation) -> str:
             f"  {len(run.log.t_s) - 1} steps, {metrics.path_m:.1f} m, "
             f"{run.verified_rate:.1%} of the steps verified ({rungs or 'none'})",
             f"  truly connected {metrics.true_connected_share:.1%} of the steps, longest outage "
-            f"{metrics.longest_outage_m:.1f} m, least predicted probability "
+            f"{metrics.longest_outage_m:.1f} m, least P(connected) of the driven steps "
             f"{shown_number(metrics.predicted_min_connectivity)}",
+            *(f"  {line}" for line in reliability_lines(run_reliability([run]), "steps")),
         ]
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from planopt.commands.output import (
     apart_in_words,
     explained,
+    planned_in_words,
     progress,
     results_folder,
     show,
@@ -95,9 +96,9 @@ def _plans_in_words(solution: TeamSolution) -> str:
         lines.append(
             f"  {plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
             f"value {shown_number(plan.objective)}, of the lattice path "
-            f"{shown_number(plan.lattice_objective)}; clearance "
-            f"{shown_number(certificate.min_clearance_m, ' m')}, least probability of connection "
-            f"{shown_number(certificate.min_connectivity)} ({certificate.posterior}); "
+            f"{shown_number(plan.lattice_objective)}; "
+            f"{planned_in_words(certificate.min_clearance_m, certificate.min_connectivity)} "
+            f"({certificate.posterior}); "
             f"{shown_number(plan.wall_s, ' s', 2)}"
         )
         lines += (
@@ -120,6 +121,9 @@ def _of(robot: str, solution: TeamSolution) -> list[object]:
 
 
 def _run_in_words(run: TeamRun) -> str:
+    from planopt.planning.loop.metrics import run_reliability
+    from planopt.report.tables import reliability_lines
+
     planner = run.problem.planner
     rungs: Counter[str] = Counter()
     for one in run.runs:
@@ -134,5 +138,6 @@ def _run_in_words(run: TeamRun) -> str:
             f"  {robots}, {run.verified_rate:.1%} of the steps verified "
             f"({', '.join(f'{name} {count}' for name, count in rungs.items())})",
             f"  {shown}",
+            *(f"  {line}" for line in reliability_lines(run_reliability(run.runs), "steps")),
         ]
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.certificate import Certificate
 from planopt.robots.drive import Drive
+from planopt.short_repr import short_repr
 
 
 class Termination(StrEnum):
@@ -134,6 +135,8 @@ class Plan:
     pivot: Pivot | None = None
     sense: Literal["min", "max"] = "min"
     drive: Drive | None = None
+
+    __repr__ = short_repr
 
     @property
     def next_state(self) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from planopt.channel.belief import Belief
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.plan import Plan, Verdict
+from planopt.planning.short_results import short_solution
 from planopt.problems.problem import Problem
 
 
@@ -33,6 +34,10 @@ class Solution:
     belief: Belief
     plan: Plan
     explanation: tuple[Relaxation, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return what was solved, the verdict, and a line for the plan."""
+        return short_solution(self.problem, self.seed, self.plans)
 
     @property
     def plans(self) -> tuple[Plan]:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
+from planopt.channel.estimation.fit_method import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
-
-FitMethod = Literal["seed", "capped", "convex", "nls", "reml"]
 
 
 @dataclass(frozen=True)

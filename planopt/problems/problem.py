@@ -22,6 +22,7 @@ from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.target import Target
+from planopt.short_repr import wrapped
 from planopt.world.workspace import Workspace
 
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
@@ -57,6 +58,15 @@ class Problem:
     file: Path | None = None
     report: ReportSettings = field(default_factory=ReportSettings)
     targets: tuple[Target, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the name, the task, and how many of everything there are."""
+        return wrapped(
+            f"Problem(name={self.name!r}, task={self.task!r}, robots: {len(self.robots)}, "
+            f"stations: {len(self.stations)}, obstacles: {len(self.workspace.obstacles)}, "
+            f"bounds_m={self.workspace.bounds_m}, horizon={self.planner.horizon}, "
+            f"step_s={self.planner.step_s:g}, p_min={self.constraints.p_min:g})"
+        )
 
     @property
     def step_length_m(self) -> float:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.channel.estimation.fit_method import FitMethod, current_name
 from planopt.channel.multipath.multipath_field import MultipathKind, multipath_of
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.errors import InputError
-from planopt.problems.channel_setup import FitMethod
 from planopt.problems.tables import Decibels, FileName, Table
 
 MIN_DEVIATION_DB = 0.001
@@ -84,7 +84,9 @@ class RasterTruthTable(Table):
 class ModelTruthTable(Table):
     """``[channel.truth]`` with ``kind = "model"``: drawn from the channel model."""
 
-    kind: Literal["model"] = Field(description="Drawn from the channel model, by the seed.")
+    kind: Literal["model"] = Field(
+        description="Drawn from the channel model, with the random seed."
+    )
     k_pl_db: Decibels = Field(description="K_PL as a path gain at one metre, in dB.")
     n_pl: float = Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")
     shadow_std_db: float = Field(ge=0, le=100, description="xi, deviation of shadowing in dB.")
@@ -176,8 +178,13 @@ class FitTable(Table):
     """``[channel.fit]``: how parameters are estimated."""
 
     method: FitMethod = Field(
-        default="reml", description="seed, capped, convex, nls or reml (Lemma 1 and better)."
+        default="reml", description="lemma1, capped, convex, nls or reml: docs/channel.md, Fit."
     )
+
+    @field_validator("method", mode="before")
+    @classmethod
+    def _current_name(cls, method: object) -> object:
+        return current_name(method) if isinstance(method, str) else method
 
 
 class ChannelTable(Table):

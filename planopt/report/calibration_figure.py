@@ -75,8 +75,9 @@ def _draw_one(
     colour = SERIES[number % len(SERIES)]
     share = 100.0 * np.array([one.share for one in calibration.coverage])
     level = 100.0 * np.array([one.level for one in calibration.coverage])
-    low = share - 100.0 * np.array([one.low for one in calibration.coverage])
-    high = 100.0 * np.array([one.high for one in calibration.coverage]) - share
+    ends = 100.0 * np.array([(one.low, one.high) for one in calibration.coverage]).T
+    # An end that equals the share may pass it by rounding.
+    low, high = np.maximum(share - ends[0], 0.0), np.maximum(ends[1] - share, 0.0)
     coverage.errorbar(
         level,
         share,

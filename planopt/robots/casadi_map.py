@@ -207,7 +207,8 @@ class CasadiMap:
         over = [float(np.max(lengths, initial=0.0)) - unit]
         for table, bounds in ((inputs, self.input_bounds), (states[1:], self.state_bounds)):
             for column, (low, high) in zip(table.T, bounds, strict=True):
-                over.append(unit * float(np.max(np.maximum(column - high, low - column))))
+                beyond = np.maximum(column - high, low - column)
+                over.append(unit * float(np.max(beyond, initial=-np.inf)))
         return max(over)
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:

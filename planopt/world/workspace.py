@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import shapely
 
+from planopt.short_repr import short_repr
 from planopt.world.moving_obstacle import MovingObstacle
 
 
@@ -42,3 +43,5 @@ class Workspace:
     bounds_m: tuple[float, float, float, float]
     obstacles: tuple[Obstacle, ...]
     moving: tuple[MovingObstacle, ...] = ()
+
+    __repr__ = short_repr

@@ -24,7 +24,7 @@ from planopt.channel.station.station_search import fit_channel_and_station
 CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 15.0, 2.0, Station((50.0, 130.0), 5.0))
 OFFSETS_DB = np.array([0.0, 7.0, -4.0])
 PLACES = np.random.default_rng(9).uniform(0.0, 100.0, (50, 2))
-METHODS = ("seed", "capped", "convex", "nls", "reml")
+METHODS = ("lemma1", "capped", "convex", "nls", "reml")
 
 
 def cooperative(seed, count, share=0.0):

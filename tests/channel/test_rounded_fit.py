@@ -184,7 +184,7 @@ def test_fine_steps_cost_nothing():
     assert found.shadow_std_db == pytest.approx(exact.shadow_std_db, rel=0.05)
 
 
-@pytest.mark.parametrize("method", ["seed", "capped", "convex", "nls"])
+@pytest.mark.parametrize("method", ["lemma1", "capped", "convex", "nls"])
 def test_other_methods_take_rounding_out_of_omega(method):
     """omega^2 = alpha - xi^2 without the r^2 / 12 that rounding adds to alpha."""
     channel = dataclasses.replace(CHANNEL, multipath_std_db=3.0)

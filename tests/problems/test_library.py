@@ -124,14 +124,15 @@ def test_installed_library_comes_first(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_broken_library_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Listing tells which file has no valid head, with the key as in the file."""
+    """Listing tells which file has no readable head, with the key as in the file."""
     monkeypatch.setattr(library, "__file__", str(tmp_path / "library.py"))
     (tmp_path / "library").mkdir()
     path = tmp_path / "library" / "one.toml"
-    path.write_text("[problem]\nschema = 3\nname = 'one'\n")
-    with pytest.raises(InputError, match="should be 1") as caught:
-        list_problems()
-    assert (caught.value.file, caught.value.key) == (str(path), "problem.schema")
+    for text in ("problem = 3\n", "[problem]\ndescription = 3\n", "[world]\n"):
+        path.write_text(text)
+        with pytest.raises(InputError, match="no text") as caught:
+            list_problems()
+        assert (caught.value.file, caught.value.key) == (str(path), "problem.description")
 
 
 def test_path_beats_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

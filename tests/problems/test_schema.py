@@ -35,6 +35,14 @@ def test_left_out_keys_get_the_documented_defaults(tables: Tables, built: Build)
     assert problem.report.figures
 
 
+def test_the_earlier_name_of_lemma1(tables: Tables, built: Build) -> None:
+    """`seed` is still understood, and saved under the current name."""
+    tables["channel"]["fit"] = {"method": "seed"}
+    problem = built(tables)
+    assert problem.channel.fit_method == "lemma1"
+    assert problem_to_dict(problem)["channel"]["fit"] == {"method": "lemma1"}
+
+
 def test_values_land_in_the_right_fields(tables: Tables, built: Build) -> None:
     """Each value of the truth arrives under its own name, whole numbers as floats."""
     tables["channel"]["truth"] |= {"k_pl_db": -31, "floor_db": -120}
@@ -64,7 +72,7 @@ BAD_VALUES: list[tuple[str, Any, str]] = [
     ("robots", {}, "is a table, should be an array"),
     ("robots", [], "should have at least 1 item"),
     ("channel.truth.kind", "map", "is 'map', should be one of 'raster', 'model'"),
-    ("channel.fit.method", "best", "'seed', 'capped', 'convex', 'nls' or 'reml'"),
+    ("channel.fit.method", "best", "'lemma1', 'capped', 'convex', 'nls' or 'reml'"),
     ("problem.schema", 2, "is 2, should be 1"),
     ("problem.schema", None, "is None, should be 1"),
 ]

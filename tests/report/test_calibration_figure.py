@@ -1,5 +1,7 @@
 """The calibration plot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, line_of, panel_of
@@ -46,3 +48,10 @@ def test_none():
     """Nothing to draw."""
     with pytest.raises(InputError):
         draw_calibration({})
+
+
+def test_an_end_that_passes_its_share_by_rounding(calibrations):
+    """A share whose interval ends there is drawn with no bar on that side."""
+    right = calibrations["right"]
+    past = replace(right.coverage[0], share=1.0, low=1.0 + 1e-15, high=1.0 - 1e-15)
+    drawn(draw_calibration({"past": replace(right, coverage=(past,))}))

@@ -105,3 +105,14 @@ def test_excess_counts_bounds_and_length() -> None:
 def test_replacing_the_substeps_keeps_the_rest() -> None:
     """The dataclass is plain data beside its function."""
     assert replace(wheels(), substeps=3).substeps == 3
+
+
+def test_nothing_to_drive() -> None:
+    """No states and inputs give no ways and no excess, for derivatives and for complex numbers."""
+    model = wheels()
+    states, inputs = np.zeros((0, 3)), np.zeros((0, 2))
+    assert model.ways(states, inputs, 0.5) == []
+    assert model.excess_m(np.zeros((1, 3)), inputs, 0.5) <= 0.0
+    after = model.step(tuple(states.T.astype(complex)), tuple(inputs.T), 0.5)
+    assert [value.shape for value in after] == [(0,)] * 3
+    assert all(np.iscomplexobj(value) for value in after)

@@ -14,6 +14,7 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,8 @@ class FirstPassage:
     travelled_m: NDArray[np.float64]
     not_connected: NDArray[np.float64]
     not_connected_error: NDArray[np.float64]
+
+    __repr__ = short_repr
 
     @property
     def connected_by(self) -> NDArray[np.float64]:

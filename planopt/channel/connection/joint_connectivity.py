@@ -16,6 +16,7 @@ from planopt.channel.connection.orthant import prefix_probabilities
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.joint import JointPrediction
 from planopt.channel.places import require_finite
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,8 @@ class JointConnectivity:
     product: Bound
     corrected_product: Bound
     upper: Bound
+
+    __repr__ = short_repr
 
     @property
     def lower(self) -> float:

@@ -18,6 +18,7 @@ from planopt.channel.joint import sample_power
 from planopt.channel.places import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,8 @@ class LongestOutage:
 
     metres: SampledDistribution
     seconds: SampledDistribution
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,8 @@ class DeliveredData:
     delivered_bits: SampledDistribution
     lost_bits: SampledDistribution
     waiting_bits: SampledDistribution
+
+    __repr__ = short_repr
 
 
 def longest_outage(

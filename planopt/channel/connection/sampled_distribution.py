@@ -11,6 +11,7 @@ from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableTyp
 
 from planopt.channel.connectivity import bound_quantile
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 CONFIDENCE = 0.95
 """Of every interval here."""
@@ -44,6 +45,8 @@ class SampledDistribution:
     """
 
     draws: NDArray[np.float64]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.draws.ndim != 1 or len(self.draws) < 2:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.channel.estimation.fit_method import FitMethod
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.receiver_offsets import ReceiverOffset
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -55,3 +56,5 @@ class ChannelFit:
     log_likelihood: float | None
     receiver_offsets: tuple[ReceiverOffset, ...] = ()
     station_covariance_m2: NDArray[np.float64] | None = None
+
+    __repr__ = short_repr

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,8 @@ from planopt.channel.estimation.covariance_fit import (
     CovarianceFit,
     from_correlation,
 )
+from planopt.channel.estimation.fit_method import Loss
 from planopt.channel.estimation.lemma1 import LogBins, line_errors, standardised_scatter
-
-Loss = Literal["squares", "huber", "absolute"]
 
 HUBER_DEVIATIONS = 1.345
 """Huber's loss turns from squares to absolute values at so many robust deviations of the scatter:

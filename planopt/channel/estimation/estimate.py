@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.convex_fit import Loss, convex_fit
+from planopt.channel.estimation.convex_fit import convex_fit
 from planopt.channel.estimation.covariance_fit import (
     FALLBACK_TOTAL_VARIANCE_DB2,
     CovarianceBounds,
@@ -20,14 +20,14 @@ from planopt.channel.estimation.empirical_correlation import (
     EmpiricalCorrelation,
     empirical_correlation,
 )
-from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.estimation.fit_method import FitMethod, Loss
 from planopt.channel.estimation.identifiability import Identifiability
 from planopt.channel.estimation.least_squares import (
     LeastSquares,
     coefficient_covariance,
     least_squares,
 )
-from planopt.channel.estimation.lemma1 import capped_bins, enough, lemma1_fit, seed_bins
+from planopt.channel.estimation.lemma1 import capped_bins, enough, lemma1_fit, printed_bins
 from planopt.channel.estimation.nls_fit import nls_fit
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, reml_fit, thinned
 from planopt.channel.mean_model import MeanModel
@@ -135,8 +135,8 @@ def _from_bins(
     if method == "nls":
         return nls_fit(correlation, alpha, count, bounds)
     bins = (
-        seed_bins(correlation, alpha)
-        if method == "seed"
+        printed_bins(correlation, alpha)
+        if method == "lemma1"
         else capped_bins(correlation, alpha, allows.extent_m)
     )
     if not enough(bins):

@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.convex_fit import Loss
 from planopt.channel.estimation.estimate import (
     Estimate,
     GivenToFit,
@@ -21,7 +20,13 @@ from planopt.channel.estimation.estimate import (
     by_likelihood,
     from_limits_alone,
 )
-from planopt.channel.estimation.fit_method import FitMethod, require_loss, require_method
+from planopt.channel.estimation.fit_method import (
+    FitMethod,
+    GivenMethod,
+    Loss,
+    require_loss,
+    require_method,
+)
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
 from planopt.channel.mean_model import PRIOR_N_PL, mean_model
@@ -40,7 +45,7 @@ OFFSET_MEASUREMENTS = 50
 def fit_channel(
     measurements: Measurements,
     station: Station,
-    method: FitMethod = "reml",
+    method: GivenMethod = "reml",
     forgetting_s: float = math.inf,
     *,
     loss: Loss = "squares",
@@ -57,9 +62,10 @@ def fit_channel(
     station
         The fixed station.
     method
-        ``seed``: Lemma 1 as printed. ``capped``: the same with a lag cap and weights n r^2.
-        ``convex``: that as a convex programme with xi^2 <= alpha and beta bounded. ``nls``: the
-        exponential fitted without logarithm to all bins. ``reml``: restricted maximum likelihood
+        ``lemma1``: Lemma 1 as printed (``seed`` is its earlier name). ``capped``: the same with
+        a lag cap and weights n r^2. ``convex``: that as a convex programme with xi^2 <= alpha and
+        beta bounded. ``nls``: the exponential fitted without logarithm to all bins. ``reml``:
+        restricted maximum likelihood
         (default), on a fixed random draw of `MAX_MEASUREMENTS` where there are more. The first
         four complete censored powers by their expected values and ignore what that hides of the
         correlation; only ``reml`` has them as a term of the likelihood.
@@ -76,8 +82,8 @@ def fit_channel(
         See :func:`planopt.channel.estimation.identifiability.examine`; or `forgetting_s` is not
         positive; or there is no such method or loss, or the method has none to choose.
     """
-    require_method(method, "method")
-    require_loss(loss, method, "loss")
+    chosen = require_method(method, "method")
+    require_loss(loss, chosen, "loss")
     if not forgetting_s > 0.0:
         raise InputError(
             f"{forgetting_s!r} s is no forgetting time",
@@ -92,11 +98,11 @@ def fit_channel(
         estimate = from_limits_alone(given)
     elif allows.covariance_reason is not None:
         estimate = by_assumption(given, allows.covariance_reason)
-    elif method == "reml":
+    elif chosen == "reml":
         estimate = by_likelihood(given)
     else:
-        estimate = by_correlation(given, method, loss)
-    return _dressed(estimate, given, method)
+        estimate = by_correlation(given, chosen, loss)
+    return _dressed(estimate, given, chosen)
 
 
 def _dressed(estimate: Estimate, given: GivenToFit, method: FitMethod) -> ChannelFit:

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
-from planopt.channel.estimation.convex_fit import Loss
 from planopt.errors import InputError
 
-FitMethod = Literal["seed", "capped", "convex", "nls", "reml"]
+FitMethod = Literal["lemma1", "capped", "convex", "nls", "reml"]
+
+Loss = Literal["squares", "huber", "absolute"]
+
+GivenMethod = FitMethod | Literal["seed"]
+"""What a caller may write: today's names and those of `ALIASES`."""
+
+ALIASES = {"seed": "lemma1"}
+"""Earlier names, which are still understood."""
 
 
-def require_method(method: str, key: str) -> None:
-    """Refuse a method that does not exist; `key` is what it was given by."""
-    if method not in get_args(FitMethod):
+def current_name(method: str) -> str:
+    """Return the current name of a method that may be given by an earlier one."""
+    return ALIASES.get(method, method)
+
+
+def require_method(method: str, key: str) -> FitMethod:
+    """Return the method of that name, or refuse; `key` is what it was given by."""
+    name = current_name(method)
+    if name not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
         raise InputError(f"{method!r} is no method", key=key, remedy=remedy)
+    return cast(FitMethod, name)
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:

@@ -43,7 +43,7 @@ class LogLine:
     errors: tuple[float, float]
 
 
-def seed_bins(correlation: EmpiricalCorrelation, alpha_db2: float) -> LogBins:
+def printed_bins(correlation: EmpiricalCorrelation, alpha_db2: float) -> LogBins:
     """Every bin of the printed set L, weighted by its number of pairs."""
     r = correlation.covariance_db2
     keep = (r > 0.0) & (r < alpha_db2)
@@ -113,7 +113,7 @@ def lemma1_fit(
     Parameters
     ----------
     bins
-        From :func:`seed_bins` or :func:`capped_bins`; :func:`enough` must hold.
+        From :func:`printed_bins` or :func:`capped_bins`; :func:`enough` must hold.
     alpha_db2, count
         alpha-hat, and the number of measurements behind it.
     """

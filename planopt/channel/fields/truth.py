@@ -13,6 +13,7 @@ from planopt.channel.multipath.multipath_field import multipath_field_db
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
+from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m, nearest_cells
 
 
@@ -33,6 +34,8 @@ class Truth:
     raster: Raster
     floor_dbm: float | None
     mean_dbm: NDArray[np.float64]
+
+    __repr__ = short_repr
 
 
 def raster_truth(

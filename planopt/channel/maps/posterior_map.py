@@ -14,6 +14,7 @@ from planopt.channel.nearest.nearby import predict_nearby
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m
 
 Bounds = tuple[float, float, float, float]
@@ -56,6 +57,8 @@ class PosteriorMap:
     connectivity: Raster
     threshold_dbm: float
     posterior: str
+
+    __repr__ = short_repr
 
 
 @one_blas_thread()

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.convex_fit import Loss
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.estimation.fit_method import GivenMethod, Loss
 from planopt.channel.estimation.identifiability import require_usable
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
 from planopt.channel.measurements import Measurements
@@ -36,7 +35,7 @@ MIN_UNCENSORED = 8
 @one_blas_thread()
 def fit_channel_and_station(
     measurements: Measurements,
-    method: FitMethod = "reml",
+    method: GivenMethod = "reml",
     height_m: float = 0.0,
     forgetting_s: float = math.inf,
     *,

@@ -21,6 +21,7 @@ from planopt.channel.connectivity import connection_probability
 from planopt.channel.measurements import Measurements
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
+from planopt.short_repr import short_repr
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Levels of the central intervals."""
@@ -75,6 +76,8 @@ class Calibration:
     rmse_db: float
     count: int
     censored: int
+
+    __repr__ = short_repr
 
 
 def calibrate(

@@ -28,6 +28,7 @@ PREDICTED_NAMES = frozenset(
         "best_margin_db",
         "connectivity",
         "deviation_db",
+        "predicted_connectivity",
         "min_connectivity",
         "predicted_db",
         "predicted_min_connectivity",

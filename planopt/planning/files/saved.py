@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.errors import OutputError
-from planopt.files import write_text
+from planopt.files.whole import strict_text, write_text
 from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
 from planopt.planning.files.run_json import released_plans_json, simulation_json
-from planopt.planning.files.solution_json import solution_json, strict_text
+from planopt.planning.files.solution_json import solution_json
 from planopt.planning.files.steps_file import STEPS_FILE, steps_of_plan, steps_of_run, steps_text
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.solution import Solution

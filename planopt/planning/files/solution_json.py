@@ -6,9 +6,8 @@ infinity: a number that does not exist is null.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -89,17 +88,6 @@ class NoPlanRecord(Record):
     explanation: list[RelaxationRecord] = []
     robots: list[RobotRecord] = Field(max_length=0)
     problem_file: dict[str, Any]
-
-
-def strict_text(data: Mapping[str, Any]) -> str:
-    """`data` as one line of strict JSON.
-
-    Raises
-    ------
-    ValueError
-        A number in it is not finite.
-    """
-    return json.dumps(data, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def finite(value: float | None) -> float | None:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.loop.run import Metrics, Outcome, StepLog
+from planopt.channel.validation.reliability import ReliabilityBin, reliability
+from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
 from planopt.planning.plan import Plan
 
 POSSIBLE = {
@@ -45,6 +46,16 @@ def metrics_of(log: StepLog, plans: Sequence[Plan], outcome: Outcome) -> Metrics
         predicted_min_connectivity=float(np.min(log.connectivity[1:], initial=1.0)),
         polish_gain=float(np.mean(gains)) if gains else 0.0,
     )
+
+
+def run_reliability(runs: Sequence[Run]) -> tuple[ReliabilityBin, ...]:
+    """Tabulate predicted against true connection over the steps of all robots of a closed loop.
+
+    Its steps belong together, so that there is no interval.
+    """
+    predicted = np.concatenate([run.log.connectivity[1:] for run in runs])
+    connected = np.concatenate([run.log.connected[1:] for run in runs])
+    return reliability(predicted, connected, np.zeros(len(predicted), dtype=np.intp))
 
 
 def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:

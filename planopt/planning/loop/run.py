@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.plan import Rung, Verdict
 from planopt.robots.drive import Drive
+from planopt.short_repr import short_repr
 
 
 class Outcome(StrEnum):
@@ -58,6 +59,8 @@ class StepLog:
     relaxation_db: NDArray[np.float64]
     rung: tuple[Rung, ...]
     verdict: tuple[Verdict, ...]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,8 @@ class Run:
     metrics: Metrics
     rule: dict[str, float] = field(default_factory=dict[str, float])
     drive: Drive | None = None
+
+    __repr__ = short_repr
 
     @property
     def all_metrics(self) -> dict[str, float]:

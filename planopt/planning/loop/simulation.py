@@ -8,6 +8,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.plan import Plan
+from planopt.planning.short_results import short_run
 from planopt.problems.problem import Problem
 
 
@@ -43,6 +44,25 @@ class Simulation:
     plans: tuple[Plan, ...]
     truth: Truth
     further_truths: tuple[Truth, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return what was run, how it ended, and its metrics."""
+        return short_run(self.problem, self.seed, self.runs, self.metrics)
+
+    @property
+    def runs(self) -> tuple[Run]:
+        """The log of the one robot, as a :class:`TeamRun` has one for each."""
+        return (self.run,)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Every metric by name."""
+        return self.run.all_metrics
+
+    @property
+    def verified_rate(self) -> float:
+        """Share of released steps whose plan was verified."""
+        return self.run.verified_rate
 
 
 def exit_code(simulation: Simulation) -> int:

@@ -13,6 +13,7 @@ from planopt.channel.fields.truth import Truth
 from planopt.planning.loop.rule_metrics import rule_metrics
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
+from planopt.planning.short_results import only, short_run
 from planopt.planning.team.least_distances import (
     driven_motion,
     least_moving_clearances_m,
@@ -20,6 +21,7 @@ from planopt.planning.team.least_distances import (
 )
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,8 @@ class TargetLog:
     station_variance_m2: NDArray[np.float64]
     delivered: NDArray[np.bool_]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class ChannelLog:
@@ -61,6 +65,8 @@ class ChannelLog:
     rms_db: NDArray[np.float64]
     anmse_db: NDArray[np.float64]
     theta_variance_db: NDArray[np.float64]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +103,21 @@ class TeamRun:
     target: TargetLog | None
     channel: ChannelLog
     further_truths: tuple[Truth, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return what was run, how it ended, and its metrics."""
+        return short_run(self.problem, self.seed, self.runs, self.metrics)
+
+    @property
+    def run(self) -> Run:
+        """The log, where there is one robot; of several see `runs`.
+
+        Raises
+        ------
+        InputError
+            There are several.
+        """
+        return only(self.runs, "runs")
 
     @property
     def metrics(self) -> dict[str, float]:

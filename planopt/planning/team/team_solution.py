@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from planopt.channel.belief import Belief
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.plan import Plan, Verdict
+from planopt.planning.short_results import only, short_solution
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 
@@ -33,6 +34,21 @@ class TeamSolution:
     plans: tuple[Plan, ...]
     aims: tuple[Aim, ...]
     explanation: tuple[Relaxation, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return what was solved, the verdict, and a line for each plan."""
+        return short_solution(self.problem, self.seed, self.plans)
+
+    @property
+    def plan(self) -> Plan:
+        """The plan, where there is one robot; of several see `plans`.
+
+        Raises
+        ------
+        InputError
+            There are several.
+        """
+        return only(self.plans, "plans")
 
     @property
     def verdict(self) -> Verdict:

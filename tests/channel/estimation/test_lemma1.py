@@ -13,7 +13,7 @@ from planopt.channel.estimation.lemma1 import (
     enough,
     lemma1_fit,
     log_line,
-    seed_bins,
+    printed_bins,
 )
 
 BOUNDS = covariance_bounds(20.0, (1.0, 100.0))
@@ -58,9 +58,9 @@ def test_the_printed_set_and_its_repair():
     r = np.array([25.0, 10.0, -1.0, 5.0, 0.5])
     lag, pairs = np.array([1.0, 2, 3, 20, 60]), np.array([4.0, 5, 6, 7, 8])
     correlation = EmpiricalCorrelation(lag, r, pairs)
-    seed = seed_bins(correlation, 20.0)
-    np.testing.assert_array_equal(seed.lag_m, [2, 20, 60])
-    np.testing.assert_array_equal(seed.weight, [5, 7, 8])
+    printed = printed_bins(correlation, 20.0)
+    np.testing.assert_array_equal(printed.lag_m, [2, 20, 60])
+    np.testing.assert_array_equal(printed.weight, [5, 7, 8])
     capped = capped_bins(correlation, 20.0, 100.0)
     np.testing.assert_array_equal(capped.lag_m, [2, 20])
     assert capped.weight[1] / capped.weight[0] == pytest.approx(7 * 25.0 / (5 * 100.0))

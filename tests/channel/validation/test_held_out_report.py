@@ -19,7 +19,7 @@ from planopt.channel.validation.held_out_report import held_out_report, predicto
 from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
-CAMPUS = Path(__file__).parents[3] / "shared" / "data" / "campus"
+CAMPUS = Path(__file__).parents[4] / "shared" / "data" / "campus"
 
 
 def constant(mean_db):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from planopt import load
+from planopt.files.whole import strict_text
 from planopt.planning.files.solution_json import (
     finite,
     finite_list,
     no_plan_json,
     solution_json,
-    strict_text,
 )
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve

@@ -1,11 +1,13 @@
-"""Write files whole or not at all."""
+"""Write files whole or not at all, and JSON strictly."""
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from planopt.errors import OutputError
 
@@ -51,6 +53,17 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
     write_whole(path, write)
+
+
+def strict_text(data: Mapping[str, Any]) -> str:
+    """Return `data` as one line of strict JSON.
+
+    Raises
+    ------
+    ValueError
+        A number in it is not finite.
+    """
+    return json.dumps(data, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def writable_folder(path: Path) -> Path:

@@ -1,0 +1,98 @@
+"""Short texts of data with arrays: what ``print`` and an interactive prompt show.
+
+A dataclass that holds arrays has ``__repr__ = short_repr`` in its body. Arrays
+are shown by shape and range, long tuples by their length; what is left out is ``...``.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+WIDTH, LINES = 100, 5
+"""Of the whole text."""
+
+MOST_SHOWN = 4
+"""Numbers of an array, and members of a tuple, that are shown one by one."""
+
+MOST_NESTED = 200
+"""Letters of data within data; longer ones are shown by their name."""
+
+
+def short_repr(self: object) -> str:
+    """Return the fields of a dataclass, wrapped to at most `LINES` lines of `WIDTH` letters.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from planopt import Measurements
+    >>> Measurements(np.zeros((200, 2)), np.linspace(-90.0, -40.0, 200), np.zeros(200, dtype=bool))
+    Measurements(positions_m=<(200, 2), 0 to 0>, power_dbm=<(200,), -90 to -40>, censored=<(200,), 0
+        true>, resolution_db=<(200,), 0 to 0>, position_std_m=<(200,), 0 to 0>, time_s=<(200,), 0 to
+        0>, receiver=<(200,), 0 to 0>)
+    """
+    return wrapped(_fields_of(self))
+
+
+def wrapped(text: str, lines: int = LINES) -> str:
+    """Return `text` on at most `lines` lines; what does not fit becomes ``...``."""
+    return "\n".join(
+        textwrap.wrap(
+            text,
+            WIDTH,
+            subsequent_indent="    ",
+            max_lines=lines,
+            placeholder=" ...",
+            break_on_hyphens=False,
+        )
+    )
+
+
+def _fields_of(thing: object) -> str:
+    shown = (
+        f"{part.name}={_short(getattr(thing, part.name))}"
+        for part in fields(cast("Any", thing))
+        if part.repr and not part.name.startswith("_")
+    )
+    return f"{type(thing).__name__}({', '.join(shown)})"
+
+
+def _short(value: Any) -> str:
+    """Return one value in few letters."""
+    if isinstance(value, np.ndarray):
+        return _short_array(cast("NDArray[Any]", value))
+    if isinstance(value, Enum):
+        return repr(value.value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if is_dataclass(value):
+        text = _fields_of(value)
+        return text if len(text) <= MOST_NESTED else f"{type(value).__name__}(...)"
+    if isinstance(value, Mapping):
+        entries = cast("Mapping[Any, Any]", value).items()
+        return "{" + ", ".join(f"{key!r}: {_short(entry)}" for key, entry in entries) + "}"
+    if isinstance(value, tuple | list):
+        members = tuple(cast("Any", value))
+        if len(members) > MOST_SHOWN:
+            return f"<{len(members)} x {type(members[0]).__name__}>"
+        return "(" + ", ".join(_short(member) for member in members) + ")"
+    return repr(value)
+
+
+def _short_array(values: NDArray[Any]) -> str:
+    if values.ndim == 1 and 0 < values.size <= MOST_SHOWN:
+        return "[" + ", ".join(_short(value.item()) for value in values) + "]"
+    if values.dtype == np.bool_:
+        return f"<{values.shape}, {np.count_nonzero(values)} true>"
+    if values.size == 0 or values.dtype.kind not in "iuf":
+        return f"<{values.shape}>"
+    number = values[np.isfinite(values)]
+    if number.size == 0:
+        return f"<{values.shape}, none finite>"
+    return f"<{values.shape}, {number.min():.4g} to {number.max():.4g}>"

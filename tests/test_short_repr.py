@@ -1,0 +1,109 @@
+"""Short texts of data with arrays: five lines at most, whatever is in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import planopt
+from planopt.planning.loop.simulation import Simulation
+from planopt.planning.solution import Solution
+from planopt.planning.team.team_run import TeamRun
+from planopt.planning.team.team_solution import TeamSolution
+from planopt.short_repr import short_repr
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Anything."""
+
+    value: Any
+    _hidden: int = 0
+
+    __repr__ = short_repr
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (np.array([1.25, np.nan]), "[1.25, nan]"),
+        (np.zeros(0), "<(0,)>"),
+        (np.full((2, 9), np.nan), "<(2, 9), none finite>"),
+        (np.array([[1.0, np.inf], [-2.0, 3.0]]), "<(2, 2), -2 to 3>"),
+        (np.arange(9) > 6, "<(9,), 2 true>"),
+        (np.array(["a"] * 9), "<(9,)>"),
+        (1.0 / 3.0, "0.333333"),
+        ((1, "a"), "(1, 'a')"),
+        ([], "()"),
+        (list(range(9)), "<9 x int>"),
+        ({"a": 0.25}, "{'a': 0.25}"),
+        (planopt.Verdict.VERIFIED, "'verified'"),
+        (None, "None"),
+        (Holder(1), "Holder(value=1)"),
+        (Holder("long" * 99), "Holder(...)"),
+    ],
+)
+def test_values(value: object, shown: str) -> None:
+    """Arrays by shape and range, long lists by number, data within data if it is short."""
+    assert repr(Holder(value)) == f"Holder(value={shown})"
+
+
+def test_at_most_five_lines() -> None:
+    """What does not fit is left out with a sign."""
+    lines = repr(Holder({key: "word " * 9 for key in range(99)})).splitlines()
+    assert len(lines) == 5 and lines[-1].endswith(" ...")
+    assert max(map(len, lines)) <= 100
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, Any]:
+    """Of everything that people print, with the words that must be in it."""
+    field, track = planopt.load("open_field"), planopt.load("outdoor_track")
+    short = replace(track, planner=replace(track.planner, max_steps=2))
+    solution = planopt.solve(field, horizon=10)
+    belief = solution.belief
+    return {
+        "open_field": field,
+        "verified": solution,
+        "south": planopt.solve(track, horizon=2),
+        "reached": planopt.simulate(field, horizon=1),
+        "after 2 steps": planopt.simulate(short, horizon=1),
+        "reml": belief.fit,
+        "Belief": belief,
+        "ChannelPosterior": belief.posterior,
+        "120": belief.posterior.measurements,
+        "weights=<": planopt.marginalise(belief.fit.parameters, belief.posterior.measurements),
+        "threshold_dbm=-60": planopt.posterior_map(
+            belief.posterior, (0.0, 0.0, 120.0, 100.0), 1.0, -60.0
+        ),
+        "(11, 2)": solution.plan,
+    }
+
+
+def test_everything_people_print_is_short(results: dict[str, Any]) -> None:
+    """Five lines of at most 110 letters, with what matters in them."""
+    for word, result in results.items():
+        lines = repr(result).splitlines()
+        assert len(lines) <= 5 and max(map(len, lines)) <= 110, repr(result)
+        assert word in repr(result), repr(result)
+
+
+def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any]) -> None:
+    """`plan` and `plans`, `run` and `runs`; with several robots the first says what to use."""
+    one, team = results["verified"], results["south"]
+    assert isinstance(one, Solution) and isinstance(team, TeamSolution)
+    assert one.plans == (one.plan,)
+    with pytest.raises(planopt.InputError, match="use plans"):
+        _ = team.plan
+    alone = replace(team, plans=team.plans[:1])
+    assert alone.plan is team.plans[0]
+    run, teams = results["reached"], results["after 2 steps"]
+    assert isinstance(run, Simulation) and isinstance(teams, TeamRun)
+    assert run.runs == (run.run,) and run.metrics == run.run.all_metrics
+    assert run.verified_rate == run.run.verified_rate
+    with pytest.raises(planopt.InputError, match="use runs"):
+        _ = teams.run
+    assert replace(teams, runs=teams.runs[:1]).run is teams.runs[0]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,11 +66,8 @@ def rebuilt_reach_plan(
     if record.pivot is not None:
         place = np.array([record.pivot.x_m, record.pivot.y_m])
         pivot = Pivot(place, record.pivot.cost_m, record.pivot.metre_cost)
-    cost = ReachCost(problem, path_m[0], _certified(judgement))
-    if pivot is not None:
-        there = pivot
-        cost = replace(cost, ahead=lambda _: there)
-    cost_s = cost(path_m[1:], drive)
+    ahead = None if pivot is None else partial(_pivot_itself, pivot)
+    cost_s = ReachCost(problem, path_m[0], _certified(judgement), ahead)(path_m[1:], drive)
     return rebuilt_plan(problem, path_m, judgement, record, effort, cost_s, pivot, drive)
 
 
@@ -79,6 +77,10 @@ def _certified(judgement: Judgement) -> Callable[[NDArray[np.float64]], Predicti
     if power is None:
         raise AssertionError("places in files are finite")
     return lambda _: power
+
+
+def _pivot_itself(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
+    return pivot
 
 
 def rebuilt_plan(

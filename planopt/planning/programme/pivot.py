@@ -108,5 +108,8 @@ def find_pivot(
         room = LATTICE_DETOUR * len(start.nodes) * step_length_m
         enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
         chosen = max(farthest_seen, enough)
-    metre_cost = 0.5 * float(start.metre_cost[end] + start.metre_cost[way[chosen]])
-    return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]), metre_cost)
+    cost_m = start.ways.cost_m
+    straight = float(np.linalg.norm(places[chosen] - places[0]))
+    # From the lattice path's end both ways of counting agree, whatever lies between.
+    metre_cost = float(cost_m[end] - cost_m[way[chosen]]) / straight if straight else 1.0
+    return Pivot(places[chosen], float(cost_m[way[chosen]]), max(metre_cost, 1.0))

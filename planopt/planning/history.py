@@ -22,6 +22,9 @@ class History:
         Steps, and metres, driven since the last one connected, or since the start.
     delivered_mbit
         Data delivered before the deadline, where data are asked for.
+    has_circled
+        Whether the robot was once `CIRCLING_STEPS` steps about one place, where nothing moves that
+        it could have waited for.
     """
 
     steps: int = 0
@@ -29,7 +32,11 @@ class History:
     outage_steps: int = 0
     outage_m: float = 0.0
     delivered_mbit: float = 0.0
+    has_circled: bool = False
 
+
+CIRCLING_STEPS = 15
+"""So many steps within one longest step of a place are standing still or going in circles."""
 
 BEGINNING = History()
 """Of a plan from the start of a run."""
@@ -59,7 +66,17 @@ def history_of(
         outage_steps=count - since,
         outage_m=float(legs[since:].sum()),
         delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
+        has_circled=not problem.workspace.moving and _circled(track_m, problem.step_length_m),
     )
+
+
+def _circled(track_m: NDArray[np.float64], step_length_m: float) -> bool:
+    """Whether a track (n + 1, 2) once stayed about one place."""
+    if len(track_m) <= CIRCLING_STEPS:
+        return False
+    windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)
+    away = np.linalg.norm(windows - windows[..., :1], axis=1).max(axis=1)
+    return bool((away <= step_length_m).any())
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:

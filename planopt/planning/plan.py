@@ -46,7 +46,8 @@ class Rung(StrEnum):
     """Which rung of the failure ladder a released plan came from (design 4.9).
 
     ``reserved`` is the rest of the last plan, verified or not, where standing still would be in the
-    way of what moves: the other robots keep clear of it.
+    way of what moves: the other robots keep clear of it. ``direct`` is the shortest path to a goal,
+    whatever the connection, of a robot that has wandered long enough.
     """
 
     PLAN = "plan"
@@ -55,6 +56,7 @@ class Rung(StrEnum):
     RELAXED = "relaxed"
     SHIFTED = "shifted"
     RESERVED = "reserved"
+    DIRECT = "direct"
     STOP = "stop"
 
 
@@ -111,6 +113,8 @@ class Plan:
         Whether less or more of the objective is better.
     drive
         States and inputs along the places; None for the single integrator.
+    route_m
+        ``(r, 2)`` the rest of the way to a goal from the last place on, as the search found it.
     """
 
     robot: str
@@ -135,6 +139,7 @@ class Plan:
     pivot: Pivot | None = None
     sense: Literal["min", "max"] = "min"
     drive: Drive | None = None
+    route_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     __repr__ = short_repr
 

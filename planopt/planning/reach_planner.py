@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
+from planopt.errors import NoPlanError
 from planopt.planning.budget import Budget, budget_from
 from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.holes import holes_on
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
@@ -103,6 +105,8 @@ class ReachPlanner:
             circumstances=circumstances,
         )
         start = self._search.find_start(situation)
+        if start is not None and start.is_blocked:
+            raise NoPlanError(self._why_blocked(situation, start))
         plain = problem.constraints.rule.is_plain
         rows_of = None if plain else partial(step_rows, situation)
         cost = ReachCost(problem, position_m, situation.power)
@@ -132,7 +136,22 @@ class ReachPlanner:
             chosen = self._climb(judge, cost, start, warm, budget, rows_of)
             pivot = cost.pivot_of(chosen.path_m)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
-        return replace(plan, pivot=pivot)
+        route = np.zeros((0, 2)) if start is None else start.route_m
+        return replace(plan, pivot=pivot, route_m=route)
+
+    def _why_blocked(self, situation: Situation, start: GlobalStart) -> str:
+        """Where contact would have to be left, and for how long."""
+        constraints = self.problem.constraints
+        places = np.vstack([situation.position_m, start.path_m, start.route_m])
+        holes = holes_on(self._eased, situation, places)
+        longest = max(holes, key=lambda hole: hole.length_m, default=None)
+        where = "" if longest is None else f", which has a coverage hole of {longest.words}"
+        return (
+            f"no path to the goal {list(self.problem.goal_m)} keeps constraints.p_min "
+            f"{constraints.p_min:g} with constraints.slack_max_db "
+            f"{constraints.rule.slack_max_db:g}: the cheapest leaves contact "
+            f"{len(holes)} time{'s' if len(holes) > 1 else ''}{where}"
+        )
 
     def _climb(
         self,
@@ -145,6 +164,9 @@ class ReachPlanner:
     ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
+        if start.is_direct:
+            direct = judge.judged(replace(lattice, rung=Rung.DIRECT))
+            return direct if direct.sound else self._without_start(judge, warm)
         tried: list[Candidate] = []
         refiner = None
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):

@@ -24,7 +24,7 @@ from planopt.planning.prepare import Prepared
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.search.road_map import RoadMap, build_road_map
+from planopt.world.road_map import RoadMap, build_road_map
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective

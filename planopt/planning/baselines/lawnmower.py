@@ -17,10 +17,10 @@ from planopt.planning.baselines.baseline import held, released
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
-from planopt.planning.search.road_map import RoadMap, shortest_ways, way_from
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+from planopt.world.road_map import RoadMap, shortest_ways, way_from
 
 ROWS_PER_LANE = 2
 """Rows of the lattice from lane to lane: about nine tenths of a longest step."""

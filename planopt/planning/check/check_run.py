@@ -33,6 +33,7 @@ from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_run
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
+from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.rule_metrics import rule_metrics
@@ -42,6 +43,7 @@ from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
+from planopt.planning.roads import build_roads
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 
@@ -82,6 +84,7 @@ def check_run(
     if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: the run does not start at robots[0].start_m")
     truths = () if given is None else given.truths
+    roads = build_roads(problem, np.asarray(problem.goal_m))
     true = true_serving_dbm(problem, truths, track) if truths else steps.numbers["true_db"]
     connected = true[1:] >= problem.stations[0].threshold_dbm
     plans: list[Plan] = []
@@ -121,6 +124,7 @@ def check_run(
         metrics=metrics_of(log, plans, outcome),
         rule=rule_metrics(problem, [log]),
         drive=driven,
+        costs=run_costs(problem, roads, index, truths, track, outcome) if truths else {},
     )
     found = {
         **run_json(problem, run),

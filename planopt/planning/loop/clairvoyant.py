@@ -14,19 +14,46 @@ from numpy.typing import NDArray
 
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import Truth, mean_power_dbm
-from planopt.planning.ground import first_moves
+from planopt.planning.loop.run import Outcome
 from planopt.planning.loop.true_serving import true_serving_dbm
-from planopt.planning.scene import Scene
-from planopt.planning.search.retime import retime
-from planopt.planning.search.road_map import shortest_ways, way_from
-from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.roads import node_at, nodes_in_reach
 from planopt.problems.problem import Problem
-from planopt.world.clearance import is_clear, segment_clearance_m
+from planopt.world.clearance import ObstacleIndex, is_clear, segment_clearance_m
+from planopt.world.road_map import RoadMap, shortest_ways, way_from
 
 SHORTCUT_NODES = 40
 """A straight stretch of the clairvoyant's path skips at most so many nodes of the lattice."""
 SAMPLES = 16
 """Places at which a stretch is looked at."""
+
+
+def run_costs(
+    problem: Problem,
+    road_map: RoadMap,
+    index: ObstacleIndex,
+    truths: Sequence[Truth],
+    places_m: NDArray[np.float64],
+    outcome: Outcome,
+) -> dict[str, float]:
+    """What a run of places (n + 1, 2) cost, the clairvoyant's cost, and their ratio, by metric.
+
+    The ratio is NaN for a run that did not arrive.
+
+    Parameters
+    ----------
+    problem, road_map, index, truths
+        As :func:`clairvoyant_path` takes them.
+    places_m, outcome
+        Of the run.
+    """
+    driven = realised_cost_m(problem, truths, places_m)
+    least = realised_cost_m(problem, truths, clairvoyant_path(problem, road_map, index, truths))
+    arrived = outcome is Outcome.REACHED and least > 0.0
+    return {
+        "realised_cost_m": driven,
+        "clairvoyant_cost_m": least,
+        "cost_ratio": driven / least if arrived else float("nan"),
+    }
 
 
 def realised_cost_m(
@@ -40,30 +67,36 @@ def realised_cost_m(
 
 
 def clairvoyant_path(
-    problem: Problem, scene: Scene, truths: Sequence[Truth]
+    problem: Problem,
+    road_map: RoadMap,
+    index: ObstacleIndex,
+    truths: Sequence[Truth],
 ) -> NDArray[np.float64]:
     """Places (n + 1, 2) after each step of the cheapest path from the robot's start to its goal.
 
     Parameters
     ----------
-    problem, scene
-        The problem, and its geometry.
+    problem
+        The problem, with a path from its start to its goal.
+    road_map, index
+        Its lattice with a node at the goal, and its obstacles.
     truths
         Each station's.
     """
-    road_map, start = scene.road_map, np.asarray(problem.robots[0].start_m, dtype=np.float64)
+    start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
     metre_cost = _metre_cost(problem, truths, road_map.nodes_m)
-    ways = shortest_ways(road_map, scene.goal_node, metre_cost)
-    nodes, lengths = first_moves(scene.ground, problem, start)
+    goal = node_at(road_map, np.asarray(problem.goal_m))
+    ways = shortest_ways(road_map, goal, metre_cost)
+    nodes, lengths = nodes_in_reach(road_map, index, problem, start)
     here = float(_metre_cost(problem, truths, start[None])[0])
     joining = 0.5 * lengths * (here + metre_cost[nodes])
     first = int(nodes[np.argmin(joining + ways.cost_m[nodes])])
     places = np.vstack([start, road_map.nodes_m[way_from(road_map, ways, first, np.inf)]])
-    turns = _straightened(problem, scene, truths, places)
-    length = problem.step_length_m - STEP_PAD_M
-    count = int(np.ceil(np.linalg.norm(np.diff(turns, axis=0), axis=1).sum() / length)) + 1
-    padded = np.vstack([turns[1:], np.tile(turns[-1], (max(count - len(turns) + 1, 0), 1))])
-    return np.vstack([start, retime(start, padded, padded[:0], length)])
+    turns = _straightened(problem, index, truths, places)
+    legs = np.linalg.norm(np.diff(turns, axis=0), axis=1)
+    driven = np.concatenate([[0.0], legs.cumsum()])
+    stops = np.append(np.arange(0.0, driven[-1], problem.step_length_m), driven[-1])
+    return np.stack([np.interp(stops, driven, turns[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def _metre_cost(
@@ -77,7 +110,7 @@ def _metre_cost(
 
 
 def _straightened(
-    problem: Problem, scene: Scene, truths: Sequence[Truth], places_m: NDArray[np.float64]
+    problem: Problem, index: ObstacleIndex, truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """The cheapest path over some of a path's places (n, 2), straight and clear between them."""
     count = len(places_m)
@@ -85,7 +118,7 @@ def _straightened(
     near = second - first <= SHORTCUT_NODES
     first, second = first[near], second[near]
     clear = is_clear(
-        segment_clearance_m(scene.index, places_m[first], places_m[second]),
+        segment_clearance_m(index, places_m[first], places_m[second]),
         problem.constraints.clearance_m,
     )
     # The lattice's own moves are clear already.

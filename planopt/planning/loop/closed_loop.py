@@ -7,14 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from planopt.channel.one_thread import one_blas_thread
-from planopt.errors import InputError
+from planopt.errors import InputError, NoPlanError
 from planopt.planning.history import history_of
+from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.driven import driven
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.rule_metrics import rule_metrics
-from planopt.planning.loop.run import Run
+from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.loop.step_log import step_log
 from planopt.planning.loop.true_serving import true_serving_dbm
@@ -72,7 +73,11 @@ def simulate(
         here = true_serving_dbm(problem, truths, places[1:])
         connected = here >= problem.stations[0].threshold_dbm
         history = history_of(problem, places, connected)
-        plan = planning.plan(belief, state, plans[-1] if plans else None, history)
+        try:
+            plan = planning.plan(belief, state, plans[-1] if plans else None, history)
+        except NoPlanError as error:
+            ended = Outcome.NO_PLAN, str(error)
+            break
         plans.append(plan)
         state = plan.next_state
         track.append(state)
@@ -97,6 +102,7 @@ def simulate(
         metrics=metrics_of(log, plans, outcome),
         rule=rule_metrics(problem, [log]),
         drive=driven(problem.robots[0], plans),
+        costs=run_costs(problem, scene.road_map, scene.index, truths, places, outcome),
     )
     first = len(prepared.belief.posterior.measurements)
     return Simulation(problem, seed, belief, first, run, tuple(plans), truths[0], truths[1:])

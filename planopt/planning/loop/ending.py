@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.arrival import is_at_goal, stands
 from planopt.planning.loop.run import Outcome
-from planopt.planning.plan import Plan, Rung
-from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.plan import Plan
 from planopt.problems.problem import Problem
 
 STALL_STEPS = 30
@@ -42,13 +41,8 @@ def ending(
     if is_at_goal(problem, here[:2]) and stands(problem, here):
         where = "the start is within" if plan is None else "within"
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
-    if plan is not None:
-        stood = bool(np.linalg.norm((here - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
-        # Same place, same belief, and nothing that moves: the next plan would be this one again.
-        again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving
-        if stood and not learnt[-1] and again:
-            return Outcome.STALLED, f"standing still with nothing new to learn{_detail(plan)}"
-        if not any(learnt[-STALL_STEPS:]) and _circling(track, problem.step_length_m):
+    if plan is not None and not any(learnt[-STALL_STEPS:]):
+        if _circling(track, problem.step_length_m) and not problem.workspace.moving:
             return Outcome.STALLED, (
                 f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
                 f"with nothing new to learn{_detail(plan)}"
@@ -56,12 +50,6 @@ def ending(
     if len(learnt) >= problem.planner.max_steps:
         return Outcome.STEP_LIMIT, f"not arrived after {problem.planner.max_steps} steps"
     return None
-
-
-def _unit_m(problem: Problem) -> NDArray[np.float64]:
-    """What makes metres of a state."""
-    dynamics = problem.robots[0].dynamics
-    return np.ones(2) if dynamics is None else np.array(dynamics.unit_m(problem.planner.step_s))
 
 
 def _circling(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:

@@ -25,6 +25,9 @@ POSSIBLE = {
     "least_connected_share": (0.0, 1.0),
     "longest_outage_s": (0.0, np.inf),
     "data_mbit": (0.0, np.inf),
+    "realised_cost_m": (0.0, np.inf),
+    "clairvoyant_cost_m": (0.0, np.inf),
+    "cost_ratio": (0.0, np.inf),
 }
 """Least and largest value that a metric can have; one that is not here can have any."""
 

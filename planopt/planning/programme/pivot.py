@@ -15,10 +15,10 @@ from planopt.planning.ground import first_moves
 from planopt.planning.plan import Pivot
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.road_map import way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
+from planopt.world.road_map import way_from
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""

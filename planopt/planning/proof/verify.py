@@ -10,7 +10,7 @@ plan at least: a threshold that cannot be met is an answer, not a plan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.arrival import is_at_goal
 from planopt.planning.certificate import Certificate
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Verdict
@@ -28,9 +29,12 @@ from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_predicti
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
 from planopt.planning.proof.swept_motion import swept_motion
+from planopt.planning.tolerances import STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
+
+STANDING = "the plan stands still short of the goal, and nothing that moves is in its way"
 
 
 @dataclass(frozen=True)
@@ -147,8 +151,24 @@ def judge(
         rule=result,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    if not reasons and _gets_nowhere(problem, under, positions_m, drive):
+        certificate = replace(certificate, reasons=(STANDING,))
+        verdict = Verdict.FEASIBLE_UNVERIFIED
     sound = not motion.reasons and not apart.reasons
     return Judgement(certificate, verdict, power, sound)
+
+
+def _gets_nowhere(
+    problem: Problem,
+    under: Circumstances,
+    positions_m: NDArray[np.float64],
+    drive: Drive | None,
+) -> bool:
+    """Whether a robot stands still short of its goal, with nothing moving that it waits for."""
+    if problem.task != "reach" or len(under.moving) or is_at_goal(problem, positions_m[0]):
+        return False
+    track = positions_m if drive is None else drive.states
+    return bool(np.abs(track - track[0]).max() <= STANDSTILL_M)
 
 
 def _on_the_edge(problem: Problem, power: Prediction) -> bool:

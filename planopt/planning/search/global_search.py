@@ -18,18 +18,19 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
 from planopt.planning.ground import first_moves
+from planopt.planning.history import History
 from planopt.planning.scene import Scene
 from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.lattice_search import search_lattice
 from planopt.planning.search.moving_moves import first_steps_apart
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.search.road_map import Ways, shortest_ways, way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.worth.rule_rows import step_rows
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import MovingDiscs
+from planopt.world.road_map import Ways, shortest_ways, way_from
 
 FORBIDDEN = 1e6
 """A metre below the bound costs this many where it must not be driven: more than any path."""
@@ -68,6 +69,8 @@ class GlobalStart:
         ``(n,)`` what a metre costs at every node.
     is_blocked
         Whether path or route lead where driving is forbidden.
+    is_direct
+        Whether the robot is to drive this very path, having wandered enough.
     """
 
     nodes: NDArray[np.intp]
@@ -78,6 +81,7 @@ class GlobalStart:
     ways: Ways
     metre_cost: NDArray[np.float64]
     is_blocked: bool
+    is_direct: bool = False
 
 
 class GlobalSearch:
@@ -104,6 +108,9 @@ class GlobalSearch:
             problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
         )
         rule = constraints.rule
+        start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
+        nodes, lengths = first_moves(scene.ground, problem, start)
+        self._direct_m = float((lengths + scene.ways.cost_m[nodes]).min(initial=np.inf))
         self._forbids = rule.connectivity == "each_step" and rule.slack_max_db is not None
 
     def find_start(self, situation: Situation) -> GlobalStart | None:
@@ -117,6 +124,9 @@ class GlobalSearch:
         problem, scene = self._problem, self._scene
         self.margins.refresh(situation.posterior, situation.circumstances.broad)
         ways = scene.ways
+        if self._has_wandered(situation.circumstances.history):
+            nodes = self._cheapest(situation, ways, None, priced=False)
+            return None if nodes is None else self._start(situation, ways, nodes, direct=True)
         if problem.reach.cost_to_go == "connected":
             ways = shortest_ways(scene.road_map, scene.goal_node, self._metre_cost())
         nodes = self._cheapest(situation, ways, None, priced=True)
@@ -130,6 +140,18 @@ class GlobalSearch:
         if problem.constraints.rule.connectivity != "each_step":
             nodes = self._within_rule(situation, ways, nodes)
         return self._start(situation, ways, nodes)
+
+    def _has_wandered(self, history: History) -> bool:
+        """Whether a run has gone in circles, or on for longer than the dearest direct path.
+
+        The shortest path out of contact all the way costs ``1 + outage_price`` times its length. A
+        robot that has driven for as long as that takes drives the shortest path from then on, and
+        arrives: its run is at most ``3 + 2 outage_price`` times as long as the shortest path.
+        """
+        if self._forbids:
+            return False
+        allowed = (1.0 + self._problem.reach.outage_price) * self._direct_m
+        return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
     def _metre_cost(self) -> NDArray[np.float64]:
         """What a metre costs at every node, in metres."""
@@ -251,7 +273,9 @@ class GlobalSearch:
             penalty -= step_s * guide.credit[:, None] * chance
         return penalty
 
-    def _start(self, situation: Situation, ways: Ways, nodes: NDArray[np.intp]) -> GlobalStart:
+    def _start(
+        self, situation: Situation, ways: Ways, nodes: NDArray[np.intp], *, direct: bool = False
+    ) -> GlobalStart:
         """What there is to know of a path."""
         problem, road_map = self._problem, self._scene.road_map
         route = way_from(road_map, ways, int(nodes[-1]), np.inf)
@@ -276,4 +300,5 @@ class GlobalSearch:
             ways=ways,
             metre_cost=np.ones(len(outside)) if ways is self._scene.ways else self._metre_cost(),
             is_blocked=self._forbids and bool(outside[nodes].any() or outside[route].any()),
+            is_direct=direct,
         )

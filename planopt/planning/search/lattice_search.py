@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import MovingMoves, steps_apart
-from planopt.planning.search.road_map import RoadMap
 from planopt.world.lattice import REACH_TOLERANCE_M
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.world.road_map import RoadMap
 
 
 @dataclass(frozen=True)

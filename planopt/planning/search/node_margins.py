@@ -16,8 +16,8 @@ from planopt.objectives.reach import outage_share
 from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.search.lattice_map import LatticeMap
-from planopt.planning.search.road_map import RoadMap
 from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.world.road_map import RoadMap
 
 
 class NodeMargins:

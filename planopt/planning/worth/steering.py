@@ -18,10 +18,10 @@ from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.ground import Ground, first_moves
-from planopt.planning.search.road_map import shortest_ways, way_from
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
+from planopt.world.road_map import shortest_ways, way_from
 
 TILE = 1
 """Places of the region are far apart: each has its own neighbours."""

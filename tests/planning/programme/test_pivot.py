@@ -8,7 +8,7 @@ from scenes import small_problem
 from planopt.planning.programme.pivot import LATTICE_DETOUR, LOOKAHEAD_STEPS, find_pivot
 from planopt.planning.scene import build_scene
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.road_map import shortest_ways, way_from
+from planopt.world.road_map import shortest_ways, way_from
 
 WALL = shapely.box(19.0, -1.0, 21.0, 22.0)
 BLOCK = shapely.Polygon([(26.0, 8.0), (31.0, 12.0), (27.0, 17.0)])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import small_road_map
 
-from planopt.planning.search.road_map import build_road_map, shortest_ways, way_from
+from planopt.world.road_map import build_road_map, shortest_ways, way_from
 from planopt.world.lattice import MOVES, Lattice, node_positions
 
 WALL = shapely.box(4.4, 0.0, 4.6, 6.2)

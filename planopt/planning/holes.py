@@ -1,0 +1,105 @@
+"""Coverage holes on the way to a goal: where they are, how long, and why they are crossed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import connection_probability
+from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A stretch of a path that misses the bound on connectivity.
+
+    Attributes
+    ----------
+    from_m, to_m
+        ``(x, y)`` of its first and last place below the bound.
+    length_m
+        Driven below the bound, half of the steps in and out included.
+    least_connectivity
+        Least probability of connection in it.
+    """
+
+    from_m: tuple[float, float]
+    to_m: tuple[float, float]
+    length_m: float
+    least_connectivity: float
+
+    @property
+    def words(self) -> str:
+        """Where it is and how long."""
+        x, y = self.from_m
+        return (
+            f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
+            f"connected with probability {self.least_connectivity:.2f} at least"
+        )
+
+
+def holes_along(
+    places_m: NDArray[np.float64],
+    connectivity: NDArray[np.float64],
+    is_below: NDArray[np.bool_],
+) -> tuple[Hole, ...]:
+    """Find the holes of a path.
+
+    Parameters
+    ----------
+    places_m
+        ``(n, 2)`` of the path.
+    connectivity
+        ``(n,)`` P(connected) there.
+    is_below
+        ``(n,)`` whether that misses the bound.
+    """
+    lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+    share = 0.5 * (is_below[:-1].astype(float) + is_below[1:]) * lengths
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_below.astype(int), [0]])))
+    holes: list[Hole] = []
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        begin, finish = places_m[first], places_m[end - 1]
+        holes.append(
+            Hole(
+                (float(begin[0]), float(begin[1])),
+                (float(finish[0]), float(finish[1])),
+                float(share[max(first - 1, 0) : end].sum()),
+                float(connectivity[first:end].min()),
+            )
+        )
+    return tuple(holes)
+
+
+def holes_on(
+    problem: Problem, situation: Situation, places_m: NDArray[np.float64]
+) -> tuple[Hole, ...]:
+    """Find the holes of a path of places (n, 2), by what is believed.
+
+    Parameters
+    ----------
+    problem
+        Its bound is asked of every place.
+    situation
+        What is believed.
+    places_m
+        The path.
+    """
+    power = situation.power(places_m)
+    threshold = problem.stations[0].threshold_dbm
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    return holes_along(places_m, chance, margins_asked_db(problem, power) < 0.0)
+
+
+def holes_in_words(holes: Sequence[Hole], price: float) -> list[str]:
+    """Lines for people about holes that are crossed."""
+    return [
+        f"crosses a coverage hole: {hole.words}; no path round it is cheaper at "
+        f"objective.outage_price {price:g}"
+        for hole in holes
+    ]

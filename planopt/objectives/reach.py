@@ -10,8 +10,12 @@ the outage price: ``1 + price (1 - P)``.
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 from numpy.typing import NDArray
+
+WITHIN_BOUND = float(os.environ.get("KAPPA", "0"))
 
 
 def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
@@ -37,16 +41,18 @@ def step_cost_s(
 def outage_share(
     probability: NDArray[np.float64], is_below: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Share of a metre at each place that the outage price is charged on: ``1 - P``, or 0.
+    """Share of a metre at each place that the outage price is charged on.
+
+    ``1 - P`` where p_min is missed, `WITHIN_BOUND` times that elsewhere.
 
     Parameters
     ----------
     probability
         P(connected); any shape.
     is_below
-        Whether p_min is missed there; elsewhere nothing is charged.
+        Whether p_min is missed there.
     """
-    return np.where(is_below, 1.0 - probability, 0.0)
+    return np.where(is_below, 1.0, WITHIN_BOUND) * (1.0 - probability)
 
 
 def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:

@@ -18,7 +18,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
 from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
-from planopt.planning.programme.polish import ReachTask, polish
+from planopt.planning.programme.polish import OutagePrice, ReachTask, polish
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import ReachNlp
 from planopt.planning.programme.stage_kernel import StageMargins, margins_of
@@ -159,7 +159,7 @@ class Refiner:
         """Polish from a path, repeating with what the verifier objects to built in.
 
         A step that keeps the bound at the start keeps it. With `rung` RELAXED a step below it stays
-        free, and what it is missed by costs what the outage price makes of it.
+        free.
         """
         if self._budget.spent:
             return
@@ -172,13 +172,9 @@ class Refiner:
         begun = perf_counter()
         iterations = 0
         free = (exact < 0.0) & (rung is Rung.RELAXED)
-        task = replace(
-            task,
-            slack_limit_db=np.where(free, np.inf, 0.0),
-            slack_price_s_db=self._cost.slack_price_s_db(path_m) if free.any() else 0.0,
-        )
         # The start stays feasible where it keeps the bound, be it with less than is wanted.
         bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
+        bound[free] = -np.inf
         for _ in range(REPAIRS):
             if self._budget.spent:
                 return
@@ -240,11 +236,27 @@ class Refiner:
             arrival=arrival + 1 if dwells else None,
             pivot_m=pivot.position_m,
             effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
-            rate_s_m=self._cost.rate_s_m,
+            rate_s_m=self._cost.rate_s_m * max(pivot.metre_cost, self._dearest_metre(path_m)),
             margins=self._margins_about(path_m),
             bound_db=np.full(len(path_m), -np.inf),
-            slack_limit_db=np.zeros(len(path_m)),
+            outage=self._outage(path_m),
         )
+
+    def _dearest_metre(self, path_m: NDArray[np.float64]) -> float:
+        """What a metre costs at most along a path: to come nearer must never cost more than it is
+        worth, or the path would rather end where it begins.
+        """
+        return float(self._cost.metre_costs(path_m).max())
+
+    def _outage(self, path_m: NDArray[np.float64]) -> OutagePrice:
+        """What being out of contact costs along a path."""
+        quantile = np.full(len(path_m), bound_quantile(self._judge.problem.constraints.p_min))
+        if self._rows is not None:
+            quantile = self._rows.quantile
+        before, charged = self._cost.outage_charges(path_m)
+        price = self._cost.rate_s_m * self._judge.problem.reach.outage_price
+        deviation = self._power(path_m).deviation_db
+        return OutagePrice(price, before, charged, quantile, deviation)
 
     def _margins_about(self, path_m: NDArray[np.float64]) -> MarginFunction:
         """Margins conditioned on the measurements nearest to each stage of a path."""

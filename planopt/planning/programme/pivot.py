@@ -35,7 +35,8 @@ class Ahead:
     problem, scene, start
         What is planned, where, and the cost-to-go.
     pivot
-        That counts for every place which sees it.
+        That counts for places near the start path's end which see it. Farther off, what lies
+        between may cost more than the straight line to it.
     """
 
     def __init__(self, problem: Problem, scene: Scene, start: GlobalStart, pivot: Pivot) -> None:
@@ -51,8 +52,12 @@ class Ahead:
         """
         problem, start, pivot = self._problem, self._start, self._pivot
         to_pivot = float(np.linalg.norm(pivot.position_m - end_m))
+        from_end = float(np.linalg.norm(start.path_m[-1] - end_m))
         seen = swept_clearance_m(self._scene.index, np.stack([end_m, pivot.position_m]))
-        is_seen = to_pivot == 0.0 or bool(is_clear(seen, problem.constraints.clearance_m)[0])
+        is_seen = to_pivot == 0.0 or (
+            from_end <= problem.step_length_m
+            and bool(is_clear(seen, problem.constraints.clearance_m)[0])
+        )
         nodes, lengths = first_moves(self._scene.ground, problem, end_m)
         if not len(nodes):
             return pivot

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from planopt.planning.programme.kkt import Bounds, kkt_residual
 from planopt.planning.programme.margin_source import MarginFunction
@@ -13,9 +14,38 @@ from planopt.planning.programme.named_multipliers import named_multipliers
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_row_values import path_row_values
 from planopt.planning.programme.polished import Polished
-from planopt.planning.programme.reach_nlp import PIVOT_ROUNDING_M, ReachNlp
+from planopt.planning.programme.reach_nlp import PIVOT_ROUNDING_M, STEP_ROUNDING_M, ReachNlp
+from planopt.planning.programme.stage_kernel import StageMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.separation import SeparatingLines
+
+
+@dataclass(frozen=True)
+class OutagePrice:
+    """What it costs to be out of contact on the way, by the margins after each step.
+
+    Attributes
+    ----------
+    price_s_m
+        Of a metre that is certainly out of contact.
+    share_before
+        Share of a metre that is charged at the start.
+    charged
+        ``(N,)`` the same after each step, were that certainly out of contact.
+    quantile, deviation_db
+        ``(N,)`` the probability of connection is ``Phi(quantile + margin / deviation)``.
+    """
+
+    price_s_m: float
+    share_before: float
+    charged: NDArray[np.float64]
+    quantile: NDArray[np.float64]
+    deviation_db: NDArray[np.float64]
+
+    @property
+    def steps(self) -> NDArray[np.float64]:
+        """``(3 N,)`` what the programme takes of each step."""
+        return np.concatenate([self.charged, self.quantile, 1.0 / self.deviation_db])
 
 
 @dataclass(frozen=True)
@@ -45,10 +75,8 @@ class ReachTask:
         Connectivity margin of each stage by position.
     bound_db
         ``(N,)`` what the margins must reach.
-    slack_limit_db
-        ``(N,)`` how much of it may be missing; zero where the bound is hard.
-    slack_price_s_db
-        What a missing dB costs.
+    outage
+        What it costs to be out of contact after each step.
     """
 
     start_m: NDArray[np.float64]
@@ -63,22 +91,25 @@ class ReachTask:
     rate_s_m: float
     margins: MarginFunction
     bound_db: NDArray[np.float64]
-    slack_limit_db: NDArray[np.float64]
-    slack_price_s_db: float = 0.0
+    outage: OutagePrice
 
 
 def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     """Solve the programme from the task's start path."""
     n = nlp.horizon
+    outage = task.outage
     head = np.array(
-        [*task.start_m, *task.pivot_m, task.effort_s_m2, task.rate_s_m, task.slack_price_s_db]
+        [
+            *task.start_m,
+            *task.pivot_m,
+            task.effort_s_m2,
+            task.rate_s_m,
+            outage.price_s_m,
+            outage.share_before,
+        ]
     )
     line = task.lines.rows(task.clearance_m + CLEARANCE_PAD_M)
-    positions = _position_bounds(task, n)
-    variables = Bounds(
-        np.concatenate([positions.lower, np.zeros(n)]),
-        np.concatenate([positions.upper, task.slack_limit_db]),
-    )
+    variables = _position_bounds(task, n)
     plain = n * (2 * nlp.lines) - nlp.lines
     longest = task.step_length_m - STEP_PAD_M
     rows = Bounds(
@@ -86,15 +117,13 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
         np.concatenate([np.full(n, longest**2), np.full(plain + n, np.inf)]),
     )
     nlp.source.use(task.margins)
-    missing = np.maximum(task.bound_db - task.margins(task.path_m).value, 0.0)
-    start = np.concatenate([task.path_m.ravel(), np.minimum(missing, task.slack_limit_db)])
     point = nlp.solve(
-        start,
-        np.concatenate([head, line.ravel()]),
+        task.path_m.ravel(),
+        np.concatenate([head, outage.steps, line.ravel()]),
         variables,
         rows,
     )
-    residual = _residual(nlp, task, point, head, line, rows, variables)
+    residual = _residual(nlp, task, point, line, rows, variables)
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
@@ -119,7 +148,6 @@ def _residual(
     nlp: ReachNlp,
     task: ReachTask,
     point: NlpPoint,
-    head: NDArray[np.float64],
     line: NDArray[np.float64],
     row_bounds: Bounds,
     variable_bounds: Bounds,
@@ -129,30 +157,41 @@ def _residual(
     if not (np.isfinite(point.positions_m).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
     q = np.vstack([task.start_m, point.positions_m])
-    steps = np.diff(q, axis=0)
-    effort, rate, slack_price = head[4:]
-    gradient = np.zeros((n, 2))
-    gradient += 2.0 * effort * steps
-    gradient[:-1] -= 2.0 * effort * steps[1:]
-    to_pivot = q[-1] - task.pivot_m
-    gradient[-1] += rate * to_pivot / np.sqrt(to_pivot @ to_pivot + PIVOT_ROUNDING_M**2)
-
     margins = task.margins(point.positions_m)
+    gradient = _gradient(task, q, margins)
     plain, plain_jacobian = path_row_values(q, line)
     stage = np.arange(n)
     connectivity = np.zeros((n, n, 2))
     connectivity[stage, stage] = margins.gradient
     jacobian = np.concatenate([plain_jacobian, connectivity.reshape(n, 2 * n)])
-    slack_columns = np.zeros((len(jacobian), n))
-    slack_columns[-n:] = np.eye(n)
-    rows = np.concatenate([plain, margins.value + point.slack_db])
     return kkt_residual(
-        np.concatenate([gradient.ravel(), np.full(n, slack_price)]),
-        np.hstack([jacobian, slack_columns]),
-        rows,
+        gradient.ravel(),
+        jacobian,
+        np.concatenate([plain, margins.value]),
         row_bounds,
         point.row_multipliers,
-        np.concatenate([point.positions_m.ravel(), point.slack_db]),
+        point.positions_m.ravel(),
         variable_bounds,
         point.variable_multipliers,
     )
+
+
+def _gradient(
+    task: ReachTask, q: NDArray[np.float64], margins: StageMargins
+) -> NDArray[np.float64]:
+    """Gradient (N, 2) of the cost of places (N + 1, 2), the start first."""
+    outage = task.outage
+    steps = np.diff(q, axis=0)
+    lengths = np.sqrt((steps**2).sum(axis=1) + STEP_ROUNDING_M**2)
+    score = outage.quantile + margins.value / outage.deviation_db
+    share = np.append(outage.share_before, outage.charged * ndtr(-score))
+    density = np.exp(-0.5 * score**2) / np.sqrt(2.0 * np.pi)
+    slope = -outage.charged * density / outage.deviation_db
+    by_length = outage.price_s_m * 0.5 * (share[:-1] + share[1:])
+    by_step = (2.0 * task.effort_s_m2 + (by_length / lengths)[:, None]) * steps
+    by_share = outage.price_s_m * 0.5 * (lengths + np.append(lengths[1:], 0.0))
+    gradient = by_step + (by_share * slope)[:, None] * margins.gradient
+    gradient[:-1] -= by_step[1:]
+    to_pivot = q[-1] - task.pivot_m
+    gradient[-1] += task.rate_s_m * to_pivot / np.sqrt(to_pivot @ to_pivot + PIVOT_ROUNDING_M**2)
+    return gradient

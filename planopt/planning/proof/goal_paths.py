@@ -2,8 +2,8 @@
 
 A plan may leave contact where that is cheaper than going round. Whether it is, is not the planner's
 to say: Dijkstra's algorithm runs here on a grid of the verifier's own, over the whole workspace.
-What it finds is as good as that grid, which lets paths come up to half a spacing too near to
-obstacles, but never through one.
+What it finds can be driven: nodes and moves keep the clearance. So an objection names a path
+that there is, while a cheaper one that fits between the nodes may stay unseen.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariab
 
 from planopt.objectives.reach import charged_length_m
 from planopt.planning.proof.grid import grid_of
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, clearance_m, segment_clearance_m
+from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear, segment_clearance_m
 
 SPACING_STEPS = 0.5
 """Grid spacing in longest steps."""
@@ -105,7 +106,8 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
     grid = grid_of(problem.workspace.bounds_m, goal, spacing)
     high, wide = len(grid), len(grid[0])
     away = clearance_m(index, grid.reshape(-1, 2)).reshape(high, wide)
-    is_open = (away > 0.0) & (away >= problem.constraints.clearance_m - 0.5 * spacing)
+    clearance = problem.constraints.clearance_m
+    is_open = is_clear(away.ravel(), clearance).reshape(high, wide)
     number = np.full((high, wide), -1)
     number[is_open] = np.arange(int(is_open.sum()))
     nodes = grid[is_open]
@@ -117,12 +119,13 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
         both = (one >= 0) & (other >= 0)
         ends.append(np.stack([one[both], other[both]]))
     joined = np.concatenate(ends, axis=1)
-    # Between two nodes that are farther from obstacles than from each other lies none.
+    # Midway between two places nothing is nearer than this.
     length = np.linalg.norm(nodes[joined[0]] - nodes[joined[1]], axis=1)
-    doubtful = np.flatnonzero(away[is_open][joined].sum(axis=0) <= length)
-    through = segment_clearance_m(index, nodes[joined[0, doubtful]], nodes[joined[1, doubtful]])
+    least = 0.5 * (away[is_open][joined].sum(axis=0) - length)
+    doubtful = np.flatnonzero(least < clearance + CLEARANCE_TOLERANCE_M)
+    swept = segment_clearance_m(index, nodes[joined[0, doubtful]], nodes[joined[1, doubtful]])
     kept = np.ones(joined.shape[1], dtype=bool)
-    kept[doubtful[through <= 0.0]] = False
+    kept[doubtful] = is_clear(swept, clearance)
     at_goal = int(np.argmin(np.linalg.norm(nodes - goal, axis=1)))
     coarse, corners, weights = _coarser(grid, is_open)
     return GoalGrid(spacing, nodes, joined[:, kept], at_goal, coarse, corners, weights)
@@ -205,5 +208,5 @@ def price_path(
 
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     driven = float(lengths.sum()) + price * charged_length_m(lengths, share)
-    in_contact = bool((costs.share == 0.0).any())
+    in_contact = bool((costs.share < 1.0).any())
     return PricedPath(driven + rest_m(len(positions_m) - 1), rest_m(0), in_contact)

@@ -97,24 +97,28 @@ class ReachCost:
     def _outage_share(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
         power, threshold = self.power(places_m), self.threshold_dbm
         mean, deviation = power.mean_db, power.deviation_db
-        margin = bound_margin_db(mean, deviation, threshold, self.problem.constraints.p_min)
-        return outage_share(connection_probability(mean, deviation, threshold), margin < 0.0)
+        chance = connection_probability(mean, deviation, threshold)
+        return outage_share(chance, self._is_below(places_m))
 
-    def slack_price_s_db(self, path_m: NDArray[np.float64]) -> float:
-        """What a dB is worth where a path (N, 2) is below the bound, on average; 0 where it is not.
-
-        The slope of the outage price by the mean power at its steps.
-        """
+    def metre_costs(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What a metre counts where the robot is and along a path (N, 2), in metres; (N + 1,)."""
         places = np.vstack([self.position_m, path_m])
-        power, threshold = self.power(places), self.threshold_dbm
-        below = self._outage_share(places)[1:] > 0.0
-        if not below.any():
-            return 0.0
-        lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
-        score = (power.mean_db - threshold)[1:] / power.deviation_db[1:]
-        density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db[1:])
-        slope = self.rate_s_m * self.problem.reach.outage_price * lengths * density
-        return float(slope[below].mean())
+        return 1.0 + self.problem.reach.outage_price * self._outage_share(places)
+
+    def outage_charges(self, path_m: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """What of a metre is charged where the robot is, and what would be along a path (N, 2).
+
+        The second as if connection were impossible there; (N,).
+        """
+        certain = outage_share(np.zeros(len(path_m)), self._is_below(path_m))
+        return float(self._outage_share(self.position_m[None])[0]), certain
+
+    def _is_below(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        power = self.power(places_m)
+        margin = bound_margin_db(
+            power.mean_db, power.deviation_db, self.threshold_dbm, self.problem.constraints.p_min
+        )
+        return margin < 0.0
 
 
 def resting_places_m(drive: Drive) -> NDArray[np.float64]:

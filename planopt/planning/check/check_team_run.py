@@ -207,7 +207,7 @@ def _driven(
         here, residual = states[step - 1], released.kkt_residual
         judgement = judge(own, index, posterior, here, path, residual, circumstances, drive)
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
-        worth = worth_again(own, posterior, path, aim, region, circumstances)
+        worth = worth_again(own, posterior, path, aim, region, circumstances, index)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth, drive=drive)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)

@@ -175,7 +175,17 @@ def _alone(
     ]
     for other in others:
         first = first + other
+    # A node that is measured already brings nothing.
+    first[~_is_open(at, field)] = 0.0
     return first
+
+
+def _is_open(at: Situation, field: NodeField) -> NDArray[np.bool_]:
+    """Whether each node within reach brings a measurement; (ny, nx)."""
+    found = np.ones(field.mean_db.shape, dtype=np.bool_)
+    near = field.grid_m[field.window]
+    found[field.window] = at.near_measuring.is_open(near.reshape(-1, 2)).reshape(near.shape[:2])
+    return found
 
 
 def _told(

@@ -15,6 +15,7 @@ from planopt.channel.prediction import Prediction
 from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.energy import Radio
 from planopt.objectives.mapping import Region, Uncertainty
+from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
@@ -121,6 +122,17 @@ class Situation:
         if len(self.stations) == 1:
             return [self.power(places_m)]
         return [search_prediction(station, places_m) for station in self.stations]
+
+    @cached_property
+    def measuring(self) -> MeasuringRule:
+        """Which places bring a measurement."""
+        return MeasuringRule.of(self.stations, self.problem.channel.measure_spacing_m)
+
+    @cached_property
+    def near_measuring(self) -> MeasuringRule:
+        """The same for places that a plan can come to."""
+        reach = self.problem.planner.horizon * self.problem.step_length_m
+        return self.measuring.near(self.position_m[None], reach)
 
     @cached_property
     def near_region(self) -> Region:

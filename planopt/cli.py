@@ -20,7 +20,7 @@ from planopt.commands.map import map_log
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
 from planopt.errors import InputError, PlanoptError
-from planopt.files import strict_text
+from planopt.files.whole import strict_text
 
 BAD_INPUT = 2
 INTERRUPTED = 130

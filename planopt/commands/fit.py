@@ -82,7 +82,7 @@ def fit(
                 report = held_out(log, fitted, hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
-            from planopt.files import strict_text, write_text
+            from planopt.files.whole import strict_text, write_text
 
             write_text(folder / FIT_FILE, strict_text(data))
         # Results come before pictures: whatever happens to these, the numbers are there.

@@ -62,7 +62,7 @@ def _in_words(simulation: Simulation) -> str:
             f"{run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
             f"{metrics.measured_steps}",
             f"  truly connected {metrics.true_connected_share:.1%} of the steps, longest outage "
-            f"{metrics.longest_outage_m:.1f} m, least predicted probability "
+            f"{metrics.longest_outage_m:.1f} m, least P(connected) of the driven steps "
             f"{shown_number(metrics.predicted_min_connectivity)}",
             *(f"  {line}" for line in reliability_lines(run_reliability([run]), "steps")),
         ]

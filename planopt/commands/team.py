@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from planopt.commands.output import (
     apart_in_words,
     explained,
+    planned_in_words,
     progress,
     results_folder,
     show,
@@ -95,9 +96,9 @@ def _plans_in_words(solution: TeamSolution) -> str:
         lines.append(
             f"  {plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
             f"value {shown_number(plan.objective)}, of the lattice path "
-            f"{shown_number(plan.lattice_objective)}; clearance "
-            f"{shown_number(certificate.min_clearance_m, ' m')}, least probability of connection "
-            f"{shown_number(certificate.min_connectivity)} ({certificate.posterior}); "
+            f"{shown_number(plan.lattice_objective)}; "
+            f"{planned_in_words(certificate.min_clearance_m, certificate.min_connectivity)} "
+            f"({certificate.posterior}); "
             f"{shown_number(plan.wall_s, ' s', 2)}"
         )
         lines += (

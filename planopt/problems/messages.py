@@ -12,7 +12,7 @@ import re
 import reprlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -80,6 +80,9 @@ def input_error(
         case "union_tag_not_found" | "union_tag_invalid":
             path = (*path, "kind")
             message = _kind_message(fault)
+        case "too_long" | "too_short":
+            count, words = len(fault["input"]), _allowed(fault, field)
+            message = f"has {count} entries, {words.partition(', not ')[0]}"
         case "one_of" | "task":
             # Of several keys: what stands there is no single value.
             message = fault["msg"]
@@ -99,6 +102,11 @@ def shown(value: object) -> str:
     """`value` as short as a message needs it."""
     if isinstance(value, dict):
         return "a table"
+    if isinstance(value, list):
+        entries = cast("list[object]", value)
+        if any(isinstance(entry, (dict, list)) for entry in entries):
+            return f"an array of {len(entries)} entries"
+        return reprlib.repr(entries)
     if isinstance(value, bool):
         return str(value).lower()
     try:

@@ -38,7 +38,7 @@ METRIC_NAMES = {
     "stated_times_connected": MetricName("stated times connected", "%", 100.0, 1),
     "least_connected_share": MetricName("least connected share", "%", 100.0, 1),
     "data_mbit": MetricName("delivered data", "Mbit", 1.0, 2),
-    "predicted_min_connectivity": MetricName("least predicted P(connected)", "1", 1.0, 3),
+    "predicted_min_connectivity": MetricName("least P(connected) of driven steps", "1", 1.0, 3),
     "time_averaged_trace_p": MetricName("time-averaged tr P", "m2", 1.0, 3),
     "final_trace_p": MetricName("final tr P", "m2", 1.0, 3),
     "delivered": MetricName("delivered", "%", 100.0, 1),

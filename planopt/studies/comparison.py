@@ -39,7 +39,8 @@ class Row:
         Its name (`goal_time_s`, `true_connected_share`, ...).
     mean, ci_low, ci_high
         Mean over the runs for which the metric exists and its 95 % Student interval, cut to the
-        values that the metric can have; None if there is none. With one run the interval is None.
+        values that the metric can have; None if there is none. With fewer than five runs the
+        interval is None.
     count
         How many runs the mean is over: `goal_time_s` exists only where the goal was reached.
     paired_ratio

@@ -15,6 +15,7 @@ from typing import Any, TypeVar, cast
 from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
+from planopt.files.regular import read_text
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
     SavedBelief,
@@ -137,10 +138,9 @@ def _read_json(file: Path) -> Mapping[str, Any]:
             raise damaged(file, twice, "stands there twice")
         return table
 
+    text = read_text(file)
     try:
-        data = json.loads(file.read_bytes().decode("utf-8"), object_pairs_hook=once)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=file) from None
+        data = json.loads(text, object_pairs_hook=once)
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no JSON: {error}", file=file, remedy=REMEDY) from None
     if not isinstance(data, dict):

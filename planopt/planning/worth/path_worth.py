@@ -112,9 +112,11 @@ def _expression(term: CasadiTerm, at: Situation, path_m: NDArray[np.float64]) ->
     each = {name: values[None] for name, values in given.items()}
     value = float(expression_values(term.program, term.steps, each)[0])
     if not np.isfinite(value):
+        number = next(n for n, other in enumerate(at.problem.terms) if other is term)
         raise InputError(
-            "an expression has no finite value for a path that may be driven",
-            key="objective.terms",
+            f"is {value:g} for a path that may be driven",
+            file=at.problem.file,
+            key=f"objective.terms[{number}].program",
             remedy="keep logarithms and quotients away from 0, for every path",
         )
     return value

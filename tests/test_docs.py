@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -67,3 +68,9 @@ def test_page_of_keys(monkeypatch: pytest.MonkeyPatch) -> None:
         assert re.search(rf"^\| `{key}` \| .+ \| .+ \| .+\.? \|$", page, flags=re.MULTILINE), key
     for heading in ("[problem]", "[[world.obstacles]]", "[channel.truth]", "[[robots]]"):
         assert f"## `{heading}`" in page
+
+
+def test_nothing_refers_to_what_a_reader_cannot_look_up() -> None:
+    """No papers by nickname and no numbered equations of elsewhere in the schema's words."""
+    words = json.dumps(json_schema())
+    assert not re.findall(r"(?i)the seed's|theory|lemma \d|\bdesign\b|\(\d\)", words)

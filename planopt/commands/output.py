@@ -36,6 +36,17 @@ def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
     return "-" if value is None else f"{value:.{digits}g}{unit}"
 
 
+def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
+    """The clearance of planned ways, and the least P(connected) of all planned steps.
+
+    Runs have another least probability: that of the driven steps, each by the plan that led there.
+    """
+    return (
+        f"clearance {shown_number(clearance_m, ' m')}, least P(connected) of the planned steps "
+        f"{shown_number(connectivity)}"
+    )
+
+
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
     """How far plans keep from other robots and from what moves; nothing where nothing does."""
     parts = [

@@ -34,12 +34,13 @@ class Row:
     seeds
         How many runs.
     stalled
-        How many of them did not reach the goal, if there is one.
+        How many of them did not do what the problem asks: reach the goal, connect, go on.
     metric
         Its name (`goal_time_s`, `true_connected_share`, ...).
     mean, ci_low, ci_high
         Mean over the runs for which the metric exists and its 95 % Student interval, cut to the
-        values that the metric can have; None if there is none. With one run the interval is None.
+        values that the metric can have; None if there is none. With fewer than five runs the
+        interval is None.
     count
         How many runs the mean is over: `goal_time_s` exists only where the goal was reached.
     paired_ratio

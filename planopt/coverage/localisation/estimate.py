@@ -220,7 +220,7 @@ def _refined(
         return root[:, None] * _jacobian(sensor, readings, places, strengths, strength_known)
 
     residual = residuals(places, strengths)
-    misfit = (residual * residual).sum(axis=1)
+    misfit = np.asarray((residual * residual).sum(axis=1), dtype=np.float64)
     damping = np.full(starts, 1e-3)
     open_ = np.ones(starts, dtype=np.bool_)
     jacobian = slopes(places, strengths)
@@ -235,15 +235,16 @@ def _refined(
         moved = _inside(region, moved.reshape(-1, 2)).reshape(places.shape)
         stronger = strengths if strength_known else np.maximum(strengths + step[:, 2 * events :], 0)
         tried = residuals(moved, stronger)
-        value = (tried * tried).sum(axis=1)
-        better = open_ & (value < misfit)
+        value = np.asarray((tried * tried).sum(axis=1), dtype=np.float64)
+        better = np.asarray(open_ & (value < misfit), dtype=np.bool_)
         shift = np.abs(moved - places).max(axis=(1, 2))
         places = np.where(better[:, None, None], moved, places)
         strengths = np.where(better[:, None], stronger, strengths)
         residual = np.where(better[:, None], tried, residual)
         misfit = np.where(better, value, misfit)
         damping = np.where(better, np.maximum(damping / 5.0, 1e-12), 4.0 * damping)
-        open_ &= ~(better & (shift < SETTLED * region.radius_m)) & (damping < 1e12)
+        going = ~(better & (shift < SETTLED * region.radius_m)) & (damping < 1e12)
+        open_ = np.asarray(open_ & going, dtype=np.bool_)
         jacobian = slopes(places, strengths)
         if not open_.any():
             break

@@ -243,8 +243,9 @@ class Refiner:
         )
 
     def _dearest_metre(self, path_m: NDArray[np.float64]) -> float:
-        """What a metre costs at most along a path: to come nearer must never cost more than it is
-        worth, or the path would rather end where it begins.
+        """Cost of the dearest metre along a path.
+
+        To come nearer must never cost more than it is worth, or the path ends where it begins.
         """
         return float(self._cost.metre_costs(path_m).max())
 

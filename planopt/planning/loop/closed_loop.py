@@ -99,7 +99,7 @@ def simulate(
         outcome=outcome,
         reason=reason,
         log=log,
-        metrics=metrics_of(log, plans, outcome),
+        metrics=metrics_of(log, plans, outcome, learnt),
         rule=rule_metrics(problem, [log]),
         drive=driven(problem.robots[0], plans),
         costs=run_costs(problem, scene.road_map, scene.index, truths, places, outcome),

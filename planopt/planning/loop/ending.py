@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from planopt.planning.arrival import is_at_goal, stands
 from planopt.planning.loop.run import Outcome
-from planopt.planning.plan import Plan
+from planopt.planning.plan import Plan, Rung
+from planopt.planning.tolerances import STANDSTILL_M
 from planopt.problems.problem import Problem
 
 STALL_STEPS = 30
@@ -50,6 +51,44 @@ def ending(
     if len(learnt) >= problem.planner.max_steps:
         return Outcome.STEP_LIMIT, f"not arrived after {problem.planner.max_steps} steps"
     return None
+
+
+def standstill(
+    problem: Problem,
+    track: Sequence[NDArray[np.float64]],
+    learnt: Sequence[bool],
+    plan: Plan,
+    *,
+    alone: bool = True,
+) -> str | None:
+    """Why a robot that stands still or circles will go on doing so, in words; None if it may not.
+
+    Parameters
+    ----------
+    problem, track, learnt
+        As in :func:`ending`; at least one step was driven.
+    plan
+        The plan whose first step was the last one.
+    alone
+        Whether nothing else that plans depend on changes while the robot stands.
+    """
+    stood = bool(np.linalg.norm((track[-1] - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
+    # Same place, same belief, and nothing that moves: the next plan would be this one again.
+    again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
+    if stood and not learnt[-1] and again:
+        return f"standing still with nothing new to learn{_detail(plan)}"
+    if not any(learnt[-STALL_STEPS:]) and _circling(track, problem.step_length_m):
+        return (
+            f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
+            f"with nothing new to learn{_detail(plan)}"
+        )
+    return None
+
+
+def _unit_m(problem: Problem) -> NDArray[np.float64]:
+    """What makes metres of a state."""
+    dynamics = problem.robots[0].dynamics
+    return np.ones(2) if dynamics is None else np.array(dynamics.unit_m(problem.planner.step_s))
 
 
 def _circling(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:

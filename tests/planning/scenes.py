@@ -24,7 +24,6 @@ from planopt.planning.prepare import Prepared
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.world.road_map import RoadMap, build_road_map
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective
@@ -34,6 +33,7 @@ from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
 from planopt.world.lattice import build_lattice
 from planopt.world.raster import Raster
+from planopt.world.road_map import RoadMap, build_road_map
 from planopt.world.workspace import Obstacle, Workspace
 
 PowerAt = Callable[[np.ndarray], np.ndarray]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.ndimage
 import shapely
+from planopt.planning.proof.ways_to_goal import connected_way_exists, least_outage_m
 from scenes import RING, WALL, bad_band, small_problem
 
 from planopt.planning.proof.reachability import best_margins_by_step
-from planopt.planning.proof.ways_to_goal import connected_way_exists, least_outage_m
 from planopt.world.clearance import index_obstacles
 
 START, GOAL = np.array([5.0, 15.0]), np.array([35.0, 15.0])

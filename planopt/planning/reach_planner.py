@@ -21,7 +21,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import MOVING_LINES
-from planopt.planning.programme.pivot import Ahead, find_pivot
+from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.goal_paths import build_goal_grid
@@ -124,16 +124,10 @@ class ReachPlanner:
         elif start is None:
             chosen, pivot = self._without_start(judge, warm), None
         else:
-            pivot = find_pivot(
-                scene,
-                start,
-                margin_db,
-                problem.step_length_m,
-                problem.constraints.clearance_m,
-            )
-            cost = replace(cost, ahead=Ahead(problem, scene, start, pivot))
+            ahead = Ahead(problem, scene, start, margin_db)
+            cost = replace(cost, ahead=ahead)
             judge = replace(judge, objective=cost)
-            chosen = self._climb(judge, cost, start, warm, budget, rows_of)
+            chosen = self._climb(judge, cost, start, ahead, warm, budget, rows_of)
             pivot = cost.pivot_of(chosen.path_m)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
@@ -158,6 +152,7 @@ class ReachPlanner:
         judge: Judge,
         cost: ReachCost,
         start: GlobalStart,
+        ahead: Ahead,
         warm: Plan | None,
         budget: Budget,
         rows_of: Callable[[NDArray[np.float64]], RuleRows] | None,
@@ -171,7 +166,15 @@ class ReachPlanner:
         refiner = None
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
             refiner = Refiner(
-                self._nlp, self.scene, judge, cost, start, lattice.objective, budget, rows_of
+                self._nlp,
+                self.scene,
+                judge,
+                cost,
+                start,
+                ahead,
+                lattice.objective,
+                budget,
+                rows_of,
             )
             shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
             for attempt in refiner.attempts(shifted):

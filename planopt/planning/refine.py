@@ -18,6 +18,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
 from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
+from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.polish import OutagePrice, ReachTask, polish
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import ReachNlp
@@ -51,6 +52,8 @@ class Refiner:
         What it judges their worth by, the rest of the way included.
     start
         The global start.
+    ahead
+        The way on from wherever a path ends.
     lattice_objective
         Its cost.
     budget
@@ -67,6 +70,7 @@ class Refiner:
         judge: Judge,
         cost: ReachCost,
         start: GlobalStart,
+        ahead: Ahead,
         lattice_objective: float,
         budget: Budget,
         rows_of: Callable[[NDArray[np.float64]], RuleRows] | None = None,
@@ -76,6 +80,7 @@ class Refiner:
         self._judge = judge
         self._cost = cost
         self._start = start
+        self._ahead = ahead
         self._lattice_objective = lattice_objective
         self._budget = budget
         self._rows_of = rows_of
@@ -109,13 +114,10 @@ class Refiner:
                     candidate = replace(candidate, solve_s=0.0, iterations=0)
                 yield candidate
 
-    def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """The last plan, shifted, with its last step leading on; None if it leads nowhere."""
+    def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The last plan, shifted, with its last step leading on."""
         problem, before = self._judge.problem, shifted_m[-1]
-        pivot = self._cost.pivot_of(shifted_m)
-        if pivot is None:
-            return None
-        to_pivot = pivot.position_m - before
+        to_pivot = self._ahead.leading(before).position_m - before
         away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
         goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
         if len(shifted_m) == 1 or away == 0.0 or goal_away <= problem.constraints.goal_radius_m:
@@ -207,9 +209,7 @@ class Refiner:
     def _task(self, path_m: NDArray[np.float64]) -> ReachTask:
         """Set the programme up about a start path."""
         judge = self._judge
-        problem, pivot = judge.problem, self._cost.pivot_of(path_m)
-        if pivot is None:
-            raise AssertionError("a start path of no cost has no pivot")
+        problem, pivot = judge.problem, self._ahead.leading(path_m[-1])
         ends = np.vstack([judge.position_m, path_m])
         lines = lines_about(
             self._scene.pieces,

@@ -86,7 +86,7 @@ def _objective(n: int, q: Any, m: Any, p: Any, step: Any) -> Any:
     charged, z, per_deviation = step[:n], step[n : 2 * n], step[2 * n :]
     share = charged * (0.5 - 0.5 * ca.erf((z + m * per_deviation) / 2.0**0.5))
     lengths = ca.sqrt(squares + STEP_ROUNDING_M**2)
-    outage = 0.5 * ca.dot(lengths, ca.vertcat(p[7], share[:-1]) + share)
+    outage = 0.5 * ca.dot(lengths, ca.vertcat(p[7], share)[:n] + share)
     return p[4] * ca.sum1(squares) + p[5] * to_pivot + p[6] * outage
 
 

@@ -22,7 +22,7 @@ from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.polish import OutagePrice, ReachTask, polish
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import ReachNlp
-from planopt.planning.programme.stage_kernel import StageMargins, margins_of
+from planopt.planning.programme.stage_kernel import StageMargins, joined, margins_of, scores_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
@@ -149,7 +149,7 @@ class Refiner:
         begun = perf_counter()
         self._look_at(faster)
         task = self._task(faster)
-        bound = self._asked(np.minimum(task.margins(faster).value, MARGIN_PAD_DB))
+        bound = self._asked(np.minimum(task.margins(faster).value[: len(faster)], MARGIN_PAD_DB))
         polished = polish(self._nlp, replace(task, bound_db=bound))
         iterations = candidate.iterations + polished.iterations
         solve_s = candidate.solve_s + perf_counter() - begun
@@ -168,7 +168,7 @@ class Refiner:
         self._look_at(path_m)
         task = self._task(path_m)
         exact = self._start_margins(path_m)
-        local = task.margins(path_m).value
+        local = task.margins(path_m).value[: len(path_m)]
         # Where the local model is too optimistic by e, ask it for e more.
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
@@ -251,16 +251,12 @@ class Refiner:
 
     def _outage(self, path_m: NDArray[np.float64]) -> OutagePrice:
         """What being out of contact costs along a path."""
-        quantile = np.full(len(path_m), bound_quantile(self._judge.problem.constraints.p_min))
-        if self._rows is not None:
-            quantile = self._rows.quantile
         before, charged = self._cost.outage_charges(path_m)
         price = self._cost.rate_s_m * self._judge.problem.reach.outage_price
-        deviation = self._power(path_m).deviation_db
-        return OutagePrice(price, before, charged, quantile, deviation)
+        return OutagePrice(price, before, charged)
 
     def _margins_about(self, path_m: NDArray[np.float64]) -> MarginFunction:
-        """Margins conditioned on the measurements nearest to each stage of a path."""
+        """Margins and scores conditioned on the measurements nearest to each stage of a path."""
         problem = self._judge.problem
         predict_stages = stage_predictor(
             self._judge.belief.posterior,
@@ -274,7 +270,9 @@ class Refiner:
             threshold, z = self._rows.threshold_dbm, self._rows.quantile
 
         def margins(positions_m: NDArray[np.float64]) -> StageMargins:
-            return margins_of(*predict_stages(positions_m), threshold, z)
+            power = predict_stages(positions_m)
+            scores = scores_of(*power, self._cost.threshold_dbm)
+            return joined(margins_of(*power, threshold, z), scores)
 
         return margins
 

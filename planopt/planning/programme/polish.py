@@ -22,7 +22,7 @@ from planopt.world.separation import SeparatingLines
 
 @dataclass(frozen=True)
 class OutagePrice:
-    """What it costs to be out of contact on the way, by the margins after each step.
+    """What it costs to be out of contact on the way.
 
     Attributes
     ----------
@@ -32,20 +32,11 @@ class OutagePrice:
         Share of a metre that is charged at the start.
     charged
         ``(N,)`` the same after each step, were that certainly out of contact.
-    quantile, deviation_db
-        ``(N,)`` the probability of connection is ``Phi(quantile + margin / deviation)``.
     """
 
     price_s_m: float
     share_before: float
     charged: NDArray[np.float64]
-    quantile: NDArray[np.float64]
-    deviation_db: NDArray[np.float64]
-
-    @property
-    def steps(self) -> NDArray[np.float64]:
-        """``(3 N,)`` what the programme takes of each step."""
-        return np.concatenate([self.charged, self.quantile, 1.0 / self.deviation_db])
 
 
 @dataclass(frozen=True)
@@ -72,7 +63,8 @@ class ReachTask:
     effort_s_m2, rate_s_m
         Cost of squared step length, and of a metre beyond the horizon.
     margins
-        Connectivity margin of each stage by position.
+        Connectivity margin of each stage by position, then the score of each that the probability
+        of connection has.
     bound_db
         ``(N,)`` what the margins must reach.
     outage
@@ -119,7 +111,7 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     nlp.source.use(task.margins)
     point = nlp.solve(
         task.path_m.ravel(),
-        np.concatenate([head, outage.steps, line.ravel()]),
+        np.concatenate([head, outage.charged, line.ravel()]),
         variables,
         rows,
     )
@@ -162,12 +154,12 @@ def _residual(
     plain, plain_jacobian = path_row_values(q, line)
     stage = np.arange(n)
     connectivity = np.zeros((n, n, 2))
-    connectivity[stage, stage] = margins.gradient
+    connectivity[stage, stage] = margins.gradient[:n]
     jacobian = np.concatenate([plain_jacobian, connectivity.reshape(n, 2 * n)])
     return kkt_residual(
         gradient.ravel(),
         jacobian,
-        np.concatenate([plain, margins.value]),
+        np.concatenate([plain, margins.value[:n]]),
         row_bounds,
         point.row_multipliers,
         point.positions_m.ravel(),
@@ -183,14 +175,14 @@ def _gradient(
     outage = task.outage
     steps = np.diff(q, axis=0)
     lengths = np.sqrt((steps**2).sum(axis=1) + STEP_ROUNDING_M**2)
-    score = outage.quantile + margins.value / outage.deviation_db
+    score = margins.value[len(steps) :]
     share = np.append(outage.share_before, outage.charged * ndtr(-score))
     density = np.exp(-0.5 * score**2) / np.sqrt(2.0 * np.pi)
-    slope = -outage.charged * density / outage.deviation_db
+    slope = -outage.charged * density
     by_length = outage.price_s_m * 0.5 * (share[:-1] + share[1:])
     by_step = (2.0 * task.effort_s_m2 + (by_length / lengths)[:, None]) * steps
     by_share = outage.price_s_m * 0.5 * (lengths + np.append(lengths[1:], 0.0))
-    gradient = by_step + (by_share * slope)[:, None] * margins.gradient
+    gradient = by_step + (by_share * slope)[:, None] * margins.gradient[len(steps) :]
     gradient[:-1] -= by_step[1:]
     to_pivot = q[-1] - task.pivot_m
     gradient[-1] += task.rate_s_m * to_pivot / np.sqrt(to_pivot @ to_pivot + PIVOT_ROUNDING_M**2)

@@ -11,10 +11,9 @@ Variables are the positions q_1..q_N. With h the step duration and Phi the norma
           margin_k(q_k) >= bound_k                   k = 1..N             "connectivity"
 
 with step lengths ``l_k = |q_k - q_{k-1}|``, rounded at zero, and the share of a metre that the
-outage price is charged on, ``c_k = charged_k (1 - Phi(z_k + margin_k(q_k) / deviation_k))``: the
-probability is that of the step's margin, with the deviation of the start path.
+outage price is charged on, ``c_k = charged_k (1 - Phi(score_k(q_k)))``.
 
-The margins come from :mod:`planopt.planning.programme.stage_kernel` with exact derivatives, by
+Margins and scores come from :mod:`planopt.planning.programme.stage_kernel` with exact derivatives, by
 callbacks (five times faster than their symbolic form: fast.md); everything else is symbolic. The
 solver is built once per structure and reused; a failed solve leaves nothing behind, because every
 call sets start, bounds and parameters anew and passes no multipliers on.
@@ -78,13 +77,12 @@ HEAD = 8
 """Parameters before those of each step: start (2), pivot (2), effort / h, rate, price, c_0."""
 
 
-def _objective(n: int, q: Any, m: Any, p: Any, step: Any) -> Any:
-    """Assemble the cost of positions and margins; `step` = charged, z and 1 / deviation, N each."""
+def _objective(n: int, q: Any, score: Any, p: Any, charged: Any) -> Any:
+    """Assemble the cost of positions and scores."""
     moved = ca.reshape(q - ca.vertcat(p[0:2], q[: 2 * n - 2]), 2, n)
     squares = ca.sum1(moved**2).T
     to_pivot = ca.sqrt(ca.sumsqr(q[2 * n - 2 :] - p[2:4]) + PIVOT_ROUNDING_M**2)
-    charged, z, per_deviation = step[:n], step[n : 2 * n], step[2 * n :]
-    share = charged * (0.5 - 0.5 * ca.erf((z + m * per_deviation) / 2.0**0.5))
+    share = charged * (0.5 - 0.5 * ca.erf(score / 2.0**0.5))
     lengths = ca.sqrt(squares + STEP_ROUNDING_M**2)
     outage = 0.5 * ca.dot(lengths, ca.vertcat(p[7], share)[:n] + share)
     return p[4] * ca.sum1(squares) + p[5] * to_pivot + p[6] * outage
@@ -99,26 +97,28 @@ def build_reach_nlp(
     """
     n = horizon
     source = MarginSource(n)
-    margins = path_callbacks("margin", n, n, 3 * n, source.at)
-    q, head, step = ca.SX.sym("q", 2 * n), ca.SX.sym("head", HEAD), ca.SX.sym("step", 3 * n)
+    margins = path_callbacks("margin", n, 2 * n, 6 * n, source.at)
+    q, head, step = ca.SX.sym("q", 2 * n), ca.SX.sym("head", HEAD), ca.SX.sym("charged", n)
     line = ca.SX.sym("line", 4 * n * lines)
-    p_sx = ca.vertcat(head, step, line)
-    m_sx, dm_sx, hm_sx = (ca.SX.sym(f"m{width}", width * n) for width in (1, 2, 3))
-    f_sx = _objective(n, q, m_sx, head, step)
+    p_sx = ca.vertcat(head, charged, line)
+    m_sx, dm_sx, hm_sx = (ca.SX.sym(f"m{width}", 2 * width * n) for width in (1, 2, 3))
+    f_sx = _objective(n, q, m_sx[n:], head, charged)
     f_q, f_m = ca.gradient(f_sx, q), ca.gradient(f_sx, m_sx)
     f_qm, f_mm = ca.jacobian(f_q, m_sx), ca.jacobian(f_m, m_sx)
     g_sx = path_rows(n, lines, q, head[0:2], line)
     plain = g_sx.numel()
     lam_f_sx, lam_sx = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + n)
-    margin_rows = stage_rows(dm_sx, n)
+    margin_rows = stage_rows(dm_sx[: 2 * n], n)
+    stages = ca.vertcat(margin_rows, stage_rows(dm_sx[2 * n :], n))
     lagrangian = lam_f_sx * f_sx + ca.dot(lam_sx[:plain], g_sx)
-    curved = weighted_blocks(lam_sx[plain:] + lam_f_sx * f_m, hm_sx, n)
-    mixed = f_qm @ margin_rows
-    across = lam_f_sx * (mixed + mixed.T + margin_rows.T @ f_mm @ margin_rows)
+    curved = weighted_blocks(lam_sx[plain:], hm_sx[: 3 * n], n)
+    curved += weighted_blocks(lam_f_sx * f_m[n:], hm_sx[3 * n :], n)
+    mixed = f_qm @ stages
+    across = lam_f_sx * (mixed + mixed.T + stages.T @ f_mm @ stages)
     hessian_sx = ca.triu(ca.hessian(lagrangian, q)[0] + curved + across)
     objective = ca.Function("f", [q, p_sx, m_sx], [f_sx])
-    gradient = ca.Function("df", [q, p_sx, m_sx, dm_sx], [f_q + margin_rows.T @ f_m])
-    rows = ca.Function("g", [q, p_sx, m_sx], [ca.vertcat(g_sx, m_sx)])
+    gradient = ca.Function("df", [q, p_sx, m_sx, dm_sx], [f_q + stages.T @ f_m])
+    rows = ca.Function("g", [q, p_sx, m_sx], [ca.vertcat(g_sx, m_sx[:n])])
     jacobian = ca.Function("dg", [q, p_sx, dm_sx], [ca.vertcat(ca.jacobian(g_sx, q), margin_rows)])
     hessian = ca.Function("h", [q, p_sx, lam_f_sx, lam_sx, m_sx, dm_sx, hm_sx], [hessian_sx])
 

@@ -22,7 +22,7 @@ from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.polish import OutagePrice, ReachTask, polish
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import ReachNlp
-from planopt.planning.programme.stage_kernel import StageMargins, joined, margins_of, scores_of
+from planopt.planning.programme.stage_kernel import StageMargins, joined, margins_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
@@ -34,7 +34,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.rule_rows import RuleRows
-from planopt.planning.worth.serving_stages import stage_predictor
+from planopt.planning.worth.serving_stages import scores_of, stage_predictor
 
 
 class Refiner:

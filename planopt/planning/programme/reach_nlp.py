@@ -98,7 +98,7 @@ def build_reach_nlp(
     n = horizon
     source = MarginSource(n)
     margins = path_callbacks("margin", n, 2 * n, 6 * n, source.at)
-    q, head, step = ca.SX.sym("q", 2 * n), ca.SX.sym("head", HEAD), ca.SX.sym("charged", n)
+    q, head, charged = ca.SX.sym("q", 2 * n), ca.SX.sym("head", HEAD), ca.SX.sym("charged", n)
     line = ca.SX.sym("line", 4 * n * lines)
     p_sx = ca.vertcat(head, charged, line)
     m_sx, dm_sx, hm_sx = (ca.SX.sym(f"m{width}", 2 * width * n) for width in (1, 2, 3))

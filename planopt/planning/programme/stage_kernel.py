@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.serving_power import LEAST_DEVIATION_DB
-from planopt.targets.rounding import Derivatives, add_products
+from planopt.targets.rounding import Derivatives
 
 
 @dataclass(frozen=True)
@@ -44,16 +43,6 @@ def margins_of(
     rows = mean.rows - np.reshape(z, (-1, 1)) * deviation.rows
     rows[:, 0] -= threshold_dbm
     return StageMargins(rows[:, 0], rows[:, 1:3], rows[:, 3:])
-
-
-def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -> Derivatives:
-    """How many deviations the mean of every stage is above a threshold."""
-    spread = np.maximum(deviation.value, LEAST_DEVIATION_DB)
-    z, by = (mean.value - threshold_dbm) / spread, (1.0 / spread)[:, None]
-    first = by * (mean.gradient - z[:, None] * deviation.gradient)
-    second = by * (mean.hessian - z[:, None] * deviation.hessian)
-    add_products(second, first, -by * deviation.gradient)
-    return Derivatives(z, first, second)
 
 
 def joined(margins: StageMargins, scores: Derivatives) -> StageMargins:

@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connection.any_score import any_score_derivatives
-from planopt.channel.connection.serving_power import serving_prediction
+from planopt.channel.connection.serving_power import LEAST_DEVIATION_DB, serving_prediction
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.planning.programme.stage_kernel import scores_of
 from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.serving import Serving
 from planopt.planning.worth.stage_prediction import StagePredictor
@@ -103,6 +102,16 @@ def serving_derivatives(
     by_scale = scale_db[:, None]
     mean = Derivatives(thresholds_dbm[0] + scale_db * z, by_scale * first, by_scale * second)
     return mean, Derivatives(scale_db, np.zeros_like(first), np.zeros_like(second))
+
+
+def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -> Derivatives:
+    """How many deviations the mean of every stage is above a threshold."""
+    spread = np.maximum(deviation.value, LEAST_DEVIATION_DB)
+    z, by = (mean.value - threshold_dbm) / spread, (1.0 / spread)[:, None]
+    first = by * (mean.gradient - z[:, None] * deviation.gradient)
+    second = by * (mean.hessian - z[:, None] * deviation.hessian)
+    add_products(second, first, -by * deviation.gradient)
+    return Derivatives(z, first, second)
 
 
 def stage_predictor(

@@ -30,9 +30,7 @@ from planopt.planning.search.global_search import GlobalStart
 def found(problem, power_at=good_everywhere) -> GlobalStart:
     """The start path from the problem's start."""
     search, belief, _ = search_of(problem, power_at)
-    start = search.find_start(
-        situation_of(problem, belief, np.asarray(problem.robots[0].start_m))
-    )
+    start = search.find_start(situation_of(problem, belief, np.asarray(problem.robots[0].start_m)))
     assert start is not None
     return start
 
@@ -124,7 +122,7 @@ def test_cost_to_go_against_networkx(price):
     graph = nx.DiGraph()
     for node, sources in enumerate(road_map.sources.tolist()):
         for move, source in enumerate(sources):
-            if source >= 0:
+            if source < len(share):
                 mean_share = 0.5 * (share[source] + share[node])
                 metres = road_map.lengths_m[move] * (1.0 + price * mean_share)
                 graph.add_edge(node, source, weight=metres)

@@ -10,12 +10,8 @@ the outage price: ``1 + price (1 - P)``.
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 from numpy.typing import NDArray
-
-WITHIN_BOUND = float(os.environ.get("KAPPA", "0"))
 
 
 def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
@@ -43,7 +39,7 @@ def outage_share(
 ) -> NDArray[np.float64]:
     """Share of a metre at each place that the outage price is charged on.
 
-    ``1 - P`` where p_min is missed, `WITHIN_BOUND` times that elsewhere.
+    ``1 - P`` where p_min is missed, nothing elsewhere.
 
     Parameters
     ----------
@@ -52,7 +48,7 @@ def outage_share(
     is_below
         Whether p_min is missed there.
     """
-    return np.where(is_below, 1.0, WITHIN_BOUND) * (1.0 - probability)
+    return np.where(is_below, 1.0 - probability, 0.0)
 
 
 def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:

@@ -33,8 +33,9 @@ JOINING_SPACINGS = 1.5
 COARSE = 2
 """Predictions are made at every so many-th row and column, and interpolated between."""
 
-ShareAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""From places (n, 2) to the share (n,) of a metre there that the outage price is charged on."""
+ContactAt = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""From places (n, 2) to the share (n,) of a metre there that the outage price is charged on, and to
+the connectivity margin (n,) in dB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +77,13 @@ class GoalCosts:
         ``(n,)`` of a metre at each node that the price is charged on.
     to_goal_m
         ``(n,)`` cost of the cheapest path to the goal.
+    best_margin_db
+        The largest connectivity margin found anywhere.
     """
 
     share: NDArray[np.float64]
     to_goal_m: NDArray[np.float64]
+    best_margin_db: float
 
 
 @dataclass(frozen=True)
@@ -90,13 +94,10 @@ class PricedPath:
     ----------
     cost_m, best_m
         Metres, those out of contact counted at the outage price.
-    in_contact
-        Whether there is a place on the grid that the bound is kept at.
     """
 
     cost_m: float
     best_m: float
-    in_contact: bool
 
 
 def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
@@ -153,26 +154,30 @@ def _coarser(
     return places, numbered.reshape(corner.shape), weight
 
 
-def goal_costs(grid: GoalGrid, share_at: ShareAt, price: float) -> GoalCosts:
+def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts:
     """Cost of the cheapest path to the goal from every node of the grid.
 
     Parameters
     ----------
     grid
         Where to search.
-    share_at
-        What the price is charged on.
+    contact_at
+        What the price is charged on, and the margins.
     price
         What a metre out of contact costs besides.
     """
-    share = (share_at(grid.coarse_m)[grid.corners] * grid.weights).sum(axis=1)
+    coarse, margin = contact_at(grid.coarse_m)
+    share = (coarse[grid.corners] * grid.weights).sum(axis=1)
     one, other = grid.ends
     length = np.linalg.norm(grid.nodes_m[one] - grid.nodes_m[other], axis=1)
     cost = length * (1.0 + 0.5 * price * (share[one] + share[other]))
     count = len(grid.nodes_m)
     graph = csr_matrix((cost, (one, other)), shape=(count, count))
     to_goal = cast("NDArray[np.float64]", dijkstra(graph, directed=False, indices=grid.goal))
-    return GoalCosts(share, to_goal)
+    best = float(margin.max())
+    if best < 0.0:
+        best = max(best, float(contact_at(grid.nodes_m)[1].max()))
+    return GoalCosts(share, to_goal, best)
 
 
 def price_path(
@@ -208,5 +213,4 @@ def price_path(
 
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     driven = float(lengths.sum()) + price * charged_length_m(lengths, share)
-    in_contact = bool((costs.share < 1.0).any())
-    return PricedPath(driven + rest_m(len(positions_m) - 1), rest_m(0), in_contact)
+    return PricedPath(driven + rest_m(len(positions_m) - 1), rest_m(0))

@@ -45,3 +45,9 @@ def data_asked_mbit(
 def connected_steps_asked(problem: Problem, history: History, count: int) -> float:
     """How many of a plan's steps must be connected, for the average over the run and the plan."""
     return problem.constraints.p_min * (history.steps + count) - history.connected_steps
+
+
+def is_priced(problem: Problem) -> bool:
+    """Whether single steps may miss the bound at a price: of a robot that is to reach a goal."""
+    rule = problem.constraints.rule
+    return problem.task == "reach" and rule.by_step and rule.slack_max_db is None

@@ -29,7 +29,7 @@ from planopt.planning.proof.goal_paths import (
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reach_of_dynamics import may_reach_from
 from planopt.planning.proof.reachability import best_margins_by_step
-from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.rules.asked import asked_steps, is_priced
 from planopt.planning.rule_result import RuleResult
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
@@ -103,14 +103,14 @@ def judge_single_steps(
         return StepsFinding(steps, relaxation, reasons=tuple(reasons), result=result)
     if missed.size == 0:
         return StepsFinding(result=result)
-    if problem.task == "reach":
-        priced = _priced(problem, under, index, posterior, positions_m)
+    if is_priced(problem):
+        priced, best_margin_db = _priced(problem, under, index, posterior, positions_m)
         return StepsFinding(
             steps,
             relaxation,
             path_cost_m=priced.cost_m,
             best_cost_m=priced.best_m,
-            reasons=tuple(_too_dear(problem, priced)),
+            reasons=tuple(_too_dear(problem, priced, best_margin_db)),
             result=result,
         )
     best = best_margins_by_step(
@@ -179,30 +179,39 @@ def _priced(
     index: ObstacleIndex,
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
-) -> PricedPath:
-    """What a path (N + 1, 2) costs with the rest of the way, and the cheapest that is found."""
+) -> tuple[PricedPath, float]:
+    """What a path (N + 1, 2) costs with the rest of the way, and the cheapest that is found.
+
+    And the largest connectivity margin found in the workspace.
+    """
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
 
-    def share_at(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def contact_at(
+        places_m: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         power = search_prediction(posterior, places_m, under.broad)
         margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
         chance = connection_probability(power.mean_db, power.deviation_db, threshold)
-        return outage_share(chance, margin < -MARGIN_TOLERANCE_DB)
+        return outage_share(chance, margin < -MARGIN_TOLERANCE_DB), margin
 
     price = problem.reach.outage_price
     grid, costs = under.goal_costs(
         posterior,
         lambda: build_goal_grid(problem, index),
-        lambda grid: goal_costs(grid, share_at, price),
+        lambda grid: goal_costs(grid, contact_at, price),
     )
-    return price_path(grid, index, costs, price, positions_m, share_at(positions_m))
+    priced = price_path(grid, index, costs, price, positions_m, contact_at(positions_m)[0])
+    return priced, costs.best_margin_db
 
 
-def _too_dear(problem: Problem, priced: PricedPath) -> list[str]:
+def _too_dear(problem: Problem, priced: PricedPath, best_margin_db: float) -> list[str]:
     """Object to a path that costs too much, or to a bound that is met nowhere."""
     p_min, price = problem.constraints.p_min, problem.reach.outage_price
-    if not priced.in_contact:
-        return [f"constraints.p_min {p_min:g} is met nowhere in the workspace"]
+    if best_margin_db < -MARGIN_TOLERANCE_DB:
+        return [
+            f"constraints.p_min {p_min:g} is met nowhere in the workspace, "
+            f"the best place found misses it by {-best_margin_db:.2f} dB"
+        ]
     leeway = COST_LEEWAY_STEPS * problem.step_length_m * (1.0 + price)
     if priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway:
         return []

@@ -254,11 +254,8 @@ def test_start_below_the_bound():
     certificate = plan.certificate
     assert plan.rung is Rung.RELAXED
     assert certificate.relaxed_steps[:2] == (1, 2)
-    # Straight out, 2 m a step: no path found is cheaper.
+    # No way out that the verifier finds is cheaper by more than a step.
     assert certificate.path_cost_m <= 1.05 * certificate.best_cost_m + 2.0
-    assert (np.diff(plan.positions_m[:, 0]) > 1.9).all() or (
-        np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1) > 1.9
-    ).all()
     assert f"{max(certificate.relaxation_db):.2f} dB" in plan.message
     assert "steps 1, 2" in plan.message
     assert (plan.connectivity[-2:] >= 0.9 - 1e-6).all()

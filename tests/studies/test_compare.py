@@ -11,6 +11,7 @@ import scipy.stats
 
 from planopt import load
 from planopt.errors import InputError
+from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.run import Metrics, Outcome, StepLog
 from planopt.studies.compare import compare_horizons, mean_interval, paired_ratio, tabulate
@@ -18,7 +19,7 @@ from planopt.studies.comparison import Comparison, Row
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6
 TIMES = {"p50_step_s", "p95_step_s"}
-METRICS = [field.name for field in fields(Metrics)]
+METRICS = [*(field.name for field in fields(Metrics)), *COSTS]
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def test_means_and_intervals_against_scipy(comparison):
     compared = 0
     for row in comparison.rows:
         runs = runs_of(comparison, row.horizon, row.cost_to_go)
-        values = np.array([getattr(run.metrics, row.metric) for run in runs])
+        values = np.array([run.all_metrics[row.metric] for run in runs])
         values = values[np.isfinite(values)]
         assert row.count == len(values)
         if len(values) == 0:
@@ -124,7 +125,7 @@ def test_ratios_are_paired_with_the_first_setting(comparison):
         ratios = []
         for run, other in zip(runs, reference, strict=True):
             assert run.seed == other.seed
-            mine, its = getattr(run.metrics, row.metric), getattr(other.metrics, row.metric)
+            mine, its = run.all_metrics[row.metric], other.all_metrics[row.metric]
             if mine > 0.0 and its > 0.0:
                 ratios.append(mine / its)
         if ratios:
@@ -151,8 +152,9 @@ def assert_same_run(one, other):
                 getattr(other.log, column.name),
                 equal_nan=column.name not in ("rung", "verdict", "connected"),
             )
-    assert replace(one, log=other.log, metrics=other.metrics) == other
-    assert repr(one.metrics) == repr(other.metrics)
+    same = {"log": other.log, "metrics": other.metrics, "costs": other.costs}
+    assert replace(one, **same) == other
+    assert repr(one.all_metrics) == repr(other.all_metrics)
 
 
 def test_parallel_equals_serial(comparison, problem):

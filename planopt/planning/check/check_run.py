@@ -33,7 +33,7 @@ from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_run
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
-from planopt.planning.loop.clairvoyant import run_costs
+from planopt.planning.loop.clairvoyant import COSTS, run_costs
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.rule_metrics import rule_metrics
@@ -112,6 +112,9 @@ def check_run(
     log = step_log(problem, track, true, plans)
     taken = taken_on_the_way(problem, belief, track, true)
     outcome, reason, faults = _ended(problem, states, taken, plans)
+    # Without a truth these can only be taken as they stand.
+    said = {key: value for key, value in data["metrics"].items() if key in COSTS}
+    costs = run_costs(problem, roads, index, truths, track, outcome) if truths else said
     run = Run(
         robot=problem.robots[0].name,
         horizon=problem.planner.horizon,
@@ -124,7 +127,7 @@ def check_run(
         metrics=metrics_of(log, plans, outcome, taken.learnt),
         rule=rule_metrics(problem, [log]),
         drive=driven,
-        costs=run_costs(problem, roads, index, truths, track, outcome) if truths else {},
+        costs=costs,
     )
     found = {
         **run_json(problem, run),

@@ -26,6 +26,7 @@ from planopt.planning.files.solution_json import (
     finite_list,
     pivot_json,
 )
+from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.metrics import run_reliability
 from planopt.planning.loop.run import Metrics, Outcome, Run
 from planopt.planning.loop.simulation import Simulation
@@ -134,7 +135,7 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "seed": seed,
         "outcome": Outcome.NO_PLAN.value,
         "message": message,
-        "metrics": {field.name: None for field in fields(Metrics)},
+        "metrics": dict.fromkeys([*(field.name for field in fields(Metrics)), *COSTS]),
         "rungs": {},
         "verified_rate": None,
         "step_s": step_times_json(np.zeros(0)),

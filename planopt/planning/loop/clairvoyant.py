@@ -27,6 +27,10 @@ SAMPLES = 16
 """Places at which a stretch is looked at."""
 
 
+COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
+"""Metrics of :func:`run_costs`."""
+
+
 def run_costs(
     problem: Problem,
     road_map: RoadMap,
@@ -49,11 +53,8 @@ def run_costs(
     driven = realised_cost_m(problem, truths, places_m)
     least = realised_cost_m(problem, truths, clairvoyant_path(problem, road_map, index, truths))
     arrived = outcome is Outcome.REACHED and least > 0.0
-    return {
-        "realised_cost_m": driven,
-        "clairvoyant_cost_m": least,
-        "cost_ratio": driven / least if arrived else float("nan"),
-    }
+    ratio = driven / least if arrived else float("nan")
+    return dict(zip(COSTS, (driven, least, ratio), strict=True))
 
 
 def realised_cost_m(

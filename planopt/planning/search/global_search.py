@@ -125,7 +125,7 @@ class GlobalSearch:
         self.margins.refresh(situation.posterior, situation.circumstances.broad)
         ways = scene.ways
         if self._has_wandered(situation.circumstances.history):
-            nodes = self._cheapest(situation, ways, None, priced=False)
+            nodes = self._cheapest(situation, ways, None, priced=False, effort_s2_m2=0.0)
             return None if nodes is None else self._start(situation, ways, nodes, direct=True)
         if problem.reach.cost_to_go == "connected":
             ways = shortest_ways(scene.road_map, scene.goal_node, self._metre_cost())
@@ -133,8 +133,8 @@ class GlobalSearch:
         if nodes is None:
             return None
         if self._gets_nowhere(situation, nodes):
-            # The shortest path round the obstacles knows of no price, and leads on all the same.
-            nodes = self._cheapest(situation, ways, None, priced=self._forbids)
+            # The fastest path round the obstacles knows of no price, and leads on all the same.
+            nodes = self._cheapest(situation, ways, None, priced=self._forbids, effort_s2_m2=0.0)
             if nodes is None:
                 return None
         if problem.constraints.rule.connectivity != "each_step":
@@ -222,9 +222,20 @@ class GlobalSearch:
         return not at_goal and bool(farthest <= STAGNANT_STEPS * self._problem.step_length_m)
 
     def _cheapest(
-        self, situation: Situation, ways: Ways, guide: Guide | None, *, priced: bool
+        self,
+        situation: Situation,
+        ways: Ways,
+        guide: Guide | None,
+        *,
+        priced: bool,
+        effort_s2_m2: float | None = None,
     ) -> NDArray[np.intp] | None:
-        """Nodes (N,) of the cheapest path, with exact margins wherever it rests on them."""
+        """Nodes (N,) of the cheapest path, with exact margins wherever it rests on them.
+
+        With another weight of effort than the problem's, if one is given.
+        """
+        if effort_s2_m2 is None:
+            effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
         problem, scene, margins = self._problem, self._scene, self.margins
         moving: MovingDiscs = situation.circumstances.moving
         places = scene.road_map.nodes_m
@@ -244,7 +255,7 @@ class GlobalSearch:
                 first_lengths,
                 problem.planner.horizon,
                 problem.planner.step_s,
-                problem.reach.effort_weight_s2_m2,
+                effort_s2_m2,
                 scene.goal_node,
                 np.zeros(len(places)) if guide is None else self._penalty_s(guide),
                 self._rate * ways.cost_m,

@@ -19,6 +19,7 @@ from planopt.planning.files.solution_json import no_plan_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.proof.verify import STANDING
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve
@@ -154,8 +155,8 @@ def test_rejects_a_start_elsewhere(plan_folder: Path) -> None:
         (lambda d: d["problem_file"]["planner"].update(step_s=3.0), ["steps.csv", "t_s is 2"]),
         (lambda d: d["problem_file"]["constraints"].update(clearance_m=3.0), ["clearance_m is 3"]),
         (
-            lambda d: d["problem_file"]["stations"][0].update(threshold_dbm=-30.0),
-            ["constraints.p_min"],
+            lambda d: d["problem_file"]["stations"][0].update(threshold_dbm=20.0),
+            ["constraints.p_min", "met nowhere"],
         ),
         (
             lambda d: d["problem_file"]["stations"][0].update(height_m=9.0),
@@ -453,6 +454,7 @@ def test_a_plan_that_stops_where_it_stands(tmp_path: Path, monkeypatch: pytest.M
     found = solve(load("open_field"), horizon=3)
     assert found.plan.rung is Rung.STOP and found.plan.pivot is None
     save_solution(found, tmp_path)
-    assert check(tmp_path).verdict is Verdict.VERIFIED
+    assert found.plan.verdict is Verdict.FEASIBLE_UNVERIFIED
+    assert check(tmp_path).reasons == (STANDING,)
     edit_json(tmp_path, "plan.json", lambda d: d.update(rung="plan"))
     rejected(tmp_path, "plan.json, key pivot: null, but the rung is plan")

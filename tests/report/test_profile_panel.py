@@ -42,5 +42,5 @@ def test_line_at_the_estimate_of_any_method(fit):
     profile = Profile("decorrelation_m", np.array([5.0, 10.0]), np.array([-1.0, 0.0]), 10.0, 30)
     axes = Figure().subplots()
     entries = draw_profiles([axes], [profile], replace(fit, method="lemma1"))
-    assert entries[-1].get_label() == "estimate of seed"
+    assert entries[-1].get_label() == "estimate of lemma1"
     assert list(entries[-1].get_xdata()) == [15.0, 15.0]

@@ -15,7 +15,7 @@ from planopt.problems.problem import Problem
 def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Belief:
     """Fit the channel of one of the problem's stations to measurements and condition on them."""
     site = problem.stations[station].site
-    fit = fit_channel(measurements, site, problem.channel.fit_method)
+    fit = fit_channel(measurements, site, problem.channel.fit_method, intervals=False)
     return Belief(fit, condition(fit.parameters, measurements))
 
 

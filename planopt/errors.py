@@ -6,11 +6,85 @@ Nothing else leaves the package for bad input. The command line maps :class:`Inp
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+
+LONGEST_WORD = 300
+"""Names in messages are cut beyond this; the paths of files are rarely longer."""
+
+LONGEST_MESSAGE = 1200
+"""Messages are cut in the middle beyond this."""
+
+LISTED = 12
+"""Of names that a message lists, so many are shown."""
 
 
 class PlanoptError(Exception):
-    """Base of every error that planopt raises on purpose."""
+    """Base of every error that planopt raises on purpose.
+
+    Parameters
+    ----------
+    text
+        What it says. Names and values in it may come from any file, so that it is shortened and
+        made printable: no terminal codes, no lone surrogates.
+    """
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__(printable(text))
+
+
+def printable(text: str) -> str:
+    r"""Return `text` on one line, escaped where it cannot be printed, its long words cut.
+
+    Examples
+    --------
+    >>> printable("obstacle \ud800 of\nline 2")
+    'obstacle \\ud800 of line 2'
+    """
+    words = (_cut(word, LONGEST_WORD) for word in text.split())
+    return escaped(_cut(" ".join(words), LONGEST_MESSAGE))
+
+
+def escaped(line: str) -> str:
+    """Return `line` with an escape for every character that cannot be printed."""
+    if line.isprintable():
+        return line
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii")
+        for letter in line
+    )
+
+
+def require_text(text: str, what: str) -> None:
+    """Refuse text that no UTF-8 file can hold, such as a file name that is not UTF-8.
+
+    Raises
+    ------
+    InputError
+        It has half of a surrogate pair; `what` says whose text it is.
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            f"{what} {text!a} is not UTF-8", remedy="rename it to what UTF-8 can hold"
+        ) from None
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names as a message lists them: those that fit, and how many more there are."""
+    known = list(names)
+    shown = ", ".join(_cut(name, LONGEST_WORD // 5) for name in known[:LISTED])
+    more = len(known) - LISTED
+    return f"{shown} and {more} more" if more > 0 else shown or "none"
+
+
+def _cut(text: str, most: int) -> str:
+    """Return `text` without its middle where it is longer than `most`."""
+    if len(text) <= most:
+        return text
+    kept = most // 2
+    return f"{text[:kept]}...{text[-kept // 2 :]}"
 
 
 class InputError(PlanoptError):
@@ -39,11 +113,11 @@ class InputError(PlanoptError):
         row: int | None = None,
         remedy: str | None = None,
     ) -> None:
-        self.message = message
-        self.file = None if file is None else str(file)
-        self.key = key
+        self.message = printable(message)
+        self.file = None if file is None else printable(str(file))
+        self.key = None if key is None else printable(key)
         self.row = row
-        self.remedy = remedy
+        self.remedy = None if remedy is None else printable(remedy)
         where = ", ".join(
             part
             for part in (
@@ -53,8 +127,8 @@ class InputError(PlanoptError):
             )
             if part is not None
         )
-        text = f"{where}: {message}" if where else message
-        super().__init__(text if remedy is None else f"{text} ({remedy})")
+        text = f"{where}: {self.message}" if where else self.message
+        super().__init__(text if remedy is None else f"{text} ({self.remedy})")
 
     def located(self, file: Path | str) -> InputError:
         """The same error with its file filled in, for code that did not know it."""

@@ -133,6 +133,13 @@ def test_compare_prints_rows(near: Path, tmp_path: Path, capsys) -> None:
     assert set(data["rows"][0]) >= {"seeds", "stalled", "metric", "mean", "ci_low", "ci_high"}
     assert set(data["rows"][0]) >= {"paired_ratio", "verified_rate", "p50_step_s", "p95_step_s"}
     assert [run["seed"] for run in data["runs"]] == [0, 1, 0, 1]
+    tables = data["reliability"]
+    driven = sum(one["count"] for one in tables["all"])
+    assert driven == sum(one["count"] for own in tables["settings"] for one in own["bins"]) > 0
+    assert {(own["horizon"], own["cost_to_go"]) for own in tables["settings"]} == {
+        (row["horizon"], row["cost_to_go"]) for row in data["rows"]
+    }
+    assert all(one["ci_low"] is None for one in tables["all"])
     saved = json.loads((out / "comparison.json").read_text())
     assert saved["problem_file"]["problem"]["name"] == "open_field"
     assert main(arguments) == 0
@@ -160,7 +167,7 @@ def test_pictures_are_drawn_beside_the_results(near: Path, tmp_path: Path) -> No
     wanted = {
         "solve": {"plan.png", "belief.png"},
         "simulate": {"run.png", "series.png", "belief.png"},
-        "compare": {"comparison.png"},
+        "compare": {"comparison.png", "reliability.png"},
     }
     for command, arguments in more.items():
         out = tmp_path / command

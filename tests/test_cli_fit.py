@@ -111,7 +111,7 @@ def test_a_bad_log_is_one_line(name: str, tmp_path: Path, capsys) -> None:
     path.write_text(text)
     assert main(["fit", str(path), "--station", "0,0", "--json", "--out", str(out)]) == 2
     printed = capsys.readouterr()
-    assert list(json.loads(printed.out))[0] == "error" and printed.err.count("\n") == 1
+    assert next(iter(json.loads(printed.out))) == "error" and printed.err.count("\n") == 1
     assert "bad.csv" in printed.err and word in printed.err
     assert not out.exists()
 

@@ -62,6 +62,28 @@ def test_json(log: Path, capsys) -> None:
     assert held_out["predictors"]["path_loss"]["of_path_loss"]["value"] == 1.0
 
 
+def test_reliability(log: Path, capsys) -> None:
+    """Every power that tells is in one bin; limits above the threshold are left out."""
+    columns = ["--hold-out", "day,t_s:250", "--json"]
+    for threshold, known in ((None, 150), (-90.0, 150), (-110.0, None)):
+        asked = [] if threshold is None else [f"--threshold={threshold}"]
+        assert run(log, *columns, *asked) == 0
+        held_out = json.loads(capsys.readouterr().out)["held_out"]
+        exact = held_out["measurements"] - held_out["censored"]
+        for score in held_out["predictors"].values():
+            bins = score["reliability"]
+            assert sum(one["count"] for one in bins) == (exact if known is None else known)
+            assert all(one["groups"] <= 6 for one in bins)
+            for one in bins:
+                if one["groups"] >= 5:
+                    assert one["ci_low"] <= one["connected_share"] <= one["ci_high"]
+        if threshold is None:
+            connected = sum(one["count"] * one["connected_share"] for one in bins)
+            assert connected == pytest.approx(75, abs=1)
+        else:
+            assert held_out["threshold_dbm"] == threshold
+
+
 def test_many_groups_are_dealt_into_few_folds(log: Path, monkeypatch, capsys) -> None:
     """Shares of them are held out at once, whole groups together."""
     monkeypatch.setattr("planopt.commands.hold_out.MOST_FOLDS", 2)
@@ -79,7 +101,9 @@ def test_words_and_picture(log: Path, tmp_path: Path, capsys) -> None:
     assert "held out by day: 2 groups in 2 folds" in text
     for word in ("channel", "marginal", "path_loss", "inside 95%"):
         assert word in text
-    assert {file.name for file in out.iterdir()} == {"fit.json", "fit.png", "held_out.png"}
+    assert "P(power at least -9" in text and "no interval from fewer than 5 groups" in text
+    pictures = {"fit.png", "held_out.png", "reliability.png"}
+    assert {file.name for file in out.iterdir()} == {"fit.json", *pictures}
     assert "held_out" in json.loads((out / "fit.json").read_text())
 
 
@@ -92,6 +116,8 @@ def test_words_and_picture(log: Path, tmp_path: Path, capsys) -> None:
         (["--hold-out", "t_s:0"], "COLUMN:BLOCK"),
         (["--hold-out", "t_s:1e6"], "tell walks apart"),
         (["--hold-out", "day", "--receiver", "day"], "without --receiver"),
+        (["--threshold=-90"], "give --hold-out"),
+        (["--hold-out", "day", "--threshold=nan"], "--threshold"),
     ],
 )
 def test_refused(log: Path, tmp_path: Path, options: list[str], words: str, capsys) -> None:

@@ -1,7 +1,8 @@
-"""The README and the generated page of keys say what the code does."""
+"""The README and the generated page of keys say what the code does; their code: test_docs_code."""
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -10,45 +11,16 @@ from typing import Any
 
 import pytest
 
-from planopt.cli import main
 from planopt.problems.schema import json_schema
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-NUMBER = re.compile(r"\d+\.\d+|\d+")
 
 
-def blocks(language: str) -> list[str]:
-    """Code blocks of the README in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
-
-
-def without_numbers(text: str) -> str:
-    """Text whose numbers may differ: by processor and by load."""
-    return NUMBER.sub("#", text).strip()
-
-
-def test_first_plan(capsys: pytest.CaptureFixture[str]) -> None:
-    """The first plan takes at most 15 lines, runs, and is verified."""
-    (code,) = blocks("python")
+def test_first_plan_is_short() -> None:
+    """The README's only Python, a first plan, takes at most 15 lines."""
+    (code,) = re.findall(r"^```python\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
     assert len(code.strip().splitlines()) <= 15
-    exec(compile(code, "README.md", "exec"), {})
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("verified")
-    assert len(lines) == 3 + 11
-
-
-def test_commands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Every command of the README prints what the README shows, up to its numbers."""
-    monkeypatch.chdir(tmp_path)
-    (session,) = blocks("console")
-    shown = re.findall(r"^\$ planopt (.*)\n((?:[^$].*\n)*)", session, flags=re.MULTILINE)
-    assert len(shown) == session.count("$ ")
-    for command, output in shown:
-        assert main(command.split()) == 0
-        assert without_numbers(capsys.readouterr().out) == without_numbers(output)
 
 
 @pytest.mark.parametrize(
@@ -96,3 +68,9 @@ def test_page_of_keys(monkeypatch: pytest.MonkeyPatch) -> None:
         assert re.search(rf"^\| `{key}` \| .+ \| .+ \| .+\.? \|$", page, flags=re.MULTILINE), key
     for heading in ("[problem]", "[[world.obstacles]]", "[channel.truth]", "[[robots]]"):
         assert f"## `{heading}`" in page
+
+
+def test_nothing_refers_to_what_a_reader_cannot_look_up() -> None:
+    """No papers by nickname and no numbered equations of elsewhere in the schema's words."""
+    words = json.dumps(json_schema())
+    assert not re.findall(r"(?i)the seed's|theory|lemma \d|\bdesign\b|\(\d\)", words)

@@ -176,7 +176,7 @@ WHOLE = {
     "no TOML": (b"hello world", "is not TOML"),
     "JSON": (b'{"problem": 1}', "is not TOML"),
     "deep": (b"a = " + b"[" * 5000 + b"]" * 5000, "nested too deeply"),
-    "NUL": (REACH.replace('"wrong"', '"wr\0ng"').encode(), "is not TOML"),
+    "NUL": (REACH.replace('"wrong"', '"wr\0ng"').encode(), "is not text"),
     "Latin-1": (REACH.replace('"wrong"', '"böse"').encode("latin-1"), "is not UTF-8"),
     "UTF-16": (REACH.encode("utf-16"), "is not UTF-8"),
     "binary": (bytes(range(256)), "is not UTF-8"),

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from planopt.commands.options import JsonOption
-from planopt.commands.output import apart_in_words, progress, show, shown_number
+from planopt.commands.output import apart_in_words, planned_in_words, progress, show
 
 REJECTED = 3
 
@@ -40,8 +40,7 @@ def check(
     }
     lines = [
         f"{path}: {result.verdict.value}",
-        f"  clearance {shown_number(certificate['min_clearance_m'], ' m')}, least probability of "
-        f"connection {shown_number(certificate['min_connectivity'])}",
+        f"  {planned_in_words(certificate['min_clearance_m'], certificate['min_connectivity'])}",
         *apart_in_words(certificate["min_separation_m"], certificate["min_moving_clearance_m"]),
         *([] if rule is None else [f"  {rule.words}"]),
         *(f"  {reason}" for reason in result.reasons),

@@ -113,16 +113,18 @@ def comparison_json(
     problem: Problem, comparison: Comparison | None, message: str
 ) -> dict[str, Any]:
     """The JSON keys of ``compare`` (design, section 3); no rows if there provably is no plan."""
-    from planopt.planning.files.run_json import run_summary
+    from planopt.planning.files.run_json import reliability_json, run_summary
     from planopt.planning.files.solution_json import finite
     from planopt.planning.files.team_run_json import team_summary_json
     from planopt.planning.loop.run import Run
+    from planopt.studies.comparison import runs_by_setting, runs_reliability
 
     if comparison is None:
         return {
             "problem": problem.name,
             "outcome": "no_plan",
             "rows": [],
+            "reliability": {"all": [], "settings": []},
             "runs": [],
             "wall_s": None,
             "message": message,
@@ -135,6 +137,18 @@ def comparison_json(
         "problem": problem.name,
         "outcome": "compared",
         "rows": rows,
+        "reliability": {
+            "all": reliability_json(comparison.reliability),
+            "settings": [
+                {
+                    "horizon": runs[0].horizon,
+                    "planner": runs[0].planner,
+                    "cost_to_go": runs[0].cost_to_go,
+                    "bins": reliability_json(runs_reliability(runs)),
+                }
+                for runs in runs_by_setting(comparison.runs)
+            ],
+        },
         "runs": [
             run_summary(run) if isinstance(run, Run) else team_summary_json(run)
             for run in comparison.runs

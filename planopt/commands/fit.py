@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from planopt.commands.hold_out import (
     HoldOutOption,
+    ThresholdOption,
     held_out,
     held_out_json,
+    held_out_reliability_words,
     held_out_words,
+    require_hold_out,
 )
 from planopt.commands.log_fit import (
     CensoredOption,
@@ -60,10 +63,12 @@ def fit(
     receiver: ReceiverOption = None,
     loss: LossOption = "squares",
     hold_out: HoldOutOption = None,
+    threshold: ThresholdOption = None,
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
     """Fit path loss, shadowing and multipath."""
+    require_hold_out(threshold, hold_out)
     options = LogOptions(
         columns, censored, floor, resolution, position_error, time, forgetting, receiver
     )
@@ -74,14 +79,15 @@ def fit(
         report = None
         if hold_out is not None:
             with progress("predicting what is held out"):
-                report = held_out(log, fitted, hold_out)
+                report = held_out(log, fitted, hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
-            from planopt.files import strict_text, write_text
+            from planopt.files.whole import strict_text, write_text
 
             write_text(folder / FIT_FILE, strict_text(data))
         # Results come before pictures: whatever happens to these, the numbers are there.
-        show(json, data, _in_words(data))
+        lines = [_in_words(data), *([] if report is None else held_out_reliability_words(report))]
+        show(json, data, "\n".join(lines))
         if folder is not None:
             from planopt.commands.pictures import picture_fit, picture_held_out
 

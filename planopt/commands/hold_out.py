@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +25,15 @@ HoldOutOption = Annotated[
     ),
 ]
 
+ThresholdOption = Annotated[
+    float | None,
+    typer.Option(
+        "--threshold",
+        metavar="DBM",
+        help="With --hold-out: at least this power is a connection (the median power).",
+    ),
+]
+
 MOST_FOLDS = 10
 """The fit is repeated without each group in turn, or without each of so many shares of them."""
 
@@ -34,8 +44,24 @@ SHOWN_LEVELS = (0.5, 0.8, 0.95)
 """Coverage for people; JSON has all levels."""
 
 
-def held_out(log: Path, fitted: LogFit, text: str) -> HeldOutReport:
+def require_hold_out(threshold_dbm: float | None, text: str | None) -> None:
+    """Raise an InputError where a threshold is no power, or nothing is held out to use it for."""
+    if threshold_dbm is None:
+        return
+    if not math.isfinite(threshold_dbm):
+        raise InputError(f"{threshold_dbm!r} cannot be used", key="--threshold", remedy="give dBm")
+    if text is None:
+        raise InputError(
+            "is for what is held out", key="--threshold", remedy="give --hold-out COLUMN as well"
+        )
+
+
+def held_out(
+    log: Path, fitted: LogFit, text: str, threshold_dbm: float | None = None
+) -> HeldOutReport:
     """Hold out what `text` says, fit the rest as the whole was fitted, and score.
+
+    At least `threshold_dbm` counts as connected; None for the median power.
 
     Raises
     ------
@@ -66,7 +92,9 @@ def held_out(log: Path, fitted: LogFit, text: str) -> HeldOutReport:
         )
     fold_of = deal(groups, min(count, MOST_FOLDS), np.random.default_rng(SEED))
     try:
-        return held_out_report(fitted.measurements, groups, fold_of, predictors_of(fitted.fit))
+        return held_out_report(
+            fitted.measurements, groups, fold_of, predictors_of(fitted.fit), threshold_dbm
+        )
     except InputError as error:
         # Its row, if any, is one of a part of the log.
         raise InputError(
@@ -86,6 +114,7 @@ def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
         "fold_sizes": list(report.fold_sizes),
         "measurements": report.measurements,
         "censored": report.censored,
+        "threshold_dbm": report.threshold_dbm,
         "predictors": {name: _score_json(score) for name, score in report.scores.items()},
     }
 
@@ -112,13 +141,29 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
     return lines
 
 
+def held_out_reliability_words(report: HeldOutReport) -> list[str]:
+    """Lines for people: predicted against true connection, as the channel predicts it."""
+    from planopt.report.tables import reliability_lines
+
+    return [
+        f"P(power at least {report.threshold_dbm:g} dBm), predicted by the channel:",
+        *(
+            f"  {line}"
+            for line in reliability_lines(report.scores["channel"].reliability, "powers", "groups")
+        ),
+    ]
+
+
 def _score_json(score: HeldOutScore) -> dict[str, Any]:
+    from planopt.planning.files.run_json import reliability_json
+
     return {
         "rmse_db": _ratio_json(score.rmse_db),
         "of_path_loss": _ratio_json(score.of_path_loss),
         "coverage": [
             {"level": level, **_ratio_json(ratio)} for level, ratio in score.coverage.items()
         ],
+        "reliability": reliability_json(score.reliability),
     }
 
 

@@ -21,16 +21,30 @@ NO_PLAN = 4
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     """Print the JSON object if it was asked for, else the text."""
     if as_json:
-        from planopt.files import strict_text
+        from planopt.files.whole import strict_text
 
         typer.echo(strict_text(data), nl=False)
     else:
-        typer.echo(text)
+        from planopt.errors import escaped
+
+        # Names and messages may come from any file, and a terminal obeys what it is sent.
+        typer.echo("\n".join(escaped(line) for line in text.split("\n")))
 
 
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
     """A number for people; a dash where there is none."""
     return "-" if value is None else f"{value:.{digits}g}{unit}"
+
+
+def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
+    """The clearance of planned ways, and the least P(connected) of all planned steps.
+
+    Runs have another least probability: that of the driven steps, each by the plan that led there.
+    """
+    return (
+        f"clearance {shown_number(clearance_m, ' m')}, least P(connected) of the planned steps "
+        f"{shown_number(connectivity)}"
+    )
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
@@ -121,7 +135,7 @@ def results_folder(out: Path | None) -> Generator[Path | None]:
     if out is None:
         yield None
         return
-    from planopt.files import writable_folder
+    from planopt.files.whole import writable_folder
 
     existed = out.exists()
     writable_folder(out)

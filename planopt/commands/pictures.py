@@ -24,6 +24,7 @@ from planopt.report.comparison_figure import draw_comparison
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_posterior_map
 from planopt.report.plan_figure import draw_plan
+from planopt.report.reliability_figure import draw_reliability
 from planopt.report.run_figure import draw_run
 from planopt.report.run_series import draw_run_series
 from planopt.report.saving import save_figure
@@ -61,8 +62,12 @@ def picture_team_plan(
 
 
 def picture_comparison(comparison: Comparison, folder: Path) -> None:
-    """The table as a chart."""
+    """The table as a chart, and predicted against true connection where there was a step."""
     save_figure(draw_comparison(comparison), folder / "comparison.png")
+    if comparison.reliability:
+        title = f"{comparison.problem.name}: connection over {len(comparison.runs)} runs"
+        series = {"all settings": comparison.reliability}
+        save_figure(draw_reliability(series, title), folder / "reliability.png")
 
 
 def picture_fit(measurements: Measurements, fit: ChannelFit, folder: Path) -> None:
@@ -76,6 +81,9 @@ def picture_held_out(report: HeldOutReport, folder: Path) -> None:
         name.replace("_", " "): score.calibration for name, score in report.scores.items()
     }
     save_figure(draw_calibration(calibrations), folder / "held_out.png")
+    series = {name.replace("_", " "): score.reliability for name, score in report.scores.items()}
+    title = f"P(power at least {report.threshold_dbm:g} dBm), held out"
+    save_figure(draw_reliability(series, title), folder / "reliability.png")
 
 
 def picture_map(

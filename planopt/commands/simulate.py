@@ -48,6 +48,9 @@ def simulate(asked: Asked) -> int:
 
 
 def _in_words(simulation: Simulation) -> str:
+    from planopt.planning.loop.metrics import run_reliability
+    from planopt.report.tables import reliability_lines
+
     run = simulation.run
     metrics = run.metrics
     rungs = ", ".join(f"{name} {count}" for name, count in run.rungs.items())
@@ -56,9 +59,11 @@ def _in_words(simulation: Simulation) -> str:
             f"{simulation.problem.name}: {run.outcome.value} ({run.reason}), "
             f"horizon {run.horizon}, cost to go {run.cost_to_go}, seed {run.seed}",
             f"  {len(run.log.t_s) - 1} steps, {metrics.path_m:.1f} m, "
-            f"{run.verified_rate:.1%} of the steps verified ({rungs or 'none'})",
+            f"{run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
+            f"{metrics.measured_steps}",
             f"  truly connected {metrics.true_connected_share:.1%} of the steps, longest outage "
-            f"{metrics.longest_outage_m:.1f} m, least predicted probability "
+            f"{metrics.longest_outage_m:.1f} m, least P(connected) of the driven steps "
             f"{shown_number(metrics.predicted_min_connectivity)}",
+            *(f"  {line}" for line in reliability_lines(run_reliability([run]), "steps")),
         ]
     )

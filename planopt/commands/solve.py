@@ -8,6 +8,7 @@ from planopt.commands.output import (
     NO_PLAN,
     apart_in_words,
     explained,
+    planned_in_words,
     progress,
     results_folder,
     show,
@@ -72,8 +73,8 @@ def _in_words(solution: Solution) -> str:
         f"  cost {shown_number(plan.objective, ' s')}, of the lattice path "
         f"{shown_number(plan.lattice_objective, ' s')}; {plan.iterations} iterations, "
         f"{shown_number(plan.wall_s, ' s', 2)}",
-        f"  clearance {shown_number(certificate.min_clearance_m, ' m')}, least probability of "
-        f"connection {shown_number(certificate.min_connectivity)} ({certificate.posterior})",
+        f"  {planned_in_words(certificate.min_clearance_m, certificate.min_connectivity)} "
+        f"({certificate.posterior})",
         *apart_in_words(certificate.min_separation_m, certificate.min_moving_clearance_m),
     ]
     if certificate.rule is not None:

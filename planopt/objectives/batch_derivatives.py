@@ -2,7 +2,9 @@
 
 Row and column i of S, and row i of B, depend on q_i. So the derivative of S by coordinate a of q_i
 is ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are kept. Coordinates are numbered
-x_1, y_1, x_2, y_2, ... throughout.
+x_1, y_1, x_2, y_2, ... throughout. Where measurements are gated
+(:mod:`planopt.objectives.gated_batch`) a place has its gate as a third coordinate, and what is said
+of 2 h coordinates holds of 3 h.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ class Rows:
     first
         ``(2 h, r)`` by the place's own coordinates.
     second
-        ``(h, 3, r)`` xx, xy, yy.
+        ``(h, 3, r)`` xx, xy, yy; with gates ``(h, 6, r)``, then x, y and the gate by the gate.
     """
 
     value: NDArray[np.float64]
@@ -76,6 +78,8 @@ class BatchDerivatives:
         B.
     phi
         ``(h, 6, m)`` covariance with the measurements: value, x, y, xx, xy, yy.
+
+    With gates 2 h and 3 become 3 h and 6, as in :class:`Rows`.
     """
 
     covariance: NDArray[np.float64]
@@ -84,6 +88,12 @@ class BatchDerivatives:
     second: NDArray[np.float64]
     trend: Rows
     phi: NDArray[np.float64]
+
+    @property
+    def owner(self) -> NDArray[np.intp]:
+        """Number of the place that each coordinate belongs to."""
+        steps, count = len(self.covariance), len(self.first)
+        return np.repeat(np.arange(steps), count // steps)
 
 
 def batch_derivatives(
@@ -125,19 +135,31 @@ def curvature_of(
     batch: BatchDerivatives, gradient_by_s: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """sum_ij G_ij d^2 S_ij for symmetric G = `gradient_by_s` (h, h); ``(2 h, 2 h)``."""
-    found = 2.0 * np.repeat(np.repeat(gradient_by_s, 2, axis=0), 2, axis=1) * batch.mixed
+    width = len(batch.first) // len(batch.covariance)
+    wide = np.repeat(np.repeat(gradient_by_s, width, axis=0), width, axis=1)
+    found = 2.0 * wide * batch.mixed
     own = (batch.second @ gradient_by_s[:, :, None])[:, :, 0]
     add_own_blocks(found, 2.0 * own)
     return found
 
 
+OWN_BLOCKS = {
+    3: ((0, 0, 0), (1, 0, 1), (2, 1, 1)),
+    6: ((0, 0, 0), (1, 0, 1), (2, 1, 1), (3, 0, 2), (4, 1, 2), (5, 2, 2)),
+}
+"""Which two of a place's coordinates each of its 3 or 6 second derivatives is by."""
+
+
 def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> None:
-    """Add `own` (h, 3), xx, xy, yy of each place, to the diagonal blocks of `hessian`."""
-    even = np.arange(0, len(hessian), 2)
-    hessian[even, even] += own[:, 0]
-    hessian[even, even + 1] += own[:, 1]
-    hessian[even + 1, even] += own[:, 1]
-    hessian[even + 1, even + 1] += own[:, 2]
+    """Add `own` (h, 3), xx, xy, yy of each place, to the diagonal blocks of `hessian`.
+
+    Or ``(h, 6)``, as in :class:`Rows`.
+    """
+    first = np.arange(0, len(hessian), len(hessian) // len(own))
+    for column, a, b in OWN_BLOCKS[int(own.shape[1])]:
+        hessian[first + a, first + b] += own[:, column]
+        if a != b:
+            hessian[first + b, first + a] += own[:, column]
 
 
 def _trend(channel: LocalChannel, path_m: NDArray[np.float64], phi: NDArray[np.float64]) -> Rows:

@@ -3,7 +3,9 @@
 Criteria T, D, A and V of :mod:`planopt.objectives.path_loss_learning`, and information and
 spatial average of :mod:`planopt.objectives.mapping`. Two things differ from the values there: cusps
 are rounded (:mod:`planopt.objectives.rounded_kernel`) and only the measurements of the local
-channel are used. What a solver returns is to be valued again with the exact posterior.
+channel are used. What a solver returns is to be valued again with the exact posterior. Places that
+bring no measurement, or are near to that, count by their gates
+(:mod:`planopt.objectives.gated_batch`).
 """
 
 from __future__ import annotations
@@ -22,13 +24,23 @@ from planopt.objectives.batch_derivatives import (
     batch_derivatives,
     curvature_of,
 )
+from planopt.objectives.gated_batch import (
+    blind_variance_db2,
+    by_places,
+    gated_batch,
+    gated_rows,
+)
 from planopt.objectives.local_channel import LocalChannel, LocalGrid
+from planopt.objectives.measuring import Gates
 from planopt.objectives.path_loss_learning import Criterion
 from planopt.objectives.rounded_kernel import rounded_kernel
 
 
 def path_loss_derivatives(
-    channel: LocalChannel, path_m: NDArray[np.float64], criterion: Criterion
+    channel: LocalChannel,
+    path_m: NDArray[np.float64],
+    criterion: Criterion,
+    gates: Gates | None = None,
 ) -> PathDerivatives:
     """:func:`planopt.objectives.path_loss_learning.path_loss_value` with derivatives.
 
@@ -44,14 +56,18 @@ def path_loss_derivatives(
         ``(h, 2)``.
     criterion
         What is valued.
+    gates
+        Of the path; None where all places bring a measurement.
     """
     places = require_places(path_m)
     batch = batch_derivatives(channel, places, universal=False)
+    batch = gated_batch(batch, gates, channel.parameters)
     weight = inverse(batch_factor(batch.covariance))
     gained = batch.trend.value.T @ weight @ batch.trend.value
     if criterion.kind == "T":
         gradient, hessian = _trace_form(batch, weight, batch.trend)
-        return PathDerivatives(float(criterion.value(gained, None)), gradient, hessian)
+        value = float(criterion.value(gained, None))
+        return by_places(PathDerivatives(value, gradient, hessian), gates)
     before = np.asarray(np.linalg.inv(channel.theta_covariance), dtype=np.float64)
     spread = np.asarray(np.linalg.inv(before + gained), dtype=np.float64)
     by_n = criterion.slope(gained, before)
@@ -59,32 +75,44 @@ def path_loss_derivatives(
     # dN = x_i u' + u x_i', see _trace_form.
     x = weight @ batch.trend.value
     u = batch.trend.first - batch.first @ x
-    half = np.repeat(x, 2, axis=0)[:, :, None] * u[:, None, :]
+    half = x[batch.owner][:, :, None] * u[:, None, :]
     change = half + half.transpose(0, 2, 1)
     bent = np.einsum("pij,qij->pq", by_n @ change, (spread @ change).transpose(0, 2, 1))
     hessian -= (1.0 if criterion.kind == "D" else 2.0) * bent
-    return PathDerivatives(float(criterion.value(gained, before)), gradient, hessian)
+    value = float(criterion.value(gained, before))
+    return by_places(PathDerivatives(value, gradient, hessian), gates)
 
 
 def path_information_derivatives(
-    channel: LocalChannel, path_m: NDArray[np.float64], universal: bool = True
+    channel: LocalChannel,
+    path_m: NDArray[np.float64],
+    universal: bool = True,
+    gates: Gates | None = None,
 ) -> PathDerivatives:
     """:func:`planopt.objectives.mapping.path_information` with derivatives; omega > 0."""
     batch = batch_derivatives(channel, require_places(path_m), universal)
+    batch = gated_batch(batch, gates, channel.parameters)
     factor = batch_factor(batch.covariance)
     weight = inverse(factor)
-    steps = len(weight)
-    own = np.arange(2 * steps) // 2
+    own = batch.owner
+    every = np.arange(len(own))
     pulled = batch.first @ weight
     hessian = curvature_of(batch, 0.5 * weight)
     hessian -= pulled[:, own] * pulled[:, own].T
     hessian -= weight[np.ix_(own, own)] * (pulled @ batch.first.T)
-    floor = steps * np.log(channel.parameters.multipath_std_db)
-    return PathDerivatives(
-        0.5 * log_determinant(factor) - float(floor),
-        pulled[np.arange(2 * steps), own],
-        hessian,
-    )
+    gradient = pulled[every, own]
+    noise = channel.parameters.multipath_std_db**2
+    if gates is None:
+        floor = len(weight) * 0.5 * np.log(noise)
+        return PathDerivatives(0.5 * log_determinant(factor) - float(floor), gradient, hessian)
+    # The noise of a gated measurement is kappa + g^2 (omega^2 - kappa).
+    gate, blind = gates.value[0], blind_variance_db2(channel.parameters)
+    fills = blind + gate * gate * (noise - blind)
+    slope = gate * (noise - blind) / fills
+    gradient[2::3] -= slope
+    hessian[every[2::3], every[2::3]] -= (noise - blind) / fills - 2.0 * slope * slope
+    value = 0.5 * (log_determinant(factor) - float(np.log(fills).sum()))
+    return by_places(PathDerivatives(value, gradient, hessian), gates)
 
 
 def average_reduction_derivatives(
@@ -92,6 +120,7 @@ def average_reduction_derivatives(
     grid: LocalGrid,
     path_m: NDArray[np.float64],
     universal: bool = True,
+    gates: Gates | None = None,
 ) -> PathDerivatives:
     """:func:`planopt.objectives.mapping.average_reduction` with derivatives.
 
@@ -105,10 +134,11 @@ def average_reduction_derivatives(
         ``(h, 2)``.
     universal
         Count what is not known of theta.
+    gates
+        Of the path; None where all places bring a measurement.
     """
     places = require_places(path_m)
     batch = batch_derivatives(channel, places, universal)
-    weight = inverse(batch_factor(batch.covariance))
     kernel = rounded_kernel(places[:, None] - grid.positions_m, channel.parameters)
     explained = batch.phi @ grid.solved
     across = Rows(
@@ -123,9 +153,11 @@ def average_reduction_derivatives(
         )
     root = grid.root_weight
     across = Rows(across.value * root, across.first * root, across.second * root)
+    batch, across = gated_batch(batch, gates, channel.parameters), gated_rows(across, gates)
+    weight = inverse(batch_factor(batch.covariance))
     gradient, hessian = _trace_form(batch, weight, across)
     value = float((across.value * (weight @ across.value)).sum())
-    return PathDerivatives(value, gradient, hessian)
+    return by_places(PathDerivatives(value, gradient, hessian), gates)
 
 
 def _trace_form(
@@ -140,7 +172,7 @@ def _trace_form(
         Hessian_pq = 2 tr(R_p' W R_q) + 2 X . d^2 Y - X X' . d^2 S.
     """
     x = weight @ rows.value
-    own = np.arange(2 * len(x)) // 2
+    own = batch.owner
     u = rows.first - batch.first @ x
     xx = x @ x.T
     pulled = batch.first @ weight

@@ -121,12 +121,15 @@ def uncertainty_target(
 
 
 def path_uncertainty(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Uncertainty
+    posterior: ChannelPosterior,
+    path_m: NDArray[np.float64],
+    settings: Uncertainty,
+    measured: NDArray[np.bool_] | None = None,
 ) -> float:
     """sum_i max{0, L_ii^2 - sigma_TH^2} psi(l_i), dB^2 (theory 4.5); J_CH(q_1) for h = 1.
 
     L_ii^2 is the variance at q_i after the earlier places of the path, l_i the length of the path
-    up to it from `settings.start_m`.
+    up to it from `settings.start_m`. The sum is over the measured places.
 
     Parameters
     ----------
@@ -136,9 +139,16 @@ def path_uncertainty(
         ``(h, 2)`` q_1 .. q_h; a place that repeats counts multipath's variance again.
     settings
         Threshold, decay and start.
+    measured
+        ``(h,)`` which places are measured; all unless given.
     """
-    factor = semidefinite_factor(batch_of(posterior, path_m).covariance(settings.universal))
-    length = np.cumsum(leg_lengths_m(np.vstack([np.asarray(settings.start_m), path_m])))
+    places = require_places(path_m)
+    length = np.cumsum(leg_lengths_m(np.vstack([np.asarray(settings.start_m), places])))
+    if measured is not None:
+        places, length = places[measured], length[measured]
+    if not len(places):
+        return 0.0
+    factor = semidefinite_factor(batch_of(posterior, places).covariance(settings.universal))
     return float(_above(np.diag(factor) ** 2, settings) @ np.exp(-settings.decay_per_m * length))
 
 

@@ -20,8 +20,10 @@ from planopt.objectives.batch_derivatives import (
     batch_derivatives,
     curvature_of,
 )
+from planopt.objectives.gated_batch import blind_variance_db2, by_places, gated_batch
 from planopt.objectives.local_channel import LocalChannel
 from planopt.objectives.mapping import Uncertainty
+from planopt.objectives.measuring import Gates
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING
 from planopt.targets.rounding import rounded_length, rounded_positive_part
 
@@ -31,7 +33,10 @@ large by at most 3/16 of that width."""
 
 
 def path_uncertainty_derivatives(
-    channel: LocalChannel, path_m: NDArray[np.float64], settings: Uncertainty
+    channel: LocalChannel,
+    path_m: NDArray[np.float64],
+    settings: Uncertainty,
+    gates: Gates | None = None,
 ) -> PathDerivatives:
     """:func:`planopt.objectives.mapping.path_uncertainty` with derivatives.
 
@@ -43,28 +48,55 @@ def path_uncertainty_derivatives(
         ``(h, 2)``.
     settings
         Threshold, decay and start.
+    gates
+        Of the path; None where all places bring a measurement.
     """
     places = require_places(path_m)
     batch = batch_derivatives(channel, places, settings.universal)
+    batch = gated_batch(batch, gates, channel.parameters)
     lower = batch_factor(batch.covariance)
     left = solve_lower(lower, np.eye(len(lower)))
     along = left @ batch.first.T
     diagonal = np.diag(lower) ** 2
+    # With a gate g, L_ii^2 is kappa + g^2 (that of the whole measurement - kappa). Measured from a
+    # threshold that is gated alike, what is above it counts g^2 times.
+    gate = np.ones(len(places)) if gates is None else gates.value[0]
+    blind = blind_variance_db2(channel.parameters)
+    fall = settings.threshold_db2 - blind
     worth, slope, bend = rounded_positive_part(
-        diagonal - settings.threshold_db2, threshold_width_db2(channel.parameters)
+        diagonal - blind - gate * gate * fall, threshold_width_db2(channel.parameters)
     )
-    own = np.arange(2 * len(places)) // 2
-    # Of each L_ii^2 by the coordinates; see _bent_variances.
+    own, every = batch.owner, np.arange(len(places))
+    # Of what is above it by the coordinates; see _bent_variances.
     changes = 2.0 * diagonal[:, None] * left[:, own] * along
+    if gates is not None:
+        changes[every, 2::3] -= np.diag(2.0 * gate * fall)
 
     width = CUSP_ROUNDING * channel.parameters.decorrelation_m
     near, near_first, near_bent = _nearness(places, settings, width, worth)
+    if gates is not None:
+        near_first, near_bent = _without_gates(near_first, near_bent)
     hessian = _bent_variances(batch, left, along, diagonal * near * slope)
+    if gates is not None:
+        gated = 3 * every + 2
+        hessian[gated, gated] -= 2.0 * fall * near * slope
     hessian += changes.T @ ((near * bend)[:, None] * changes)
     crossed = changes.T @ (slope[:, None] * near_first)
     hessian += crossed + crossed.T + near_bent
     gradient = (near * slope) @ changes + worth @ near_first
-    return PathDerivatives(float(worth @ near), gradient, hessian)
+    return by_places(PathDerivatives(float(worth @ near), gradient, hessian), gates)
+
+
+def _without_gates(
+    first: NDArray[np.float64], bent: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Derivatives (h, 2 h) and (2 h, 2 h) by places, among coordinates that gates belong to."""
+    steps = len(first)
+    place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
+    wide_first, wide_bent = np.zeros((steps, 3 * steps)), np.zeros((3 * steps, 3 * steps))
+    wide_first[:, place] = first
+    wide_bent[np.ix_(place, place)] = bent
+    return wide_first, wide_bent
 
 
 def threshold_width_db2(parameters: ChannelParameters) -> float:
@@ -86,8 +118,7 @@ def _bent_variances(
     place j, (N dS n_i)_k = N_kj (N D')_ip + (N D')_kp N_ij, N D' = `along`.
     """
     steps = len(left)
-    own = np.arange(2 * steps) // 2
-    wide = left[:, own]
+    wide = left[:, batch.owner]
     found = curvature_of(batch, left.T @ (weight[:, None] * left))
     for i in range(1, steps):
         moved = wide[:i] * along[i] + along[:i] * wide[i]

@@ -19,6 +19,9 @@ from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.world.clearance import clearance_m, index_obstacles
 from planopt.world.raster_files import read_raster
 
+LARGEST_GAIN_DB = 500.0
+"""Path gains of maps are within this of 0 dB, as those of problem files."""
+
 FURTHER_STREAMS = 2
 """The first station's fading, the measured places and what a team draws have other streams."""
 
@@ -110,6 +113,15 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
     if isinstance(setup, RasterTruth):
         setup = raster_truth_of(setup, radio)
         gain = read_raster(setup.file, setup.variable)
+        # A comparison with NaN is false: no value is no fault.
+        if (np.abs(gain.values) > LARGEST_GAIN_DB).any():
+            raise InputError(
+                f"has values from {np.nanmin(gain.values):g} to {np.nanmax(gain.values):g}, which "
+                "are no path gains in dB",
+                file=setup.file,
+                key=setup.variable,
+                remedy=f"give decibels within {LARGEST_GAIN_DB:g}",
+            )
         return raster_truth(
             gain, radio.transmit_power_dbm, setup.floor_db, setup.multipath, generator
         )

@@ -12,7 +12,7 @@ import re
 import reprlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -22,6 +22,9 @@ from planopt.errors import InputError
 
 LIKE_WORDS = 0.9
 """Keys of words so alike, in whatever order, are taken for each other."""
+
+LONGEST_KEY = 100
+"""Keys and names are compared with known ones up to this length."""
 
 KeyPath = tuple[str | int, ...]
 
@@ -80,6 +83,9 @@ def input_error(
         case "union_tag_not_found" | "union_tag_invalid":
             path = (*path, "kind")
             message = _kind_message(fault)
+        case "too_long" | "too_short":
+            count, words = len(fault["input"]), _allowed(fault, field)
+            message = f"has {count} entries, {words.partition(', not ')[0]}"
         case "one_of" | "task":
             # Of several keys: what stands there is no single value.
             message = fault["msg"]
@@ -99,6 +105,11 @@ def shown(value: object) -> str:
     """`value` as short as a message needs it."""
     if isinstance(value, dict):
         return "a table"
+    if isinstance(value, list):
+        entries = cast("list[object]", value)
+        if any(isinstance(entry, (dict, list)) for entry in entries):
+            return f"an array of {len(entries)} entries"
+        return reprlib.repr(entries)
     if isinstance(value, bool):
         return str(value).lower()
     try:
@@ -109,6 +120,8 @@ def shown(value: object) -> str:
 
 def nearest(word: str, known: Sequence[str]) -> str:
     """What to write instead of the unknown `word`."""
+    # The comparison takes time that grows with the square of the length.
+    word = word[:LONGEST_KEY]
     # max_speed_m_s is speed_max_m_s with its words in another order.
     by_words = {_sorted_words(key): key for key in known}
     same = difflib.get_close_matches(_sorted_words(word), list(by_words), n=1, cutoff=LIKE_WORDS)

@@ -48,8 +48,32 @@ def with_overrides(
     ------
     InputError
         A value is not allowed by the schema, or does not fit the rest of the problem; the key is
-        the one of the problem file.
+        the one of the problem file. Where the problem alone would pass, the error says which
+        settings were given and names no file, since the value is in none.
     """
+    given = {
+        name: value
+        for name, value in (("horizon", horizon), ("planner", planner), ("cost to go", cost_to_go))
+        if value is not None
+    }
+    try:
+        return _overridden(problem, horizon, planner, cost_to_go)
+    except InputError as error:
+        if not given:
+            raise
+        _overridden(problem, None, None, None)
+        settings = ", ".join(f"{name} {value}" for name, value in given.items())
+        raise InputError(
+            f"{error.message}; {settings} was given in place of the problem's own",
+            key=error.key,
+            remedy=error.remedy,
+        ) from None
+
+
+def _overridden(
+    problem: Problem, horizon: int | None, planner: str | None, cost_to_go: str | None
+) -> Problem:
+    """Change and check, as :func:`with_overrides`."""
     planner_table = _changed(
         PlannerTable, "planner", asdict(problem.planner), {"horizon": horizon, "name": planner}
     )

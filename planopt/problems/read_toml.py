@@ -8,6 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from planopt.errors import InputError
+from planopt.files.regular import read_text
+
+LARGEST_TOML_BYTES = 2 * 2**20
+"""Size limit of problem files; obstacles and maps have files of their own."""
+
+DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
+"""A dotted key of so many parts, which the parser takes quadratic time for."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -16,20 +23,14 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        It cannot be read, is not UTF-8, or does not parse; with the line where that is known.
+        It cannot be read, is not UTF-8, is larger than `LARGEST_TOML_BYTES`, or does not parse;
+        with the line where that is known.
     """
-    try:
-        # Some editors put a byte order mark first, which TOML does not know.
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"is not UTF-8: {error.reason} at byte {error.start}",
-            file=path,
-            remedy="save it as UTF-8 text",
-        ) from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError(f"cannot be read: {reason}", file=path) from None
+    text = read_text(path, LARGEST_TOML_BYTES)
+    deep = DEEP_KEY.search(text)
+    if deep is not None:
+        row = text.count("\n", 0, deep.start()) + 1
+        raise InputError("is not TOML of tables: a key is nested too deeply", file=path, row=row)
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -96,9 +96,7 @@ class PlannerTable(Table):
         "programming), auto (the better of them, nlp), lattice (no polish), and for tasks other "
         "than reach one_step, random or lawnmower.",
     )
-    horizon: int = Field(
-        default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead, the seed's N."
-    )
+    horizon: int = Field(default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead (N).")
     step_s: float = Field(gt=0, le=1e4, description="Duration of a step in seconds.")
     neighbours: int = Field(
         default=48,

@@ -84,7 +84,9 @@ class RasterTruthTable(Table):
 class ModelTruthTable(Table):
     """``[channel.truth]`` with ``kind = "model"``: drawn from the channel model."""
 
-    kind: Literal["model"] = Field(description="Drawn from the channel model, by the seed.")
+    kind: Literal["model"] = Field(
+        description="Drawn from the channel model, with the random seed."
+    )
     k_pl_db: Decibels = Field(description="K_PL as a path gain at one metre, in dB.")
     n_pl: float = Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")
     shadow_std_db: float = Field(ge=0, le=100, description="xi, deviation of shadowing in dB.")
@@ -176,7 +178,7 @@ class FitTable(Table):
     """``[channel.fit]``: how parameters are estimated."""
 
     method: FitMethod = Field(
-        default="reml", description="lemma1, capped, convex, nls or reml (Lemma 1 and better)."
+        default="reml", description="lemma1, capped, convex, nls or reml: docs/channel.md, Fit."
     )
 
     @field_validator("method", mode="before")

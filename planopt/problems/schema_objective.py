@@ -45,17 +45,20 @@ class TrackingTable(Table):
     kind: Literal["tracking"] = Field(description="Track a target over a lossy link.")
     weight: Weight = Field(default=1.0, description="In the sum of terms.")
     noise_curvature: float = Field(
-        gt=0, le=1e9, description="The seed's varpi in g(r) = varpi (r - sweet spot)^2 + floor."
+        gt=0,
+        le=1e9,
+        description="c of the sensor's variance at r metres: "
+        "c (r - sweet_spot_m)^2 + noise_floor_m2.",
     )
-    noise_floor_m2: float = Field(gt=0, le=1e9, description="The seed's nu, in m^2.")
+    noise_floor_m2: float = Field(gt=0, le=1e9, description="Variance in m^2 at the best distance.")
     sweet_spot_m: float = Field(
-        ge=0, le=1e6, description="Distance in metres at which the sensor is best, the seed's r_s."
+        ge=0, le=1e6, description="Distance in metres at which the sensor is best."
     )
     form: TrackingForm = Field(
         default="additive",
-        description="additive (the seed's (4), summed over steps), or by the station's filter: "
-        "information (an upper bound), covariance (losses as if independent in time) or sampled "
-        "(joint losses).",
+        description="additive (P(connected) over the variance, summed over steps), or by the "
+        "station's filter: information (an upper bound), covariance (losses as if independent in "
+        "time) or sampled (joint losses).",
     )
 
     @property
@@ -77,8 +80,8 @@ class LearningTable(Table):
     weight: Weight = Field(default=1.0, description="In the sum of terms.")
     criterion: LearningCriterion = Field(
         default="D",
-        description="T (the seed's trace), D (volume), A (variances) or V (prediction over the "
-        "workspace).",
+        description="T (trace of the information), D (volume), A (variances) or V (prediction "
+        "over the workspace).",
     )
 
     @property
@@ -94,7 +97,8 @@ class MappingTable(Table):
     weight: Weight = Field(default=1.0, description="In the sum of terms.")
     form: MappingForm = Field(
         default="information",
-        description="two_layer (the seed's (3)), path (J_CH along the path), information, or "
+        description="two_layer (steer to the most uncertain place), path (uncertainty of the "
+        "places along the path, near ones preferred), information (in nats), or "
         "average (variance over the workspace).",
     )
     variance_threshold_db2: Deviation = Field(

@@ -11,6 +11,7 @@ from planopt.report.comparison_looks import Look, Setting, looks_of
 from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import dress, head, legend_below, plain_log_ticks
+from planopt.report.tables import interval_words
 from planopt.studies.comparison import Comparison, Row, metric_values
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ ROOM = 0.35
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
-    """Draw mean and 95 % interval of every metric by horizon, single runs as faint dots.
+    """Draw mean and interval of every metric by horizon, single runs as faint dots.
 
     Two more panels have the runs that did not reach the goal and the step times (median, and up
     to the 95 % quantile).
@@ -57,8 +58,8 @@ def draw_comparison(comparison: Comparison) -> Figure:
     legend_below(figure, entries, 4)
     head(
         figure,
-        f"{comparison.problem.name}: {len(comparison.runs)} runs; mean with 95 % interval, "
-        "single runs faint, intervals cut at the frame",
+        f"{comparison.problem.name}: {len(comparison.runs)} runs; mean, "
+        f"{interval_words(comparison, 'cut at the frame')}, single runs faint",
     )
     return figure
 

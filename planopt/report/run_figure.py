@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planopt.planning.loop.run import StepLog
 from planopt.planning.loop.simulation import Simulation
@@ -33,8 +35,7 @@ if TYPE_CHECKING:
 def draw_run(simulation: Simulation) -> Figure:
     """Draw a run over the true power [dBm]: first plan, driven path, relaxed steps, measurements.
 
-    A piece of the driven path has the colour of the place that it leads to: connected in truth or
-    not.
+    A step of the driven path looks as the place that it leads to is: connected in truth or not.
     """
     from matplotlib.gridspec import GridSpec
 
@@ -78,28 +79,48 @@ def _true_power(simulation: Simulation) -> Raster:
 
 
 def _draw_driven(panel: Panel, log: StepLog) -> list[Artist]:
-    """Draw the driven path by whether it was connected, on a white casing."""
+    """Draw the driven path: blue on white where connected, else dashes of vermillion on black.
+
+    Lightness and dashes tell them apart without colour. Each is drawn where there is any.
+    """
     from matplotlib.collections import LineCollection
 
-    x, y = log.positions_m.T
-    panel.plot(x, y, color=WHITE, linewidth=6.0, zorder=PATH_Z, solid_capstyle="round")
-    pieces = np.stack([log.positions_m[:-1], log.positions_m[1:]], axis=1)
     artists: list[Artist] = []
-    for label, colour, selection in (
-        ("driven, connected", CONNECTED, log.connected[1:]),
-        ("driven, not connected", DISCONNECTED, ~log.connected[1:]),
+    for label, colour, casing, dashes, kind in (
+        ("driven, connected", CONNECTED, WHITE, "solid", True),
+        ("driven, not connected", DISCONNECTED, BLACK, (0, (1.2, 0.8)), False),
     ):
+        pieces = _pieces(log, kind)
+        if not pieces:
+            continue
+        below = LineCollection(
+            pieces, colors=casing, linewidths=6.0, capstyle="round", zorder=PATH_Z
+        )
         lines = LineCollection(
-            list(pieces[selection]),
+            pieces,
             colors=colour,
             linewidths=4.0,
-            capstyle="round",
-            zorder=PATH_Z,
+            linestyles=[dashes],
+            capstyle="butt",
+            zorder=PATH_Z + 0.1,
             label=label,
         )
-        panel.add_collection(lines, autolim=False)
+        for collection in (below, lines):
+            panel.add_collection(collection, autolim=False)
         artists.append(lines)
     return artists
+
+
+def _pieces(log: StepLog, connected: bool) -> list[NDArray[np.float64]]:
+    """Return the longest pieces of the path all of whose steps end connected, or all not."""
+    kinds = log.connected[1:]
+    changes = np.flatnonzero(np.diff(kinds)) + 1
+    bounds = [0, *changes.tolist(), len(kinds)] if len(kinds) else [0]
+    return [
+        log.positions_m[first : last + 1]
+        for first, last in itertools.pairwise(bounds)
+        if kinds[first] == connected
+    ]
 
 
 def _draw_first_plan(panel: Panel, simulation: Simulation) -> list[Artist]:

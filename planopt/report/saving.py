@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planopt.errors import InputError
-from planopt.files import write_whole
+from planopt.files.whole import write_whole
 from planopt.report.panel import write
 
 if TYPE_CHECKING:

@@ -1,14 +1,20 @@
-"""A comparison as a plain-text table."""
+"""Comparisons, and predicted against true connection, as plain-text tables."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Callable, Sequence
 
+from planopt.channel.validation.reliability import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
 from planopt.studies.comparison import Comparison, Row
 
 MISSING = "-"
 
+WIDTH = 100
+"""Letters in a line of a comparison's table."""
+
+_Column = tuple[str, Callable[[ReliabilityBin], str]]
 
 VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
 """Columns of every task; the first is of no metric."""
@@ -27,6 +33,8 @@ GOAL_COLUMNS = (
 def comparison_text(comparison: Comparison) -> str:
     """Table of a comparison, aligned, one line a setting in the order of the rows.
 
+    What does not fit `WIDTH` letters goes below, with the settings before it again.
+
     Parameters
     ----------
     comparison
@@ -38,27 +46,73 @@ def comparison_text(comparison: Comparison) -> str:
         settings.setdefault(setting, {})[row.metric] = row
     to_goal = comparison.problem.task == "reach"
     shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
-    header = [
-        "cost to go",
-        "planner",
-        "horizon",
-        "runs",
-        "stalled",
-        *(heading for heading, _ in shown),
-        "step p50 [ms]",
-        "step p95 [ms]",
-    ]
+    words = ["cost to go", "planner"] if to_goal else ["planner"]
+    headings = [heading for heading, _ in shown]
+    header = [*words, "horizon", "runs", "stalled", *headings, "step p50 [ms]", "step p95 [ms]"]
     lines = [
-        _cells(*setting, rows, [metric for _, metric in shown])
-        for setting, rows in settings.items()
+        [
+            *([str(cost_to_go)] if to_goal else []),
+            planner,
+            *_cells(horizon, rows, [name for _, name in shown]),
+        ]
+        for (cost_to_go, planner, horizon), rows in settings.items()
     ]
     title = (
         f"{comparison.problem.name}: {len(comparison.runs)} runs in {comparison.wall_s:.1f} s; "
-        "means over runs, 95 % interval in brackets"
+        f"means over runs, {interval_words(comparison)}"
     )
     if to_goal:
         title += "; time to goal over the runs that arrived"
-    return "\n".join([title, "", *_aligned([header, *lines])])
+    table = [*textwrap.wrap(title, WIDTH), "", *_in_blocks([header, *lines], len(words))]
+    return "\n".join([*table, "", *reliability_lines(comparison.reliability, "steps", "seeds")])
+
+
+def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
+    """Return where the 95 % intervals stand, or why there is none."""
+    if any(row.ci_low is not None for row in comparison.rows):
+        return f"95 % interval {where}"
+    return f"no interval from fewer than {FEWEST_GROUPS}"
+
+
+def reliability_lines(
+    bins: Sequence[ReliabilityBin], what: str, groups: str | None = None
+) -> list[str]:
+    """Table of predicted against true connection, one line a bin; no line without bins.
+
+    Parameters
+    ----------
+    bins
+        As :func:`planopt.channel.validation.reliability.reliability` gives them.
+    what, groups
+        What was predicted and what it is grouped by, in the plural; None for one group.
+    """
+    if not bins:
+        return []
+    title = "predicted against true connection"
+    columns: list[_Column] = [("predicted P", _range), (what, lambda one: str(one.count))]
+    if groups is not None:
+        columns.append((groups, lambda one: str(one.groups)))
+    columns.append(("mean predicted", lambda one: f"{one.predicted:.4f}"))
+    columns.append(("connected", lambda one: f"{one.realised:.4f}"))
+    if any(one.interval for one in bins):
+        title += f"; intervals over {groups}"
+        columns.append(("95 % interval", _interval))
+    elif groups is not None:
+        title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
+    header = [heading for heading, _ in columns]
+    return [title, *_aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
+
+
+def _range(one: ReliabilityBin) -> str:
+    return f"{one.low:g} to {one.high:g}"
+
+
+def _interval(one: ReliabilityBin) -> str:
+    """The interval, with a mark where it misses the mean prediction."""
+    if one.interval is None:
+        return MISSING
+    words = f"{one.interval[0]:.4f} to {one.interval[1]:.4f}"
+    return words if one.agrees else f"{words} *"
 
 
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
@@ -68,14 +122,10 @@ def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
     return [*own, VERIFIED, POLISH]
 
 
-def _cells(
-    cost_to_go: str | None, planner: str, horizon: int, rows: dict[str, Row], shown: Sequence[str]
-) -> list[str]:
-    """One line of the table; what is not of one metric is the same in every row."""
+def _cells(horizon: int, rows: dict[str, Row], shown: Sequence[str]) -> list[str]:
+    """The numbers of a line; what is not of one metric is the same in every row."""
     one = next(iter(rows.values()))
     return [
-        cost_to_go or "-",
-        planner,
         str(horizon),
         str(one.seeds),
         str(one.stalled),
@@ -102,12 +152,39 @@ def _mean(rows: dict[str, Row], metric: str, *, interval: bool = False) -> str:
     return text
 
 
-def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of columns two spaces apart, the first two (words) to the left, the others right."""
+def _in_blocks(table: Sequence[Sequence[str]], words: int) -> list[str]:
+    """Return aligned lines, headings over several where they are wider than what is below them.
+
+    Blocks of columns of at most `WIDTH` letters stand below each other, an empty line between
+    them; each begins with the first `words` columns and the one after, which name the line.
+    """
+    columns = [
+        [textwrap.wrap(heading, max(map(len, (*heading.split(), *below)))), below]
+        for heading, *below in zip(*table, strict=True)
+    ]
+    widths = [2 + max(map(len, (*heading, *below))) for heading, below in columns]
+    first = words + 1
+    blocks, room = [columns[:first]], WIDTH + 2 - sum(widths[:first])
+    for column, width in zip(columns[first:], widths[first:], strict=True):
+        if width > room and len(blocks[-1]) > first:
+            blocks.append(columns[:first])
+            room = WIDTH + 2 - sum(widths[:first])
+        blocks[-1].append(column)
+        room -= width
+    lines: list[str] = []
+    for block in blocks:
+        height = max(len(heading) for heading, _ in block)
+        padded = [[*[""] * (height - len(heading)), *heading, *below] for heading, below in block]
+        lines += ["", *_aligned(list(zip(*padded, strict=True)), words)]
+    return lines[1:]
+
+
+def _aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
+    """Lines of columns two spaces apart, the first `words` to the left, the others right."""
     widths = [max(len(line[column]) for line in table) for column in range(len(table[0]))]
     return [
         "  ".join(
-            cell.ljust(width) if column < 2 else cell.rjust(width)
+            cell.ljust(width) if column < words else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in table

@@ -12,9 +12,10 @@ from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableTyp
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.channel.validation.reliability import FEWEST_GROUPS
 from planopt.errors import InputError
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.metrics import POSSIBLE
+from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
@@ -25,7 +26,6 @@ from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Driven, Row, metric_values
 
 CONFIDENCE = 0.95
-ANY = (-np.inf, np.inf)
 ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
 """Outcomes of runs that did what the problem asks."""
 
@@ -177,9 +177,9 @@ def mean_interval(
     """Student interval of the mean at `CONFIDENCE`, cut to the values that are possible.
 
     The mean is one of these, so that cutting takes nothing from the confidence. None for fewer
-    than two values.
+    than `FEWEST_GROUPS` values, whose interval tells of their number rather than of them.
     """
-    if values.size < 2:
+    if values.size < FEWEST_GROUPS:
         return None, None
     quantile = np.asarray(stdtrit(values.size - 1, 0.5 + CONFIDENCE / 2))
     half = float(quantile) * float(values.std(ddof=1)) / float(np.sqrt(values.size))

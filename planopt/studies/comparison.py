@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.validation.reliability import ReliabilityBin, reliability
 from planopt.planning.loop.run import Run
 from planopt.planning.team.team_summary import TeamSummary
 from planopt.problems.problem import Problem
@@ -29,12 +34,13 @@ class Row:
     seeds
         How many runs.
     stalled
-        How many of them did not reach the goal, if there is one.
+        How many of them did not do what the problem asks: reach the goal, connect, go on.
     metric
         Its name (`goal_time_s`, `true_connected_share`, ...).
     mean, ci_low, ci_high
         Mean over the runs for which the metric exists and its 95 % Student interval, cut to the
-        values that the metric can have; None if there is none. With one run the interval is None.
+        values that the metric can have; None if there is none. With fewer than five runs the
+        interval is None.
     count
         How many runs the mean is over: `goal_time_s` exists only where the goal was reached.
     paired_ratio
@@ -84,3 +90,34 @@ class Comparison:
     wall_s: float
 
     __repr__ = short_repr
+
+    @property
+    def reliability(self) -> tuple[ReliabilityBin, ...]:
+        """Predicted against true connection over the steps of all runs of all settings."""
+        return runs_reliability(self.runs)
+
+
+def runs_reliability(runs: Sequence[Driven]) -> tuple[ReliabilityBin, ...]:
+    """Tabulate predicted against true connection over the steps of runs.
+
+    Runs of one seed share a channel and are one group, whatever their settings.
+    """
+    predicted, connected, seeds = zip(*(_steps(run) for run in runs), strict=True)
+    return reliability(np.concatenate(predicted), np.concatenate(connected), np.concatenate(seeds))
+
+
+def runs_by_setting(runs: Sequence[Driven]) -> list[list[Driven]]:
+    """Divide runs by horizon, planner and cost to go, in the order in which these occur."""
+    found: dict[tuple[int, str, str | None], list[Driven]] = {}
+    for run in runs:
+        found.setdefault((run.horizon, run.planner, run.cost_to_go), []).append(run)
+    return list(found.values())
+
+
+def _steps(run: Driven) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.intp]]:
+    """Predicted and true connection of each step of a run, and its seed."""
+    if isinstance(run, Run):
+        predicted, connected = run.log.connectivity[1:], run.log.connected[1:]
+    else:
+        predicted, connected = run.connectivity, run.connected
+    return predicted, connected, np.full(len(predicted), run.seed, dtype=np.intp)

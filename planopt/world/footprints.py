@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import pairwise
 from numbers import Real
 from typing import cast
 
@@ -19,6 +20,15 @@ from planopt.world.workspace import Obstacle
 
 LARGEST_COORDINATE_M = 1e9
 """Beyond this a coordinate is not a place on Earth in metres."""
+
+LONGEST_NAME = 200
+"""Characters in the name of an obstacle, which messages, tables and pictures repeat."""
+
+MEETING_SEGMENTS = 50
+"""An outline whose segments come near to more others than this is no outline: repairing it would
+take time and memory that grow with the square of its corners."""
+
+SAMPLED_SEGMENTS = 200
 
 SAME_AREA = 1e-9
 """A repair that changes the area by no more than this share has changed no area."""
@@ -32,7 +42,7 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
     Parameters
     ----------
     name
-        What messages call it.
+        What messages call it; at most `LONGEST_NAME` printable characters.
     exterior
         A sequence of ``(x, y)`` in metres, closed or not, in either direction; further
         coordinates (a height) are left out.
@@ -42,18 +52,24 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
     Raises
     ------
     InputError
-        A ring is not made of pairs of finite numbers or has fewer than three different corners,
-        or the polygon is invalid (its boundary crosses itself, a hole is outside) and cannot be
-        repaired without changing its area.
+        The name cannot be printed or is too long, a ring is not made of pairs of finite numbers
+        or has fewer than three different corners, or the polygon is invalid (its boundary crosses
+        itself, a hole is outside) and cannot be repaired without changing its area.
     """
+    check_name(name)
     shell = _ring(name, exterior)
     polygon = shapely.Polygon(shell, [_ring(name, hole) for hole in holes])
     if polygon.is_valid and polygon.area > 0:
         return Obstacle(name, polygon)
     # Spikes, rings that touch and the like: removing what has no area leaves one meaning only.
-    repaired = shapely.make_valid(polygon, method="structure", keep_collapsed=False)
+    repaired = (
+        shapely.make_valid(polygon, method="structure", keep_collapsed=False)
+        if _is_nearly_simple(polygon)
+        else polygon
+    )
     if (
-        isinstance(repaired, shapely.Polygon)
+        repaired is not polygon
+        and isinstance(repaired, shapely.Polygon)
         and repaired.area > 0
         and math.isclose(repaired.area, polygon.area, rel_tol=SAME_AREA)
     ):
@@ -64,6 +80,35 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
         else f"{name}: the polygon has no area",
         remedy="list the corners in order along the outline",
     )
+
+
+def check_name(name: str) -> None:
+    """Refuse the name of an obstacle that cannot be written or shown.
+
+    Raises
+    ------
+    InputError
+        It is longer than `LONGEST_NAME`, or has a character that cannot be printed, such as a
+        terminal code or half of a surrogate pair.
+    """
+    if len(name) > LONGEST_NAME:
+        raise InputError(
+            f"the name {name[:20]!r}... has {len(name)} characters, more than {LONGEST_NAME}",
+            remedy="shorten it",
+        )
+    if not name.isprintable():
+        raise InputError(
+            f"the name {name!a} has a character that cannot be printed", remedy="rename it"
+        )
+
+
+def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
+    """Whether the segments of the outline keep to themselves, judged by some of them."""
+    corners = shapely.get_coordinates(polygon)
+    segments = [shapely.LineString(ends) for ends in pairwise(corners)]
+    sampled = segments[:: max(1, len(segments) // SAMPLED_SEGMENTS)]
+    pairs = shapely.STRtree(segments).query(sampled)
+    return pairs.shape[1] <= MEETING_SEGMENTS * len(sampled)
 
 
 def _ring(name: str, ring: object) -> _Ring:

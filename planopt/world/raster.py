@@ -6,8 +6,6 @@ Other formats: :mod:`planopt.world.raster_files`.
 from __future__ import annotations
 
 import math
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
+from planopt.files.npz import npz_names, read_npz
 from planopt.short_repr import short_repr
+from planopt.world.footprints import LARGEST_COORDINATE_M
 
 UNEVEN_CELLS = 1e-3
 """How far, in cells, a coordinate may be off the even grid: float32 files are."""
@@ -47,7 +47,7 @@ class Raster:
         return _spacing(self.x_m), _spacing(self.y_m)
 
 
-def read_npz(path: Path, variable: str) -> Raster:
+def read_npz_raster(path: Path, variable: str) -> Raster:
     """Read one variable of an ``npz`` file with its axes ``x`` and ``y``.
 
     Parameters
@@ -85,17 +85,26 @@ def checked_raster(
 ) -> Raster:
     """The raster of arrays that were read from `path`.
 
+    Minus infinity, the decibels of nothing, becomes NaN.
+
     Raises
     ------
     InputError
-        The axes do not fit `values` or are not ascending and even.
+        The axes do not fit `values` or are not ascending and even within
+        `LARGEST_COORDINATE_M`, or a value is infinite.
     """
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:
             raise InputError(f"shape {axis.shape} is not an axis of cells", file=path, key=name)
+        if not (np.abs(axis) <= LARGEST_COORDINATE_M).all():
+            raise InputError(
+                f"cell centres must be finite and within {LARGEST_COORDINATE_M:g} m of the origin",
+                file=path,
+                key=name,
+            )
         if not _is_even(axis):
             raise InputError(
-                "cell centres must be finite, ascending and evenly spaced", file=path, key=name
+                "cell centres must be ascending and evenly spaced", file=path, key=name
             )
     if values.shape != (y.size, x.size):
         raise InputError(
@@ -103,7 +112,15 @@ def checked_raster(
             file=path,
             key=variable,
         )
-    return Raster(x, y, values)
+    if np.isposinf(values).any():
+        iy, ix = np.argwhere(np.isposinf(values))[0].tolist()
+        raise InputError(
+            f"is infinite at ({x[ix]:g}, {y[iy]:g}) m",
+            file=path,
+            key=variable,
+            remedy="write NaN where there is no value",
+        )
+    return Raster(x, y, np.where(np.isneginf(values), np.nan, values))
 
 
 def cell_centres_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
@@ -154,38 +171,33 @@ def _spacing(axis_m: NDArray[np.float64]) -> float:
 
 
 def _is_even(axis_m: NDArray[np.float64]) -> bool:
-    """Whether the coordinates are finite, ascending and evenly spaced."""
-    if not (np.isfinite(axis_m).all() and axis_m[-1] > axis_m[0]):
+    """Whether finite coordinates are ascending and evenly spaced."""
+    if not axis_m[-1] > axis_m[0]:
         return False
     off = axis_m - axis_m[0] - _spacing(axis_m) * np.arange(axis_m.size)
     return bool((np.abs(off) <= UNEVEN_CELLS * _spacing(axis_m)).all())
 
 
 def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
-    """Arrays of an npz file as floats, without ever unpickling.
+    """Return arrays of an npz file as floats.
 
     Raises
     ------
     InputError
-        The file is missing or not an npz, or one of `names` is not in it or not numeric.
+        The file cannot be read as npz (:func:`planopt.files.npz.read_npz`), or one of `names` is
+        not in it or not numeric.
     """
+    arrays = read_npz(path, names)
     found: list[NDArray[np.float64]] = []
-    key: str | None = None
-    try:
-        with zipfile.ZipFile(path) as archive:
-            held = [name.removesuffix(".npy") for name in archive.namelist()]
-        with np.load(path, allow_pickle=False) as arrays:
-            for key in names:
-                if key not in held:
-                    raise InputError(
-                        f"the file holds no {key!r}", file=path, remedy=f"it holds {held}"
-                    )
-                array = np.asarray(arrays[key])
-                if array.dtype.kind not in "biuf":
-                    raise InputError(f"{array.dtype} is not numeric", file=path, key=key)
-                found.append(array.astype(np.float64))
-    except FileNotFoundError as error:
-        raise InputError("there is no such file", file=path) from error
-    except (OSError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"not an npz that can be read: {error}", file=path, key=key) from error
+    for name in names:
+        if name not in arrays:
+            raise InputError(
+                f"the file holds no {name!r}",
+                file=path,
+                remedy=f"it holds {listed(npz_names(path))}",
+            )
+        if arrays[name].dtype.kind not in "biuf":
+            raise InputError(f"{arrays[name].dtype} is not numeric", file=path, key=name)
+        with np.errstate(all="ignore"):  # from longer floats
+            found.append(arrays[name].astype(np.float64))
     return found

@@ -5,13 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import math
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
+from planopt.files.regular import read_text
 from planopt.world.raster import Raster, checked_raster
 
 AXES = ("x_m", "y_m")
@@ -39,22 +41,17 @@ def read_csv(path: Path, variable: str) -> Raster:
         The file is missing or no text, a column is missing, a cell is not a number, or the rows
         are not each cell of an even grid once.
     """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError("there is no such file", file=path) from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"not a text file that can be read: {error}", file=path) from error
+    text = read_text(path)
     rows = csv.reader(io.StringIO(text))
     no_cells: list[str] = []
+    # A third of the memory of lists of floats.
+    numbers = array("d")
     try:
         header = [name.strip() for name in next(rows, no_cells)]
         where = [_column(header, name, path) for name in (*AXES, variable)]
-        numbers = [
-            [_number(cells, at, path, rows.line_num, header[at]) for at in where]
-            for cells in rows
-            if cells
-        ]
+        for cells in rows:
+            if cells:
+                numbers.extend(_number(cells, at, path, rows.line_num, header[at]) for at in where)
     except csv.Error as error:
         raise InputError(f"not a CSV row: {error}", file=path, row=rows.line_num) from error
     return _on_grid(np.array(numbers).reshape(-1, 3), path, variable)
@@ -83,7 +80,7 @@ def _column(header: list[str], name: str, path: Path) -> int:
             f"the file has no column {name!r}" if name not in header else f"two columns {name!r}",
             file=path,
             key=name,
-            remedy=f"it has {', '.join(header) or 'none'}",
+            remedy=f"it has {listed(header)}",
         )
     return header.index(name)
 

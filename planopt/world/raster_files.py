@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from planopt.errors import InputError
-from planopt.files import write_whole
-from planopt.world.raster import Raster, read_npz, write_npz
+from planopt.files.npz import npz_names
+from planopt.files.whole import write_whole
+from planopt.world.raster import Raster, read_npz_raster, write_npz
 from planopt.world.raster_csv import read_csv, write_csv
 from planopt.world.raster_geotiff import import_rasterio, read_geotiff, write_geotiff
 from planopt.world.raster_netcdf import read_netcdf, write_netcdf
@@ -17,12 +17,8 @@ from planopt.world.sionna_map import CENTRES, read_sionna_map
 
 def _read_any_npz(path: Path, variable: str) -> Raster:
     """Sionna RT's if it holds cell centres, planopt's otherwise, whose errors are the clearer."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            from_sionna = f"{CENTRES}.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        from_sionna = False
-    return read_sionna_map(path, variable) if from_sionna else read_npz(path, variable)
+    read = read_sionna_map if CENTRES in npz_names(path) else read_npz_raster
+    return read(path, variable)
 
 
 READERS: dict[str, Callable[[Path, str], Raster]] = {

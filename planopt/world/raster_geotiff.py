@@ -7,15 +7,18 @@ local plane: no reference system is written, and one in degrees is refused.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
+from planopt.files.regular import foreign_reader, read_bytes, require_array_size
 from planopt.world.raster import Raster, checked_raster
+
+SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of TIFF and BigTIFF files in either byte order."""
 
 
 def import_rasterio(path: Path) -> ModuleType:
@@ -58,33 +61,44 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], units: Mapping[str,
 def read_geotiff(path: Path, variable: str) -> Raster:
     """Read the band described as `variable`, or the only band if it has no description.
 
+    The file alone is read, from memory: no sidecar files, and no other format whatever the
+    content says (GDAL's virtual formats read files that nobody named).
+
     Raises
     ------
     InputError
-        The file is missing or no GeoTIFF, has no such band, is rotated, or has no coordinates or
-        such in degrees.
+        The file is missing or no GeoTIFF, declares too many cells, has no such band, is rotated,
+        or has no coordinates or such in degrees.
     """
     rasterio = import_rasterio(path)
-    if not path.is_file():
-        raise InputError("there is no such file", file=path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            with rasterio.open(path) as file:
-                band = _band(file.descriptions, variable, path)
-                values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
-                transform, system = file.transform, file.crs
-    except rasterio.errors.RasterioError as error:
-        raise InputError(f"not a GeoTIFF that can be read: {error}", file=path) from error
+    content = read_bytes(path)
+    if content[:4] not in SIGNATURES:
+        raise InputError("is not a TIFF file", file=path)
+    with (
+        foreign_reader(path, "a GeoTIFF"),
+        rasterio.Env(GDAL_NUM_THREADS=1),
+        rasterio.MemoryFile(content) as memory,
+        memory.open(driver="GTiff") as file,
+    ):
+        require_array_size(path, variable, file.height, file.width)
+        for shape in file.block_shapes:
+            require_array_size(path, variable, *shape)
+        band = _band(file.descriptions, variable, path)
+        if np.dtype(file.dtypes[band - 1]).kind not in "iuf":
+            raise InputError("is not numeric", file=path, key=variable)
+        values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
+        transform, system = file.transform, file.crs
+        in_degrees = system is not None and system.is_geographic
     if transform.b or transform.d or transform.is_identity:
         raise InputError("the map is rotated or has no coordinates", file=path)
-    if system is not None and system.is_geographic:
+    if in_degrees:
         raise InputError(
             "the coordinates are degrees", file=path, remedy="project the map to metres"
         )
     rows, columns = values.shape
-    x = transform.c + transform.a * (np.arange(columns) + 0.5)
-    y = transform.f + transform.e * (np.arange(rows) + 0.5)
+    with np.errstate(all="ignore"):  # coordinates that are not finite
+        x = transform.c + transform.a * (np.arange(columns) + 0.5)
+        y = transform.f + transform.e * (np.arange(rows) + 0.5)
     if transform.e < 0:
         y, values = y[::-1], values[::-1]
     return checked_raster(x, y, values, path, variable)
@@ -99,5 +113,5 @@ def _band(descriptions: tuple[str | None, ...], variable: str, path: Path) -> in
     raise InputError(
         f"the file has no band described as {variable!r}",
         file=path,
-        remedy=f"it has {', '.join(str(name) for name in descriptions)}",
+        remedy=f"it has {listed(str(name) for name in descriptions)}",
     )

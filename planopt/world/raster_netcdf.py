@@ -1,12 +1,13 @@
 # pyright: basic
 """Rasters as NetCDF: variables on ``y, x``, written as NetCDF-3, which every reader takes.
 
-The boundary to SciPy's reader and writer, which ship no types, and to h5netcdf, which reads the
-newer NetCDF-4 where it is installed.
+The boundary to SciPy's writer, which ships no types, and to h5netcdf, which reads the newer
+NetCDF-4 where it is installed.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
+from planopt.files.regular import foreign_reader, read_bytes, require_array_size
+from planopt.world.netcdf_classic import classic_values, classic_variables
 from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"
 AXES = ("y", "x")
+MISSING = ("_FillValue", "missing_value")
 
 
 def write_netcdf(path: Path, rasters: Mapping[str, Raster], units: Mapping[str, str]) -> None:
@@ -48,78 +52,94 @@ def read_netcdf(path: Path, variable: str) -> Raster:
         The file is missing or no NetCDF, is NetCDF-4 and h5netcdf is not installed, or holds no
         such variable on an even grid.
     """
-    try:
-        with path.open("rb") as file:
-            newer = file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
-    except FileNotFoundError as error:
-        raise InputError("there is no such file", file=path) from error
-    except OSError as error:
-        raise InputError(f"cannot be read: {error}", file=path) from error
-    y, x, values = _newer(path, variable) if newer else _classic(path, variable)
+    content = read_bytes(path)
+    if content.startswith(HDF5_SIGNATURE):
+        y, x, values = _newer(path, content, variable)
+    else:
+        y, x, values = _classic(path, content, variable)
     if y.ndim == 1 and y.size > 1 and y[0] > y[-1]:
         y, values = y[::-1], values[::-1]
     return checked_raster(x, y, values, path, variable)
 
 
-def _classic(path: Path, variable: str) -> list[NDArray[np.float64]]:
+def _classic(path: Path, content: bytes, variable: str) -> list[NDArray[np.float64]]:
     """y, x and the variable of a NetCDF-3 file."""
-    from scipy.io import netcdf_file
+    with foreign_reader(path, "a NetCDF file"):
+        held = classic_variables(content)
+        _require_map(path, {name: one.dimensions for name, one in held.items()}, variable)
+        found: list[NDArray[np.float64]] = []
+        for name in (*AXES, variable):
+            one = held[name]
+            require_array_size(path, name, *one.shape)
+            found.append(_floats(classic_values(content, one), one.attributes, path, name))
+        return found
 
-    try:
-        with netcdf_file(path, "r", mmap=False, maskandscale=True) as file:
-            return _numbers(file.variables, variable, path)
-    # SciPy checks little: a damaged file ends in whatever its bytes lead to.
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AssertionError) as error:
-        raise _not_netcdf(path, error) from error
 
-
-def _newer(path: Path, variable: str) -> list[NDArray[np.float64]]:
+def _newer(path: Path, content: bytes, variable: str) -> list[NDArray[np.float64]]:
     """y, x and the variable of a NetCDF-4 file."""
     try:
-        from h5netcdf import File
+        import h5netcdf
+        import h5py
     except ImportError as error:
         raise InputError(
             "NetCDF-4 cannot be read without h5netcdf",
             file=path,
             remedy="install planopt[maps], or convert with nccopy -k classic",
         ) from error
-    try:
-        with File(path, "r") as file:
-            return _numbers(file.variables, variable, path)
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise _not_netcdf(path, error) from error
+    with foreign_reader(path, "a NetCDF file"), h5py.File(io.BytesIO(content), "r") as hdf5:
+        _require_own_data(path, hdf5)
+        with h5netcdf.File(hdf5, "r") as file:
+            held = file.variables
+            _require_map(path, {name: held[name].dimensions for name in held}, variable)
+            return [
+                _floats(held[name][...], held[name].attrs, path, name) for name in (*AXES, variable)
+            ]
 
 
-def _numbers(variables: Mapping[str, Any], variable: str, path: Path) -> list[NDArray[np.float64]]:
-    """Values of y, x and the variable as floats, NaN where they are missing."""
+def _require_own_data(path: Path, hdf5: Any) -> None:
+    """Refuse HDF5 that takes its content from other files, or declares too much of it."""
+    import h5py
+
+    for name in hdf5:
+        if isinstance(hdf5.get(name, getlink=True), h5py.ExternalLink):
+            raise InputError("links to another file", file=path, key=name)
+        item = hdf5[name]
+        if not isinstance(item, h5py.Dataset):
+            continue
+        if item.external or item.is_virtual:
+            raise InputError("takes its values from another file", file=path, key=name)
+        require_array_size(path, name, *(item.shape or ()))
+        # Chunks are unpacked whole.
+        require_array_size(path, name, *(item.chunks or ()))
+
+
+def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str) -> None:
+    """Refuse a file without the variable on y, x; `held` has the dimensions of each variable."""
     for name in (*AXES, variable):
-        if name not in variables:
+        if name not in held:
             raise InputError(
-                f"the file holds no {name!r}", file=path, remedy=f"it holds {sorted(variables)}"
+                f"the file holds no {name!r}", file=path, remedy=f"it holds {listed(sorted(held))}"
             )
-    dimensions = tuple(variables[variable].dimensions)
+    dimensions = tuple(held[variable])
     if dimensions != AXES:
         raise InputError(
             f"the dimensions are {dimensions}, should be {AXES}", file=path, key=variable
         )
-    return [_floats(variables[name], path, name) for name in (*AXES, variable)]
 
 
-def _floats(variable: Any, path: Path, name: str) -> NDArray[np.float64]:
-    values = np.ma.asanyarray(variable[:])
+def _floats(
+    values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str
+) -> NDArray[np.float64]:
+    """Values as floats, unpacked by the attributes, NaN where they are missing."""
     if values.dtype.kind not in "iuf":
         raise InputError(f"{values.dtype} is not numeric", file=path, key=name)
     floats = values.astype(np.float64)
-    # SciPy has masked and scaled already; h5netcdf leaves that to its callers.
-    attributes = getattr(variable, "attrs", {})
-    if "_FillValue" in attributes:
-        floats = np.ma.masked_equal(floats, float(np.squeeze(attributes["_FillValue"])))
+    missing = np.zeros(floats.shape, dtype=np.bool_)
+    for key in MISSING:
+        if key in attributes:
+            missing |= floats == float(np.squeeze(attributes[key]))
     scale, offset = (
         float(np.squeeze(attributes.get(key, neutral)))
         for key, neutral in (("scale_factor", 1.0), ("add_offset", 0.0))
     )
-    return np.asarray((scale * floats + offset).filled(np.nan), dtype=np.float64)
-
-
-def _not_netcdf(path: Path, error: Exception) -> InputError:
-    return InputError(f"not a NetCDF file that can be read: {error}", file=path)
+    return np.where(missing, np.nan, scale * floats + offset)

@@ -6,6 +6,7 @@ Coordinates are metres in the frame of the problem, also in GeoJSON: nothing is 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar, cast
@@ -14,8 +15,17 @@ import numpy as np
 import shapely
 
 from planopt.errors import InputError
+from planopt.files.regular import read_text
 from planopt.world.footprints import footprint
 from planopt.world.workspace import Obstacle
+
+DEEPEST = 32
+"""Geometries nested in collections and rings deeper than this are no map: parsers that are called
+within themselves run out of stack."""
+
+SURELY_DEGREES = 20.0
+"""Coordinates that are farther from zero than so many times the extent of all of them, and within
+180 and 90, are degrees: of metres they would be a map of centimetres far from its origin."""
 
 _AREAS = "obstacles are polygons; draw the outline of the area"
 
@@ -51,11 +61,7 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
             file=path,
             remedy="use .geojson, .json or .wkt",
         )
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InputError(f"cannot be read: {reason}", file=path) from error
+    text = read_text(path)
     try:
         if ending == ".wkt":
             return tuple(_from_wkt_file(path.stem, text))
@@ -110,7 +116,19 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
 
 
 def _tolerant_wkt(text: str) -> shapely.Geometry | None:
-    """The geometry of `text`, its rings closed where they are not, or None."""
+    """The geometry of `text`, its rings closed where they are not, or None.
+
+    Raises
+    ------
+    InputError
+        It is nested deeper than `DEEPEST`.
+    """
+    letters = np.frombuffer(text.encode(), dtype=np.uint8)
+    depth = np.cumsum((letters == ord("(")).astype(np.int64) - (letters == ord(")")))
+    if depth.max(initial=0) > DEEPEST:
+        raise InputError(
+            f"not WKT of areas: nested {depth.max()} deep", remedy="write POLYGON ((x y, x y, x y))"
+        )
     try:
         with np.errstate(all="ignore"):
             return cast("shapely.Geometry | None", shapely.from_wkt(text, on_invalid="fix"))
@@ -157,7 +175,12 @@ def _from_json(stem: str, text: str) -> Iterator[Obstacle]:
         raise InputError(f"not JSON that can be read: {error}") from error
     table = _table(stem, data)
     if "buildings" not in table:
-        yield from _from_geojson(stem, table)
+        try:
+            obstacles = list(_from_geojson(stem, table))
+        except RecursionError:
+            raise InputError("not GeoJSON of areas: nested too deeply") from None
+        _require_metres(table, obstacles)
+        yield from obstacles
         return
     for number, item in enumerate(_list(stem, table, "buildings"), start=1):
         building = _table(f"building {number}", item)
@@ -188,6 +211,27 @@ def _from_geojson(name: str, table: dict[str, object]) -> Iterator[Obstacle]:
         yield footprint(name, exterior, holes)
     else:
         raise InputError(f"{name}: a {kind} is not an area", remedy=_AREAS)
+
+
+def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
+    """Refuse GeoJSON in degrees, as RFC 7946 has it: of metres it would be a speck."""
+    if not obstacles:
+        return
+    named = DEGREES.search(json.dumps(table.get("crs")))
+    corners = np.concatenate([shapely.get_coordinates(one.polygon) for one in obstacles])
+    x, y = corners.T
+    within = np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0
+    extent = max(np.ptp(x), np.ptp(y))
+    afar = np.hypot(np.abs(x).min(), np.abs(y).min()) > SURELY_DEGREES * extent
+    if within and (named or afar):
+        raise InputError(
+            f"the coordinates, such as {x[0]:g}, {y[0]:g}, are degrees of longitude and latitude",
+            remedy="project the file to metres; metres that look like this can be given as .wkt",
+        )
+
+
+DEGREES = re.compile(r"CRS84|EPSG:+(\d*:)?(4326|4258|4269)\b", re.IGNORECASE)
+"""Names of reference systems in degrees."""
 
 
 def _feature_name(feature: dict[str, object], otherwise: str) -> str:

@@ -59,7 +59,8 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
     if not gain.size:
         raise InputError("the map has no cells", file=path, key=name)
     x, y = centres[0, :, 0], centres[:, 0, 1]
-    off = np.maximum(np.abs(centres[..., 0] - x), np.abs(centres[..., 1] - y[:, None]))
+    with np.errstate(all="ignore"):  # centres that are not finite
+        off = np.maximum(np.abs(centres[..., 0] - x), np.abs(centres[..., 1] - y[:, None]))
     # Written so that a centre that is NaN counts as off.
     if not (off <= TURNED_M).all():
         raise InputError(

@@ -93,3 +93,19 @@ def test_planners_without_a_goal_are_not_for_reach(planner: str) -> None:
     with pytest.raises(InputError) as caught:
         with_overrides(load("open_field"), planner=planner)
     assert caught.value.key == "planner.name"
+
+
+def test_an_error_of_an_override_says_so() -> None:
+    """The value stands in no file, and the message says that it was given instead."""
+    with pytest.raises(InputError, match="planner one_step was given in place") as caught:
+        with_overrides(load("open_field"), planner="one_step")
+    assert caught.value.file is None and caught.value.key == "planner.name"
+
+
+def test_an_error_of_the_problem_itself_is_not_blamed_on_an_override() -> None:
+    """A problem that would fail without the override fails with its own message."""
+    problem = load("open_field")
+    broken = replace(problem, robots=(replace(problem.robots[0], speed_max_m_s=-1.0),))
+    with pytest.raises(InputError) as caught:
+        with_overrides(broken, horizon=7)
+    assert "given in place" not in str(caught.value)

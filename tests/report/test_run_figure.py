@@ -23,13 +23,38 @@ def test_layer_is_the_truth(simulation):
 
 
 def test_driven_path_by_connection(simulation, log):
-    """Each step has the colour of the place it leads to; together they are the driven path."""
+    """Each step looks as the place it leads to; neighbours alike are one line, so dashes show."""
     axes = draw_run(simulation).axes[0]
     good = collection_of(axes, "driven, connected").get_segments()
     bad = collection_of(axes, "driven, not connected").get_segments()
     np.testing.assert_array_equal(bad, [log.positions_m[1:3]])
-    assert len(good) == 5
-    np.testing.assert_array_equal(good[1], log.positions_m[2:4])
+    np.testing.assert_array_equal(good[0], log.positions_m[:2])
+    np.testing.assert_array_equal(good[1], log.positions_m[2:])
+
+
+def test_outages_show_without_colour(simulation):
+    """Dashes on a dark casing are an outage, a light line on white is none: by lightness alone."""
+    axes = draw_run(simulation).axes[0]
+    good, bad = (
+        collection_of(axes, f"driven, {words}") for words in ("connected", "not connected")
+    )
+    (_, dashes), (_, solid) = bad.get_linestyle()[0], good.get_linestyle()[0]
+    assert dashes is not None and solid is None
+    casings = [
+        lines.get_edgecolor()[0]
+        for lines in axes.collections
+        if lines.get_linewidth()[0] > good.get_linewidth()[0]
+    ]
+    lightness = [float(colour[:3] @ [0.2126, 0.7152, 0.0722]) for colour in casings]
+    assert lightness == [1.0, 0.0]
+
+
+def test_no_outage_no_entry(simulation, log):
+    """What a run does not have is not in its legend."""
+    fine = replace(log, connected=np.ones_like(log.connected))
+    figure = drawn(draw_run(replace(simulation, run=replace(simulation.run, log=fine))))
+    assert "driven, connected" in legend_of(figure)
+    assert "driven, not connected" not in legend_of(figure)
 
 
 def test_first_plan_relaxed_steps_and_measurements(simulation, plan, log, measurements):

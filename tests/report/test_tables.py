@@ -2,33 +2,91 @@
 
 from dataclasses import replace
 
-from planopt.report.tables import comparison_text
+import numpy as np
+
+from planopt import load
+from planopt.channel.validation.reliability import reliability
+from planopt.report.tables import comparison_text, reliability_lines
+
+
+def blocks_of(comparison) -> list[list[str]]:
+    """Title, tables and reliability table, line by line."""
+    return [block.splitlines() for block in comparison_text(comparison).split("\n\n")]
 
 
 def test_exact_lines(comparison):
-    """Every number, its unit, its order and its alignment."""
-    lines = comparison_text(comparison).splitlines()
-    assert lines[0].startswith("small: 8 runs in 3.2 s; means over runs")
-    assert lines[1] == ""
-    assert [" ".join(line.split()) for line in lines[3:]] == [
-        "geodesic auto 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - 87.5 1.23 12.5 40.0",
-        "geodesic auto 1 2 2 - 90.0 2.0 - 87.5 1.23 12.5 40.0",
-        "connected lattice 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - 87.5 1.23 12.5 40.0",
-        "connected lattice 1 2 0 51.5 (45.1 to 57.9) 90.0 2.0 - 87.5 1.23 12.5 40.0",
+    """Every number, its unit, its order and its alignment; settings begin each block."""
+    title, first, second, tail = blocks_of(comparison)
+    assert " ".join(title).startswith("small: 8 runs in 3.2 s; means over runs")
+    assert [" ".join(line.split()) for line in first[-4:]] == [
+        "geodesic auto 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - 87.5",
+        "geodesic auto 1 2 2 - 90.0 2.0 - 87.5",
+        "connected lattice 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - 87.5",
+        "connected lattice 1 2 0 51.5 (45.1 to 57.9) 90.0 2.0 - 87.5",
     ]
-    assert len({len(line) for line in lines[2:]}) == 1
+    assert [" ".join(line.split()) for line in second[-4:]] == [
+        "geodesic auto 10 1.23 12.5 40.0",
+        "geodesic auto 1 1.23 12.5 40.0",
+        "connected lattice 10 1.23 12.5 40.0",
+        "connected lattice 1 1.23 12.5 40.0",
+    ]
+    assert tail == reliability_lines(comparison.reliability, "steps", "seeds")
+
+
+def test_lines_fit_a_terminal(comparison):
+    """A hundred letters at most, whatever there is to show."""
+    rows = [replace(row, metric=f"{row.metric} {n}") for n in range(9) for row in comparison.rows]
+    long = replace(comparison.problem, name="long " * 30)
+    text = comparison_text(replace(comparison, problem=long, rows=tuple(rows)))
+    assert max(map(len, text.splitlines())) <= 100
 
 
 def test_columns_line_up_under_the_header(comparison):
-    """Each number ends where its heading ends."""
-    header, *lines = comparison_text(comparison).splitlines()[2:]
-    for heading, value in (("step p95 [ms]", "40.0"), ("verified [%]", "87.5")):
-        end = header.index(heading) + len(heading)
-        assert all(line[:end].endswith(value) for line in lines)
+    """Each number ends where the last line of its heading ends, and the whole heading is there."""
+    _, first, second, _ = blocks_of(comparison)
+    for block, words, value in (
+        (first, ["verified", "[%]"], "87.5"),
+        (second, ["step", "p95", "[ms]"], "40.0"),
+    ):
+        lines = block[-4 - len(words) :]
+        assert [line.split()[-1] for line in lines[: len(words)]] == words
+        assert len({len(line) for line in lines}) == 1
+        assert all(line.endswith(value) for line in lines[-4:])
 
 
 def test_mean_without_interval(comparison):
-    """One run has a mean and no interval."""
+    """One run has a mean and no interval, and the title says so."""
     row = replace(comparison.rows[0], seeds=1, mean=61.25, ci_low=None, ci_high=None)
-    (line,) = comparison_text(replace(comparison, rows=(row,))).splitlines()[3:]
-    assert line.split()[:7] == ["geodesic", "auto", "10", "1", "0", "61.2", "-"]
+    title, table, *_ = blocks_of(replace(comparison, rows=(row,)))
+    assert table[-1].split()[:7] == ["geodesic", "auto", "10", "1", "0", "61.2", "-"]
+    words = " ".join(title)
+    assert "no interval from fewer than 5" in words and "brackets" not in words
+
+
+def test_no_column_for_costs_where_there_is_no_goal(comparison):
+    """Without a goal there is no cost to go to tell apart."""
+    learn = replace(comparison.problem, objective=load("outdoor_map").objective)
+    rows = tuple(replace(row, cost_to_go=None) for row in comparison.rows[:1])
+    _, table, *_ = blocks_of(replace(comparison, problem=learn, rows=rows))
+    assert table[-1].split()[0] == "auto" and "cost" not in " ".join(table)
+
+
+def test_reliability_lines():
+    """One line a bin; intervals only from five groups on, marked where they miss the prediction."""
+    count = 500
+    predicted = np.where(np.arange(count) % 2 == 0, 0.8, 0.95)
+    realised = np.where(np.arange(count) % 2 == 0, np.arange(count) % 20 < 10, True)
+    few = reliability(predicted, realised, np.arange(count) % 4)
+    title, header, *lines = reliability_lines(few, "steps", "seeds")
+    assert title.endswith("no interval from fewer than 5 seeds")
+    assert header.split()[-1] == "connected"
+    assert [line.split()[2:] for line in lines] == [
+        ["0.85", "250", "2", "0.8000", "0.5000"],
+        ["0.975", "250", "2", "0.9500", "1.0000"],
+    ]
+    many = reliability(predicted, realised, np.arange(count) // 20)
+    title, header, low, high = reliability_lines(many, "steps", "seeds")
+    assert title.endswith("intervals over seeds")
+    assert header.endswith("95 % interval")
+    assert low.endswith("*") and not high.endswith("*")
+    assert reliability_lines((), "steps", "seeds") == []

@@ -166,7 +166,7 @@ def test_bad_files(tmp_path: Path, name: str, content: object, says: str) -> Non
 
 def test_unreadable_files(tmp_path: Path) -> None:
     """A missing file and one that is not text are errors with the file."""
-    with pytest.raises(InputError, match=r"none\.wkt: cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"none\.wkt: there is no such file"):
         read_obstacles(tmp_path / "none.wkt")
     (tmp_path / "binary.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not UTF-8"):

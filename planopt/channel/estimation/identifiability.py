@@ -26,8 +26,9 @@ MIN_MEASUREMENTS_COVARIANCE = 6
 MIN_REGRESSOR_SPREAD_DB = 0.2
 """n_PL is identifiable when 10 log10 d varies by more than this (distances by 5 %)."""
 
-MIN_EXTENT_M = 1e-6
-"""Places nearer than this are one place to a radio channel; squares of far less underflow."""
+LEAST_EXTENT_M = 1e-6
+"""Positions within a micrometre of each other are one place: squares of their distances would be
+lost to rounding."""
 
 FALLBACK_DECORRELATION_M = 10.0
 """beta where there is not even a spacing to go by."""
@@ -96,7 +97,7 @@ def require_usable(measurements: Measurements, station: Station | None) -> None:
                 row=index,
                 remedy="correct the position, or give the station's height",
             )
-    if count > 1 and np.ptp(measurements.positions_m, axis=0).max() < MIN_EXTENT_M:
+    if count > 1 and np.ptp(measurements.positions_m, axis=0).max() < LEAST_EXTENT_M:
         raise InputError(
             f"all {count} measurements are in one place",
             remedy="measure at different distances from the station",
@@ -126,7 +127,7 @@ def _decorrelation_bounds_m(distinct: NDArray[np.float64], extent_m: float) -> t
     if len(distinct) < 2:
         return FALLBACK_DECORRELATION_M, FALLBACK_DECORRELATION_M
     # Not the least spacing: two fixes a centimetre apart say nothing of the design.
-    spacing = max(float(np.quantile(nearest_distance_m(distinct), 0.05)), MIN_EXTENT_M)
+    spacing = max(float(np.quantile(nearest_distance_m(distinct), 0.05)), LEAST_EXTENT_M)
     return min(spacing, extent_m) / 3.0, extent_m
 
 

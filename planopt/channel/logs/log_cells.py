@@ -12,7 +12,7 @@ FLAGS = {"1": True, "true": True, "0": False, "false": False}
 
 
 def read_number(text: str, file: Path, line: int, name: str) -> float:
-    """A finite number; `line` and `name` say in which row and column it stands."""
+    """Return the finite number in a cell; `line` and `name` say in which row and column it is."""
     cell = read_label(text, file, line, name)
     try:
         # Python would read 1_0 as 10.
@@ -31,7 +31,7 @@ def read_number(text: str, file: Path, line: int, name: str) -> float:
 
 
 def read_flag(text: str, file: Path, line: int, name: str) -> bool:
-    """A flag, as :func:`read_number`."""
+    """Return the flag in a cell, as :func:`read_number`."""
     flag = FLAGS.get(text.strip().lower())
     if flag is None:
         raise InputError(
@@ -41,8 +41,12 @@ def read_flag(text: str, file: Path, line: int, name: str) -> bool:
 
 
 def read_label(text: str, file: Path, line: int, name: str) -> str:
-    """Any text but none, as :func:`read_number`."""
+    """Return the text in a cell, as :func:`read_number`; it is not empty and can be printed."""
     cell = text.strip()
     if not cell:
         raise InputError("the cell is empty", file=file, key=name, row=line)
+    if not cell.isprintable():
+        raise InputError(
+            f"{cell!a} has a character that cannot be printed", file=file, key=name, row=line
+        )
     return cell

@@ -16,12 +16,21 @@ from pathlib import Path
 import numpy as np
 
 from planopt.channel.logs.log_cells import read_flag, read_label, read_number
-from planopt.channel.logs.log_format import LogFormat
+from planopt.channel.logs.log_format import LARGEST_POWER_DBM, LEAST_POWER_DBM, LogFormat
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
+from planopt.files.regular import read_text
+from planopt.world.footprints import LARGEST_COORDINATE_M
 
 DEFAULT_FORMAT = LogFormat()
+
+RANGES = (
+    (-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),
+    (-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),
+    (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm"),
+)
+"""Least and largest x, y and power, with their units."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +69,8 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
     InputError
         With the file, and where they apply the line and the column: the file is missing, not text
         or empty; a column is missing; a row has too few or too many cells; a cell is empty, not a
-        number or not finite; a flag is none.
+        number or not finite; a coordinate or a power is out of range
+        (:mod:`planopt.channel.logs.log_format`); a flag is none.
     """
     file = Path(path)
     rows = _rows(file)
@@ -70,8 +80,9 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
         numbered.append(log_format.time_column)
     wanted = [*numbered, log_format.censored_column, log_format.receiver_column]
     where = {name: _column(names, name, file, header_line) for name in wanted if name is not None}
-    table = _Table([], [], [])
+    table = _Table([], [], [], [])
     for line, cells in _full(rows, names, file):
+        table.lines.append(line)
         table.numbers.append(
             [read_number(cells[where[name]], file, line, name) for name in numbered]
         )
@@ -81,20 +92,21 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
             table.labels.append(read_label(cells[where[label]], file, line, label))
     if not table.numbers:
         raise InputError("the file has a header but no rows", file=file)
-    return _power_log(table, log_format)
+    return _power_log(table, log_format, file)
 
 
 @dataclass(frozen=True)
 class _Table:
     """Cells that were read, row by row; no flags and no labels where no column has them."""
 
+    lines: list[int]
     numbers: list[list[float]]
     flags: list[bool]
     labels: list[str]
 
 
-def _power_log(table: _Table, log_format: LogFormat) -> PowerLog:
-    """A table as measurements."""
+def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
+    """Return a table as measurements, its numbers in range."""
     numbers = np.array(table.numbers)
     count = len(numbers)
     power = numbers[:, 2].copy()
@@ -102,6 +114,18 @@ def _power_log(table: _Table, log_format: LogFormat) -> PowerLog:
     if log_format.floor_dbm is not None:
         censored |= power <= log_format.floor_dbm
         power = np.maximum(power, log_format.floor_dbm)
+    for name, values, (least, largest, unit) in zip(
+        log_format.columns, (numbers[:, 0], numbers[:, 1], power), RANGES, strict=True
+    ):
+        outside = np.flatnonzero((values < least) | (values > largest)).tolist()
+        if outside:
+            raise InputError(
+                f"{values[outside[0]]:g} {unit} is out of range",
+                file=file,
+                key=name,
+                row=table.lines[outside[0]],
+                remedy=f"from {least:g} to {largest:g} {unit}; correct or remove the row",
+            )
     # In the order of first appearance.
     receivers = tuple(dict.fromkeys(table.labels))
     number = {label: index for index, label in enumerate(receivers)}
@@ -202,16 +226,7 @@ def _full(
 
 def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Line number and cells of the header and of every row."""
-    try:
-        text = file.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror or error}", file=file, remedy="check the path"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise _not_text(file) from error
-    if "\0" in text:
-        raise _not_text(file)
+    text = read_text(file)
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         stripped = line.strip()
         if stripped and not stripped.startswith("#"):
@@ -221,17 +236,13 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
                 raise InputError(f"not a CSV row: {error}", file=file, row=number) from error
 
 
-def _not_text(file: Path) -> InputError:
-    return InputError("not a text file", file=file, remedy="give a CSV file in UTF-8")
-
-
 def _column(names: list[str], name: str, file: Path, line: int) -> int:
     """Where the column `name` stands."""
     if names.count(name) == 1:
         return names.index(name)
     problem = "appears twice" if name in names else "is missing"
     raise InputError(
-        f"column {name!r} {problem}; the file has {', '.join(names)}",
+        f"column {name!r} {problem}; the file has {listed(names)}",
         file=file,
         key=name,
         row=line,

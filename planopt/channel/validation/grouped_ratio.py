@@ -67,7 +67,15 @@ def grouped_ratio(
             remedy="give two groups or more that have something in them",
         )
     ratio = float(numerators.sum()) / total
-    apart = numerators - ratio * denominators
-    error = math.sqrt(groups / (groups - 1.0) * float(apart @ apart)) / total
-    half = float(stdtrit(groups - 1.0, 0.5 + 0.5 * LEVEL)) * error
+    half = float(stdtrit(groups - 1.0, 0.5 + 0.5 * LEVEL)) * ratio_error(numerators, denominators)
     return GroupedRatio(ratio, max(ratio - half, 0.0), ratio + half)
+
+
+def ratio_error(numerators: NDArray[np.float64], denominators: NDArray[np.float64]) -> float:
+    """Return the linearised standard error of a ratio of sums over two groups or more.
+
+    Parameters as of :func:`grouped_ratio`.
+    """
+    groups, total = len(numerators), float(denominators.sum())
+    apart = numerators - float(numerators.sum()) / total * denominators
+    return math.sqrt(groups / (groups - 1.0) * float(apart @ apart)) / total

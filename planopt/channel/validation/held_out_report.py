@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.channel.prediction import Prediction
@@ -24,6 +25,7 @@ from planopt.channel.validation.held_out import (
     learn_path_loss,
     marginal_predictor,
 )
+from planopt.channel.validation.reliability import ReliabilityBin, reliability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
@@ -47,12 +49,16 @@ class HeldOutScore:
     calibration
         Of all powers at once, with the histogram of the PIT; its own intervals take powers for
         independent.
+    reliability
+        Predicted probability of a power of at least the report's threshold, against how often it
+        was. Upper limits at or above the threshold do not tell, and are left out.
     """
 
     rmse_db: GroupedRatio
     of_path_loss: GroupedRatio
     coverage: dict[float, GroupedRatio]
     calibration: Calibration
+    reliability: tuple[ReliabilityBin, ...]
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,8 @@ class HeldOutReport:
         Measurements held out at once, fold by fold.
     measurements, censored
         How many in all, and how many of them are upper limits.
+    threshold_dbm
+        A power of at least this counts as connected.
     scores
         By predictor; :data:`PATH_LOSS` is one of them.
     """
@@ -75,6 +83,7 @@ class HeldOutReport:
     fold_sizes: tuple[int, ...]
     measurements: int
     censored: int
+    threshold_dbm: float
     scores: dict[str, HeldOutScore]
 
     __repr__ = short_repr
@@ -104,6 +113,7 @@ def held_out_report(
     groups: NDArray[np.intp],
     fold_of: NDArray[np.intp],
     learn: Callable[[Measurements], Mapping[str, Predictor]],
+    threshold_dbm: float | None = None,
 ) -> HeldOutReport:
     """Predict every fold from the others, and score it.
 
@@ -117,6 +127,9 @@ def held_out_report(
         ``(n,)`` fold of each, as :func:`planopt.channel.validation.held_out.deal` gives it.
     learn
         What learns, as :func:`predictors_of` makes it; path loss among it.
+    threshold_dbm
+        A power of at least this counts as connected; None for the median power, so that half of
+        them are.
 
     Raises
     ------
@@ -130,13 +143,22 @@ def held_out_report(
     labels, group_of = np.unique(groups, return_inverse=True)
     everyone = [np.flatnonzero(group_of == group) for group in range(len(labels))]
     reference = _squares(predictions[PATH_LOSS], measurements, everyone)
+    if threshold_dbm is None:
+        threshold_dbm = float(np.median(measurements.power_dbm))
     return HeldOutReport(
         len(labels),
         tuple(int((fold_of == fold).sum()) for fold in np.unique(fold_of)),
         len(measurements),
         int(measurements.censored.sum()),
+        threshold_dbm,
         {
-            name: _score(prediction, measurements, everyone, reference)
+            name: _score(
+                prediction,
+                measurements,
+                everyone,
+                reference,
+                _reliability(prediction, measurements, group_of, threshold_dbm),
+            )
             for name, prediction in predictions.items()
         },
     )
@@ -147,6 +169,7 @@ def _score(
     measurements: Measurements,
     everyone: list[NDArray[np.intp]],
     reference: NDArray[np.float64],
+    table: tuple[ReliabilityBin, ...],
 ) -> HeldOutScore:
     """Score one prediction; `reference` are the squared errors of path loss alone by group."""
     sizes = np.array([float(len(rows)) for rows in everyone])
@@ -161,6 +184,21 @@ def _score(
             for index, level in enumerate(LEVELS)
         },
         calibrate(prediction, measurements),
+        table,
+    )
+
+
+def _reliability(
+    prediction: Prediction,
+    measurements: Measurements,
+    group_of: NDArray[np.intp],
+    threshold_dbm: float,
+) -> tuple[ReliabilityBin, ...]:
+    """Predicted against realised power of at least the threshold, where that is known."""
+    known = ~measurements.censored | (measurements.power_dbm < threshold_dbm)
+    predicted = connection_probability(prediction.mean_db, prediction.deviation_db, threshold_dbm)
+    return reliability(
+        predicted[known], measurements.power_dbm[known] >= threshold_dbm, group_of[known]
     )
 
 

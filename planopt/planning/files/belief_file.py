@@ -23,8 +23,8 @@ from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition, extend
-from planopt.files import write_whole
-from planopt.planning.files.npz_arrays import NpzArrays, read_npz
+from planopt.files.whole import write_whole
+from planopt.planning.files.npz_arrays import NpzArrays, saved_arrays
 
 BELIEF_FILE = "belief.npz"
 
@@ -159,7 +159,7 @@ def read_belief(path: Path, stations: int = 1) -> SavedBelief:
         The file is missing, truncated or no ``npz``, or an array is missing, of the wrong shape
         or impossible; with the file and the array's name as the key.
     """
-    arrays = read_npz(path)
+    arrays = saved_arrays(path)
     further: list[SavedBelief] = []
     for station in range(1, stations):
         prefix = station_prefix(station)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from planopt.errors import InputError
+from planopt.files.regular import read_text
 from planopt.planning.files.solution_json import LARGEST, REMEDY
 
 
@@ -21,12 +22,11 @@ def read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[st
     InputError
         The file is missing or not text, has another header, or a row has too few or too many cells.
     """
+    text = read_text(path)
     try:
-        text = path.read_bytes().decode("utf-8")
         rows = list(csv.reader(io.StringIO(text), strict=True))
-    except (OSError, ValueError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"cannot be read: {reason}", file=path, remedy=REMEDY) from None
+    except csv.Error as error:
+        raise InputError(f"cannot be read: {error}", file=path, remedy=REMEDY) from None
     if not rows or rows[0] != list(columns):
         raise InputError(f"the header is not {','.join(columns)}", file=path, row=1, remedy=REMEDY)
     for line, cells in enumerate(rows[1:], start=2):

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.files.npz import read_npz
 from planopt.planning.files.solution_json import LARGEST, REMEDY
 
 
@@ -64,25 +63,12 @@ class NpzArrays:
         return array
 
 
-def read_npz(path: Path) -> NpzArrays:
-    """Read every array of a file, pickles forbidden.
+def saved_arrays(path: Path) -> NpzArrays:
+    """Read every array of a file.
 
     Raises
     ------
     InputError
-        The file is missing, truncated, damaged or no ``npz``.
+        As :func:`planopt.files.npz.read_npz`.
     """
-    try:
-        # Opened here, because NumPy leaves its own handle open on a damaged archive.
-        with path.open("rb") as stream:
-            loaded = np.load(stream, allow_pickle=False)
-            if not isinstance(loaded, np.lib.npyio.NpzFile):
-                raise InputError("is not an npz archive", file=path, remedy=REMEDY)
-            archive = cast("Mapping[str, NDArray[Any]]", loaded)
-            return NpzArrays(path, {name: archive[name] for name in archive})
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror or error}", file=path, remedy=REMEDY
-        ) from None
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, KeyError) as error:
-        raise InputError(f"is damaged: {error}", file=path, remedy=REMEDY) from None
+    return NpzArrays(path, read_npz(path))

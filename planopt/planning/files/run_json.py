@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.channel.validation.reliability import ReliabilityBin
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.solution_json import (
     NotNegative,
@@ -25,6 +26,7 @@ from planopt.planning.files.solution_json import (
     finite_list,
     pivot_json,
 )
+from planopt.planning.loop.metrics import run_reliability
 from planopt.planning.loop.run import Metrics, Outcome, Run
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Plan
@@ -76,7 +78,29 @@ def simulation_json(simulation: Simulation) -> dict[str, Any]:
 
 def run_json(problem: Problem, run: Run) -> dict[str, Any]:
     """As :func:`simulation_json`, of a run and its problem."""
-    return {"problem": problem.name, **run_summary(run), "robots": [robot_json(run)]}
+    return {
+        "problem": problem.name,
+        **run_summary(run),
+        "reliability": reliability_json(run_reliability([run])),
+        "robots": [robot_json(run)],
+    }
+
+
+def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
+    """Predicted against realised connection, a bin each; ends of an interval are null without."""
+    return [
+        {
+            "low": one.low,
+            "high": one.high,
+            "count": one.count,
+            "groups": one.groups,
+            "predicted_connectivity": one.predicted,
+            "connected_share": one.realised,
+            "ci_low": one.interval and one.interval[0],
+            "ci_high": one.interval and one.interval[1],
+        }
+        for one in bins
+    ]
 
 
 def run_summary(run: Run) -> dict[str, Any]:
@@ -114,6 +138,7 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "rungs": {},
         "verified_rate": None,
         "step_s": step_times_json(np.zeros(0)),
+        "reliability": [],
         "robots": [],
     }
 

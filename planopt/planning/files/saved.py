@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.errors import OutputError
-from planopt.files import strict_text, write_text
+from planopt.files.whole import strict_text, write_text
 from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
 from planopt.planning.files.run_json import released_plans_json, simulation_json
 from planopt.planning.files.solution_json import solution_json

@@ -15,10 +15,12 @@ from planopt.planning.files.run_json import (
     PlannedRecord,
     StepTimesRecord,
     released_plan_json,
+    reliability_json,
     robot_json,
     step_times_json,
 )
 from planopt.planning.files.solution_json import Record, RobotRecord, finite
+from planopt.planning.loop.metrics import run_reliability
 from planopt.planning.loop.run import Run
 from planopt.planning.plan import Plan
 from planopt.planning.team.team_run import TeamRun
@@ -61,6 +63,7 @@ def team_record_json(problem: Problem, summary: TeamSummary, runs: Sequence[Run]
     return {
         "problem": problem.name,
         **team_summary_json(summary),
+        "reliability": reliability_json(run_reliability(runs)),
         "robots": [{**robot_json(run), **_own(run)} for run in runs],
     }
 
@@ -104,6 +107,7 @@ def _own(run: Run) -> dict[str, Any]:
         "path_m": finite(metrics.path_m),
         "true_connected_share": finite(metrics.true_connected_share),
         "longest_outage_m": finite(metrics.longest_outage_m),
+        "measured_steps": metrics.measured_steps,
         "rungs": run.rungs,
         "verified_rate": finite(run.verified_rate),
     }

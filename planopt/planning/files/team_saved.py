@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from planopt.files import write_text
+from planopt.files.whole import write_text
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.number_table import table_text
 from planopt.planning.files.saved import (

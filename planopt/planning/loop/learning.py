@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief, update
 from planopt.channel.fields.truth import Truth, measure
+from planopt.objectives.measuring import MeasuringRule
 from planopt.problems.problem import Problem
 
 
@@ -19,17 +20,7 @@ def learn_here(
 
     Every station is measured, unless the power of each has been measured that near.
     """
-    known = [posterior.measurements.positions_m for posterior in belief.posteriors]
-    if is_known(known, position_m, problem.channel.measure_spacing_m):
+    rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
+    if not rule.is_open(position_m[None])[0]:
         return belief
     return update(belief, *(measure(truth, position_m[None]) for truth in truths))
-
-
-def is_known(
-    known_m: Sequence[NDArray[np.float64]], position_m: NDArray[np.float64], spacing_m: float
-) -> bool:
-    """Whether every station was measured within `spacing_m`, at places (n, 2) of its own."""
-    return all(
-        len(places) and np.linalg.norm(places - position_m, axis=1).min() < spacing_m
-        for places in known_m
-    )

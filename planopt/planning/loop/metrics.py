@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.loop.run import Metrics, Outcome, StepLog
+from planopt.channel.validation.reliability import ReliabilityBin, reliability
+from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
 from planopt.planning.plan import Plan
 
 POSSIBLE = {
@@ -20,16 +21,21 @@ POSSIBLE = {
     "final_trace_p": (0.0, np.inf),
     "delivered": (0.0, 1.0),
     "rms_db": (0.0, np.inf),
+    "measured_steps": (0.0, np.inf),
     "stated_times_connected": (0.0, 1.0),
     "least_connected_share": (0.0, 1.0),
     "longest_outage_s": (0.0, np.inf),
     "data_mbit": (0.0, np.inf),
 }
-"""Least and largest value that a metric can have; one that is not here can have any."""
+"""Least and largest value that a metric can have; one that is not here can have `ANY`."""
+
+ANY = (-np.inf, np.inf)
 
 
-def metrics_of(log: StepLog, plans: Sequence[Plan], outcome: Outcome) -> Metrics:
-    """Compute the metrics of a run.
+def metrics_of(
+    log: StepLog, plans: Sequence[Plan], outcome: Outcome, learnt: Sequence[bool]
+) -> Metrics:
+    """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
     Shares are over the steps driven, the start not counted; a run of no step counts as wholly
     connected. The polish gain is the mean over the steps.
@@ -44,7 +50,18 @@ def metrics_of(log: StepLog, plans: Sequence[Plan], outcome: Outcome) -> Metrics
         longest_outage_m=longest_outage_m(lengths, connected),
         predicted_min_connectivity=float(np.min(log.connectivity[1:], initial=1.0)),
         polish_gain=float(np.mean(gains)) if gains else 0.0,
+        measured_steps=sum(learnt),
     )
+
+
+def run_reliability(runs: Sequence[Run]) -> tuple[ReliabilityBin, ...]:
+    """Tabulate predicted against true connection over the steps of all robots of a closed loop.
+
+    Its steps belong together, so that there is no interval.
+    """
+    predicted = np.concatenate([run.log.connectivity[1:] for run in runs])
+    connected = np.concatenate([run.log.connected[1:] for run in runs])
+    return reliability(predicted, connected, np.zeros(len(predicted), dtype=np.intp))
 
 
 def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:

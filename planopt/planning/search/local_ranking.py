@@ -23,11 +23,13 @@ from planopt.objectives.local_channel import (
 from planopt.planning.search.missing_slopes import missing_slope
 from planopt.planning.search.ranked_slopes import SlopedTerm, has_slope, ranked_slope
 from planopt.planning.search.ranked_terms import RankedWays, ranked_value
+from planopt.planning.search.told_batch import ToldBatch
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
 from planopt.planning.worth.region import region_along
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.structure import is_measured
 from planopt.problems.objective import MappingTerm, MotionEnergyTerm
 from planopt.problems.problem import Problem
 
@@ -83,6 +85,7 @@ class LocalRanking:
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
         anchors = _anchors(about_m, ANCHORS)
         self._missing_db_cost: float | None = None
+        self._measures = any(is_measured(term) for term in situation.problem.terms)
         self._stations: list[_Station] = []
         for posterior in situation.stations:
             channel = local_channel(posterior, anchors, count)
@@ -109,36 +112,48 @@ class LocalRanking:
 
         Where connectivity is bounded, ways that miss the bound come after all others.
         """
-        return self._value(self._ways(ways_m))
+        gate = None
+        if self._measures:
+            taken = self._situation.near_measuring.takes(ways_m)
+            gate = None if taken.all() else taken.astype(np.float64)
+        return self._value(self._ways(ways_m, gate, climbed=False))
 
     def slopes(
         self, ways_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The same values, and their derivatives by the places ``(c, N, 2)``."""
-        at, ways = self._situation, self._ways(ways_m, climbed=True)
+        """Values with smooth gates, and their derivatives by the places ``(c, N, 2)``.
+
+        The same values where gates are open or closed, and lower ones between.
+        """
+        at = self._situation
+        gates = at.near_measuring.gates(ways_m) if self._measures else None
+        ways = self._ways(ways_m, None if gates is None else gates.value, climbed=True)
         value = self._value(ways)
         slopes: list[NDArray[np.float64]] = []
-        for batch, station in zip(ways.stations, at.stations, strict=True):
-            pull = Pull()
+        for told, station in zip(ways.told, at.stations, strict=True):
+            batch, pull = told.batch, Pull()
             for term in at.problem.terms:
                 if not isinstance(term, SlopedTerm):
                     raise AssertionError("ways climb only where the slopes of all terms are known")
                 if slopes and not _tells_of_stations(term):
                     continue  # it was counted with the first
-                pull = pull.plus(ranked_slope(term, at, batch, station), term.weight)
+                pull = pull.plus(ranked_slope(term, at, told, station), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
                 # With several, a way climbs as if there were no bound, but takes no step that
                 # misses more.
                 pull = pull.plus(missing_slope(at, batch), -self._missing_db_cost)
-            slopes.append(slopes_of(batch, pull))
+            slopes.append(slopes_of(batch, pull, gates))
         return value, slopes[0] if len(slopes) == 1 else np.sum(slopes, axis=0)
 
-    def _ways(self, ways_m: NDArray[np.float64], *, climbed: bool = False) -> RankedWays:
+    def _ways(
+        self, ways_m: NDArray[np.float64], gate: NDArray[np.float64] | None, *, climbed: bool
+    ) -> RankedWays:
         batches = [
             WayBatch(own.channel, own.precision, ways_m, own.fine if climbed else own.coarse)
             for own in self._stations
         ]
-        return RankedWays(self._situation, ways_m, batches)
+        told = [ToldBatch(batch, gate) for batch in batches]
+        return RankedWays(self._situation, ways_m, batches, told)
 
     def _value(self, ways: RankedWays) -> NDArray[np.float64]:
         at = self._situation

@@ -22,6 +22,7 @@ from planopt.objectives.filter_gain import (
 from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.path_loss_learning import theta_information
 from planopt.objectives.tracking import tracking_reward
+from planopt.planning.search.told_batch import ToldBatch
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.expression_inputs import known_inputs
@@ -51,11 +52,14 @@ class RankedWays:
         ``(c, N, 2)``.
     stations
         Each station's power along all of them.
+    told
+        What measurements of it along them tell.
     """
 
     at: Situation
     ways_m: NDArray[np.float64]
     stations: Sequence[WayBatch]
+    told: Sequence[ToldBatch]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -93,8 +97,8 @@ def ranked_value(term: Term, ways: RankedWays) -> NDArray[np.float64]:
             return _tracking(term, ways)
         case LearningTerm():
             return _added(
-                _learning(term, at, batch, station)
-                for batch, station in zip(ways.stations, at.stations, strict=True)
+                _learning(term, at, told, station)
+                for told, station in zip(ways.told, at.stations, strict=True)
             )
         case MappingTerm():
             return _mapping(term, ways)
@@ -162,11 +166,11 @@ def _expression(term: CasadiTerm, ways: RankedWays) -> NDArray[np.float64]:
 
 
 def _learning(
-    term: LearningTerm, at: Situation, batch: WayBatch, station: ChannelPosterior
+    term: LearningTerm, at: Situation, told: ToldBatch, station: ChannelPosterior
 ) -> NDArray[np.float64]:
     criterion = at.criterion(term, station)
-    whitened = np.linalg.solve(batch.covariance, batch.trend)
-    gained = batch.trend.transpose(0, 2, 1) @ whitened
+    whitened = np.linalg.solve(told.covariance, told.trend)
+    gained = told.trend.transpose(0, 2, 1) @ whitened
     before = None if criterion.kind == "T" else theta_information(station)
     return criterion.value(gained, before) - criterion.value(np.zeros((2, 2)), before)
 
@@ -174,40 +178,38 @@ def _learning(
 def _mapping(term: MappingTerm, ways: RankedWays) -> NDArray[np.float64]:
     at = ways.at
     if term.form != "two_layer":
-        return _added(_mapped(term, at, batch) for batch in ways.stations)
-    if at.steering_m is None:
+        return _added(_mapped(term, at, told) for told in ways.told)
+    if at.steering is None:
         return np.zeros(ways.shape[0])
-    start = float(np.linalg.norm(at.position_m - at.steering_m))
-    return (start - np.linalg.norm(ways.ways_m - at.steering_m, axis=2)).sum(axis=1)
+    return at.steering.gained_m(ways.ways_m)
 
 
-def _mapped(term: MappingTerm, at: Situation, batch: WayBatch) -> NDArray[np.float64]:
+def _mapped(term: MappingTerm, at: Situation, told: ToldBatch) -> NDArray[np.float64]:
     """What the measurements of one station tell."""
     if term.form == "path":
-        _, excess, near = path_form_parts(term, at, batch)
+        excess, near = path_form_parts(term, at, told)
         return (excess * near).sum(axis=1)
     if term.form == "information":
-        diagonal = np.diagonal(batch.factor, axis1=1, axis2=2)
-        return np.log(diagonal / batch.channel.parameters.multipath_std_db).sum(axis=1)
-    return _average(batch)
+        diagonal = np.diagonal(told.factor, axis1=1, axis2=2)
+        return np.log(diagonal / np.sqrt(told.noise_db2)).sum(axis=1)
+    return _average(told)
 
 
 def path_form_parts(
-    term: MappingTerm, at: Situation, batch: WayBatch
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """L_ii^2, what of it is above the threshold, and psi of the way there; each ``(c, N)``."""
+    term: MappingTerm, at: Situation, told: ToldBatch
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What of L_ii^2 is above the threshold, and psi of the way there; each ``(c, N)``."""
     settings = at.uncertainty(term)
-    variance = np.diagonal(batch.factor, axis1=1, axis2=2) ** 2
-    near = np.exp(-settings.decay_per_m * np.cumsum(legs_m(at, batch.ways_m), axis=1))
-    return variance, np.maximum(variance - settings.threshold_db2, 0.0), near
+    length = np.cumsum(legs_m(at, told.batch.ways_m), axis=1)
+    return told.above_db2(settings.threshold_db2), np.exp(-settings.decay_per_m * length)
 
 
-def _average(batch: WayBatch) -> NDArray[np.float64]:
+def _average(told: ToldBatch) -> NDArray[np.float64]:
     """sum_g w_g c(g)' S^-1 c(g), both with what is not known of theta (theory 4.5)."""
-    _, _, across = batch.across
+    across = told.across
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)
-    return np.trace(np.linalg.solve(batch.universal, gathered), axis1=1, axis2=2)
+    return np.trace(np.linalg.solve(told.universal, gathered), axis1=1, axis2=2)
 
 
 def legs_m(at: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -77,16 +77,6 @@ class WayBatch:
         pulled = self.trend @ self.channel.theta_covariance
         return self.covariance + pulled @ self.trend.transpose(0, 2, 1)
 
-    @cached_property
-    def factor(self) -> NDArray[np.float64]:
-        """Cholesky factors of :attr:`universal`."""
-        return np.asarray(np.linalg.cholesky(self.universal), dtype=np.float64)
-
-    @cached_property
-    def inverse(self) -> NDArray[np.float64]:
-        """Inverses of :attr:`universal`."""
-        return np.asarray(np.linalg.inv(self.universal), dtype=np.float64)
-
     @property
     def required_grid(self) -> LocalGrid:
         """Where a map is wanted."""

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.parameters import ChannelParameters
+from planopt.objectives.local_channel import LocalChannel
+from planopt.objectives.measuring import Gates
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING, rounded_log_distance
 from planopt.planning.search.way_batch import WayBatch
 
@@ -36,12 +38,15 @@ class Pull:
         ``(c, N, 2)`` by B.
     by_phi
         ``(c, N, m)`` by the covariances with the measurements, S and B held.
+    by_gate
+        ``(c, N)`` by the gates of the places.
     """
 
     by_place: NDArray[np.float64] | None = None
     by_covariance: NDArray[np.float64] | None = None
     by_trend: NDArray[np.float64] | None = None
     by_phi: NDArray[np.float32] | None = None
+    by_gate: NDArray[np.float64] | None = None
 
     def plus(self, other: Pull, weight: float) -> Pull:
         """`weight` times the other added."""
@@ -50,6 +55,7 @@ class Pull:
             _sum(self.by_covariance, other.by_covariance, weight),
             _sum(self.by_trend, other.by_trend, weight),
             _sum(self.by_phi, other.by_phi, weight),
+            _sum(self.by_gate, other.by_gate, weight),
         )
 
 
@@ -64,11 +70,6 @@ def _sum(a: NDArray[Real] | None, b: NDArray[Real] | None, weight: float) -> NDA
     return found
 
 
-def pull_of_universal(batch: WayBatch, by_universal: NDArray[np.float64]) -> Pull:
-    """By S + B M B' (c, N, N), symmetric."""
-    return Pull(by_covariance=by_universal, by_trend=_by_trend(batch, by_universal))
-
-
 def pull_of_power(
     batch: WayBatch, by_mean: NDArray[np.float64], by_deviation: NDArray[np.float64]
 ) -> Pull:
@@ -79,23 +80,28 @@ def pull_of_power(
     by_variance[:, own, own] = 0.5 * by_deviation / deviation
     return Pull(
         by_covariance=by_variance,
-        by_trend=_by_trend(batch, by_variance) + by_mean[:, :, None] * channel.theta,
+        by_trend=trend_of_universal(batch.trend, channel, by_variance)
+        + by_mean[:, :, None] * channel.theta,
         by_phi=by_mean.astype(np.float32)[:, :, None] * channel.weights.astype(np.float32),
     )
 
 
-def _by_trend(batch: WayBatch, by_universal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By B, through B M B'."""
-    return 2.0 * (by_universal @ (batch.trend @ batch.channel.theta_covariance))
+def trend_of_universal(
+    trend: NDArray[np.float64], channel: LocalChannel, by_universal: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """By B = `trend` (c, N, 2), through B M B', from derivatives by S + B M B' (c, N, N)."""
+    return 2.0 * (by_universal @ (trend @ channel.theta_covariance))
 
 
-def slopes_of(batch: WayBatch, pull: Pull) -> NDArray[np.float64]:
-    """The derivatives by the places, ``(c, N, 2)``."""
+def slopes_of(batch: WayBatch, pull: Pull, gates: Gates | None = None) -> NDArray[np.float64]:
+    """The derivatives by the places, ``(c, N, 2)``; `gates` are what `pull.by_gate` is by."""
     channel = batch.channel
     found = np.zeros((*batch.shape, 2))
     by_phi = np.zeros_like(batch.solved)
     if pull.by_place is not None:
         found += pull.by_place
+    if pull.by_gate is not None and gates is not None:
+        found += gates.pulled(pull.by_gate)
     if pull.by_phi is not None:
         by_phi += pull.by_phi
     if pull.by_covariance is not None:

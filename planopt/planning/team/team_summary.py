@@ -32,6 +32,9 @@ class TeamSummary:
         Share of all released steps whose plan was verified.
     step_s
         ``(steps x robots,)`` wall time that planning one step of one robot took.
+    connectivity, connected
+        ``(steps x robots,)`` predicted probability of connection after each step, and whether
+        there was one.
     cost_to_go
         None: there is no goal.
     """
@@ -45,6 +48,8 @@ class TeamSummary:
     rungs: dict[str, int]
     verified_rate: float
     step_s: NDArray[np.float64]
+    connectivity: NDArray[np.float64]
+    connected: NDArray[np.bool_]
     cost_to_go: None = None
 
 
@@ -74,4 +79,6 @@ def summary_of(
         rungs=dict(rungs),
         verified_rate=float(np.mean([run.verified_rate for run in runs])),
         step_s=np.concatenate([run.log.step_s[1:] for run in runs]),
+        connectivity=np.concatenate([run.log.connectivity[1:] for run in runs]),
+        connected=np.concatenate([run.log.connected[1:] for run in runs]),
     )

@@ -20,6 +20,7 @@ from planopt.objectives.information_derivatives import (
     path_loss_derivatives,
 )
 from planopt.objectives.local_channel import LocalChannel, LocalGrid, local_channel, local_grid
+from planopt.objectives.measuring import Gates
 from planopt.objectives.motion_derivatives import path_length_derivatives
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
 from planopt.objectives.tracking_derivatives import connectivity_derivatives
@@ -42,7 +43,7 @@ from planopt.planning.worth.serving_stages import (
 )
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_terms import stage_term_derivatives
-from planopt.planning.worth.structure import shares_measurements, structure_of
+from planopt.planning.worth.structure import is_measured, shares_measurements, structure_of
 from planopt.problems.objective import (
     CasadiTerm,
     LearningTerm,
@@ -85,6 +86,12 @@ def local_worth(
         else None
     )
     joint = _joint_channels(situation, path_m)
+    rule = None
+    if any(is_measured(term) for term in problem.terms):
+        rule = situation.near_measuring
+    # Each place keeps to the turn that its start sees: places that move little see it too.
+    steering = situation.steering
+    ahead = None if steering is None else steering.turns_m[steering.next_turns(path_m)]
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)
@@ -97,8 +104,12 @@ def local_worth(
             margins = margins_of(*power, rows.threshold_dbm, z)
         if rows.weight is not None and power is not None:
             total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
+        gates = None if rule is None else rule.gates(places_m[None])
         parts = [
-            _weighted(term.weight, _derivatives(term, situation, places_m, power, each, joint))
+            _weighted(
+                term.weight,
+                _derivatives(term, situation, places_m, power, each, joint, gates, ahead),
+            )
             for term in problem.terms
         ]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
@@ -151,6 +162,8 @@ def _derivatives(
     power: StagePower | None,
     each: Sequence[StagePower],
     joint: Sequence[_Joint],
+    gates: Gates | None,
+    ahead_m: NDArray[np.float64] | None,
 ) -> Part:
     match term:
         case TrackingTerm() | TransmissionEnergyTerm() | CasadiTerm():
@@ -158,7 +171,7 @@ def _derivatives(
                 raise AssertionError("the term needs predictions of the stages")
             return stage_term_derivatives(term, at, places_m, power, each)
         case MappingTerm(form="two_layer"):
-            return _steering(at, places_m)
+            return _steering(at, places_m, ahead_m)
         case MotionEnergyTerm():
             return _motion(term, at, places_m)
         case UntilConnectedTerm():
@@ -167,7 +180,7 @@ def _derivatives(
             found = charged_distance_derivatives(channels, places_m, at.search(term), width)
             return PathDerivatives(-found.value, -found.gradient, -found.hessian)
         case LearningTerm() | MappingTerm():
-            first, *others = [_informed(term, at, places_m, station) for station in joint]
+            first, *others = [_informed(term, at, places_m, station, gates) for station in joint]
             for other in others:
                 first = PathDerivatives(
                     first.value + other.value,
@@ -178,30 +191,37 @@ def _derivatives(
 
 
 def _informed(
-    term: LearningTerm | MappingTerm, at: Situation, places_m: NDArray[np.float64], station: _Joint
+    term: LearningTerm | MappingTerm,
+    at: Situation,
+    places_m: NDArray[np.float64],
+    station: _Joint,
+    gates: Gates | None,
 ) -> PathDerivatives:
     """What the path's measurements of one station tell; those of independent ones add up."""
     channel = station.channel
     match term:
         case LearningTerm():
-            return path_loss_derivatives(channel, places_m, at.criterion(term, station.posterior))
+            criterion = at.criterion(term, station.posterior)
+            return path_loss_derivatives(channel, places_m, criterion, gates)
         case MappingTerm(form="path"):
-            return path_uncertainty_derivatives(channel, places_m, at.uncertainty(term))
+            return path_uncertainty_derivatives(channel, places_m, at.uncertainty(term), gates)
         case MappingTerm(form="information"):
-            return path_information_derivatives(channel, places_m)
+            return path_information_derivatives(channel, places_m, gates=gates)
         case MappingTerm():
             if station.grid is None:
                 raise AssertionError("the spatial average needs a grid")
-            return average_reduction_derivatives(channel, station.grid, places_m)
+            return average_reduction_derivatives(channel, station.grid, places_m, gates=gates)
 
 
-def _steering(at: Situation, places_m: NDArray[np.float64]) -> Derivatives:
-    """Minus the distance of every place to where the map is most uncertain."""
-    if at.steering_m is None:
+def _steering(
+    at: Situation, places_m: NDArray[np.float64], ahead_m: NDArray[np.float64] | None
+) -> Derivatives:
+    """Minus the distance of every place to the next turn of its way, `ahead_m` (N, 2)."""
+    if ahead_m is None:
         count = len(places_m)
         return Derivatives(np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
     width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-    distance = rounded_length(places_m - at.steering_m, width)
+    distance = rounded_length(places_m - ahead_m, width)
     return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
 
 

@@ -59,12 +59,17 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
         case TrackingTerm():
             return _tracking(term, at, path_m)
         case LearningTerm():
+            measured = path_m[at.measuring.takes(path_m)]
+            if not len(measured):
+                return 0.0
             return sum(
-                path_loss_gain(station, path_m, at.criterion(term, station))
+                path_loss_gain(station, measured, at.criterion(term, station))
                 for station in at.stations
             )
+        case MappingTerm(form="two_layer"):
+            return 0.0 if at.steering is None else float(at.steering.gained_m(path_m))
         case MappingTerm():
-            return _mapping(term, at, path_m)
+            return _mapping(term, at, path_m, at.measuring.takes(path_m))
         case MotionEnergyTerm():
             return -motion_energy_j(term, at, path_m)
         case UntilConnectedTerm():
@@ -107,38 +112,32 @@ def _expression(term: CasadiTerm, at: Situation, path_m: NDArray[np.float64]) ->
     each = {name: values[None] for name, values in given.items()}
     value = float(expression_values(term.program, term.steps, each)[0])
     if not np.isfinite(value):
+        number = next(n for n, other in enumerate(at.problem.terms) if other is term)
         raise InputError(
-            "an expression has no finite value for a path that may be driven",
-            key="objective.terms",
+            f"is {value:g} for a path that may be driven",
+            file=at.problem.file,
+            key=f"objective.terms[{number}].program",
             remedy="keep logarithms and quotients away from 0, for every path",
         )
     return value
 
 
-def _mapping(term: MappingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
-    match term.form:
-        case "two_layer":
-            return steering_value(at, path_m)
-        case "path":
-            return sum(path_uncertainty(p, path_m, at.uncertainty(term)) for p in at.stations)
-        case "information":
-            return sum(path_information(station, path_m) for station in at.stations)
-        case "average":
-            return sum(
-                average_reduction(station, path_m, at.near_region, known)
-                for station, known in zip(at.stations, at.near_places, strict=True)
-            )
-
-
-def steering_value(at: Situation, path_m: NDArray[np.float64]) -> float:
-    """How much nearer the steps of a path come to where the map is most uncertain, in metres.
-
-    For one step its maximiser is the inner layer of the seed's (3).
-    """
-    if at.steering_m is None:
+def _mapping(
+    term: MappingTerm, at: Situation, path_m: NDArray[np.float64], taken: NDArray[np.bool_]
+) -> float:
+    """What the measurements that are taken along a path tell of the map."""
+    if not taken.any():
         return 0.0
-    start = float(np.linalg.norm(at.position_m - at.steering_m))
-    return float((start - np.linalg.norm(path_m - at.steering_m, axis=1)).sum())
+    if term.form == "path":
+        settings = at.uncertainty(term)
+        return sum(path_uncertainty(p, path_m, settings, taken) for p in at.stations)
+    measured = path_m[taken]
+    if term.form == "information":
+        return sum(path_information(station, measured) for station in at.stations)
+    return sum(
+        average_reduction(station, measured, at.near_region, known)
+        for station, known in zip(at.stations, at.near_places, strict=True)
+    )
 
 
 def motion_energy_j(term: MotionEnergyTerm, at: Situation, path_m: NDArray[np.float64]) -> float:

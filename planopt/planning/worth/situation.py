@@ -15,6 +15,7 @@ from planopt.channel.prediction import Prediction
 from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.energy import Radio
 from planopt.objectives.mapping import Region, Uncertainty
+from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
@@ -23,6 +24,7 @@ from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.serving import Serving
 from planopt.planning.worth.region import region_near
+from planopt.planning.worth.steering_way import SteeringWay
 from planopt.planning.worth.target_model import target_model
 from planopt.problems.objective import (
     LearningTerm,
@@ -51,9 +53,9 @@ class Situation:
         ``(N, 2)`` where the target is expected at the end of each step; None without target.
     region
         Where the map is wanted, for the terms that look at the workspace.
-    steering_m
-        ``(2,)`` the place of the highest J_CH that the two-layer form steers to; None if there is
-        none above the threshold, or nothing steers.
+    steering
+        The way that the two-layer form steers along; None if no place is above the threshold, or
+        nothing steers.
     information
         ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
     circumstances
@@ -65,7 +67,7 @@ class Situation:
     position_m: NDArray[np.float64]
     target_m: NDArray[np.float64] | None
     region: Region
-    steering_m: NDArray[np.float64] | None = None
+    steering: SteeringWay | None = None
     information: NDArray[np.float64] | None = None
     circumstances: Circumstances = NOTHING_ELSE
     _power: dict[bytes, tuple[float, float]] = field(
@@ -121,6 +123,17 @@ class Situation:
         if len(self.stations) == 1:
             return [self.power(places_m)]
         return [search_prediction(station, places_m) for station in self.stations]
+
+    @cached_property
+    def measuring(self) -> MeasuringRule:
+        """Which places bring a measurement."""
+        return MeasuringRule.of(self.stations, self.problem.channel.measure_spacing_m)
+
+    @cached_property
+    def near_measuring(self) -> MeasuringRule:
+        """The same for places that a plan can come to."""
+        reach = self.problem.planner.horizon * self.problem.step_length_m
+        return self.measuring.near(self.position_m[None], reach)
 
     @cached_property
     def near_region(self) -> Region:

@@ -26,11 +26,16 @@ def structure_of(problem: Problem) -> Structure:
     return "chain" if "chain" in found else "stagewise"
 
 
-def shares_measurements(term: Term) -> bool:
-    """Whether what one place tells, or a try at it, lessens what another is worth."""
-    return isinstance(term, LearningTerm | UntilConnectedTerm) or (
+def is_measured(term: Term) -> bool:
+    """Whether a term is worth what measurements along a path tell."""
+    return isinstance(term, LearningTerm) or (
         isinstance(term, MappingTerm) and term.form != "two_layer"
     )
+
+
+def shares_measurements(term: Term) -> bool:
+    """Whether what one place tells, or a try at it, lessens what another is worth."""
+    return isinstance(term, UntilConnectedTerm) or is_measured(term)
 
 
 def _structure(term: Term) -> Structure:

@@ -63,7 +63,7 @@ def test_named_columns_flags_and_floor(tmp_path):
         ("x_m,y_m,power_dbm\n1,2\n", "2 cells where the header has 3", 2, None),
         ("x_m,y_m,power_dbm\n1,2,-70,9\n", "4 cells where the header has 3", 2, None),
         ('x_m,y_m,power_dbm\n1,2,"-70\n', "not a CSV row", 2, None),
-        ("x_m,y_m,power_dbm\n1,2,\0\n", "not a text file", None, None),
+        ("x_m,y_m,power_dbm\n1,2,\0\n", "is not text", None, None),
     ],
 )
 def test_bad_content_is_located(tmp_path, text, words, line, column):
@@ -126,11 +126,11 @@ def test_bad_times_and_receivers(tmp_path, cells, option, words, column):
 
 def test_files_that_are_no_text(tmp_path):
     """A missing file, a folder and bytes that are not UTF-8."""
-    assert "cannot be read" in refused(tmp_path / "absent.csv").message
-    assert "cannot be read" in refused(tmp_path).message
+    assert "no such file" in refused(tmp_path / "absent.csv").message
+    assert "is a folder" in refused(tmp_path).message
     path = tmp_path / "binary.csv"
     path.write_bytes(b"\x89PNG\xff\xfe")
-    assert "not a text file" in refused(path).message
+    assert "is not UTF-8 text" in refused(path).message
 
 
 def test_an_index_becomes_a_line(tmp_path):
@@ -161,3 +161,35 @@ def test_station_option():
     for text in ("", "1", "1,2,3,4", "1,two", "1,nan", "inf,0"):
         with pytest.raises(InputError, match="key station"):
             parse_station(text)
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "words"),
+    [
+        ("3,1e11,-60", "y_m", "1e+11 m is out of range"),
+        ("3e300,1,-60", "x_m", "3e+300 m is out of range"),
+        ("3,1,970", "power_dbm", "970 dBm is out of range"),
+        ("3,1,-999", "power_dbm", "-999 dBm is out of range"),
+    ],
+)
+def test_values_out_of_range(row: str, column: str, words: str, tmp_path) -> None:
+    """File, line and column are named, and the range is."""
+    path = written(tmp_path, f"# c\nx_m,y_m,power_dbm\n1,2,-70\n{row}\n")
+    error = refused(path)
+    assert (error.file, error.row, error.key) == (str(path), 4, column)
+    assert words in error.message and "from " in str(error)
+
+
+def test_a_floor_makes_a_power_of_any_value_censored(tmp_path) -> None:
+    """Receivers write -999 where they heard nothing."""
+    path = written(tmp_path, "x_m,y_m,power_dbm\n1,2,-70\n3,1,-999\n")
+    measurements = read_log(path, LogFormat(floor_dbm=-110.0))
+    assert measurements.power_dbm.tolist() == [-70.0, -110.0]
+    assert measurements.censored.tolist() == [False, True]
+
+
+def test_a_label_that_cannot_be_printed(tmp_path) -> None:
+    """Terminal codes would reach the terminal."""
+    path = written(tmp_path, "x_m,y_m,power_dbm,rx\n1,2,-70,\x1b[2J\n")
+    error = refused(path, receiver_column="rx")
+    assert (error.row, error.key) == (2, "rx") and str(error).isprintable()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planopt import load
-from planopt.files import strict_text
+from planopt.files.whole import strict_text
 from planopt.planning.files.run_json import no_run_json, released_plans_json, simulation_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.simulation import Simulation

@@ -275,5 +275,5 @@ def test_a_run_with_the_belief_of_a_plan_is_an_error(run_folder: Path, plan_fold
 
 def test_a_named_file_that_is_not_there(tmp_path: Path) -> None:
     """The JSON file itself, when it does not exist."""
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="there is no such file"):
         read_saved(tmp_path / "plan.json")

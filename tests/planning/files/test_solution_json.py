@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planopt import load
-from planopt.files import strict_text
+from planopt.files.whole import strict_text
 from planopt.planning.files.solution_json import (
     finite,
     finite_list,

@@ -1,0 +1,1 @@
+"""How many agents respond to an event, and which."""

@@ -1,0 +1,313 @@
+"""Flag propagation: each agent decides by itself whether it is among the P nearest to an event.
+
+The P agents nearest to an event form a connected part of the Voronoi neighbour graph, so that lists
+of the nearest agents, passed on to neighbours, reach all whom they concern. Two forms: every agent
+keeps a list and all send at once, or one token visits the agents in order of distance.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.network import Network
+from planopt.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class FlagLists:
+    """What every agent knows of who is near an event, as a table of entries.
+
+    Attributes
+    ----------
+    holder, member
+        ``(k,)`` the agent that has the entry, and the agent that the entry is about.
+    distance_m
+        ``(k,)`` the member's distance to the event, as it said.
+    age
+        ``(k,)`` over how many links the entry has come.
+    """
+
+    holder: NDArray[np.intp]
+    member: NDArray[np.intp]
+    distance_m: NDArray[np.float64]
+    age: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Flags:
+    """The outcome of flag propagation.
+
+    Attributes
+    ----------
+    flagged
+        ``(n,)`` whether the agent responds to the event.
+    rounds
+        Rounds of the list form until nothing changed, or as many as were asked for; steps of the
+        token form.
+    messages
+        Transmissions over single links.
+    entries
+        Pairs (distance, agent) in them.
+    history
+        ``(rounds + 1, n)`` flags before the first round and after each.
+    """
+
+    flagged: NDArray[np.bool_]
+    rounds: int
+    messages: int
+    entries: int
+    history: NDArray[np.bool_]
+
+
+def start_lists(distances_m: NDArray[np.float64]) -> FlagLists:
+    """Return lists in which every agent knows of itself only.
+
+    Parameters
+    ----------
+    distances_m
+        ``(n,)`` each agent's distance to the event.
+    """
+    agents = np.arange(len(distances_m))
+    return FlagLists(agents, agents, distances_m, np.zeros(len(agents), dtype=np.intp))
+
+
+def flag_round(
+    lists: FlagLists,
+    network: Network,
+    distances_m: NDArray[np.float64],
+    wanted: NDArray[np.intp],
+    *,
+    lifetime: int | None = None,
+    loss: float = 0.0,
+    generator: np.random.Generator | None = None,
+) -> FlagLists:
+    """Let every agent send its list to its neighbours once, and keep the nearest of what it knows.
+
+    Repeating this is self-stabilising: an agent that fails stops renewing its entry, which then
+    dies of age everywhere.
+
+    Parameters
+    ----------
+    lists
+        What agents know before.
+    network
+        Who talks to whom.
+    distances_m
+        ``(n,)`` each agent's distance to the event now; NaN for an agent that has failed.
+    wanted
+        ``(n,)`` how many should respond, as each agent reckons.
+    lifetime
+        Entries that came over more links than this are dropped; None keeps all. At least the
+        network's diameter.
+    loss
+        Probability that the message over a link is lost.
+    generator
+        Draws the losses.
+    """
+    n = network.count
+    sender, receiver = network.directed
+    if loss > 0.0:
+        if generator is None:
+            raise InputError("losses are drawn from a generator", key="generator")
+        heard = generator.random(len(sender)) >= loss
+        sender, receiver = sender[heard], receiver[heard]
+    alive = np.isfinite(distances_m)
+    # Entries by holder, so that a link's message is a slice of them.
+    order = np.argsort(lists.holder, kind="stable")
+    sizes = np.bincount(lists.holder, minlength=n)
+    begin = np.cumsum(sizes) - sizes
+    link = np.repeat(np.arange(len(sender)), sizes[sender])
+    within = np.arange(len(link)) - np.repeat(
+        np.cumsum(sizes[sender]) - sizes[sender], sizes[sender]
+    )
+    sent = order[begin[sender[link]] + within]
+    own = np.arange(n)
+    holder = np.concatenate((own, lists.holder, receiver[link]))
+    member = np.concatenate((own, lists.member, lists.member[sent]))
+    distance = np.concatenate((distances_m, lists.distance_m, lists.distance_m[sent]))
+    # What an agent already has ages while it waits to hear it again.
+    age = np.concatenate((np.zeros(n, dtype=np.intp), lists.age + 1, lists.age[sent] + 1))
+    kept = alive[holder] & ((member != holder) | (age == 0))
+    if lifetime is not None:
+        kept &= age <= lifetime
+    kept &= np.isfinite(distance)
+    holder, member, distance, age = holder[kept], member[kept], distance[kept], age[kept]
+    # The freshest entry about each member, and of those the nearest.
+    order = np.lexsort((age, member, holder))
+    newest = np.ones(len(order), dtype=np.bool_)
+    newest[1:] = (np.diff(holder[order]) != 0) | (np.diff(member[order]) != 0)
+    order = order[newest]
+    order = order[np.lexsort((member[order], distance[order], holder[order]))]
+    sizes = np.bincount(holder[order], minlength=n)
+    place = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    order = order[place < wanted[holder[order]]]
+    return FlagLists(holder[order], member[order], distance[order], age[order])
+
+
+def flags_of(lists: FlagLists, count: int) -> NDArray[np.bool_]:
+    """Return which of `count` agents find themselves in their own list; (n,)."""
+    flagged = np.zeros(count, dtype=np.bool_)
+    flagged[lists.holder[lists.holder == lists.member]] = True
+    return flagged
+
+
+def propagate_flags(
+    network: Network,
+    distances_m: NDArray[np.float64],
+    wanted: int | NDArray[np.intp],
+    *,
+    rounds: int | None = None,
+    loss: float = 0.0,
+    generator: np.random.Generator | None = None,
+) -> Flags:
+    """Find the agents nearest to an event by lists that all agents send at once.
+
+    Without losses an agent sends only when its list has changed, and all lists are right after at
+    most as many rounds as the network's diameter. An agent that is among the nearest is flagged
+    from the start; others may be flagged for some rounds.
+
+    Parameters
+    ----------
+    network
+        Who talks to whom: a graph in which every agent that is not nearest to the event has a
+        neighbour nearer to it, such as that of Voronoi neighbours.
+    distances_m
+        ``(n,)`` each agent's distance to the event as it estimates it. Ties go to the smaller
+        number.
+    wanted
+        How many should respond; ``(n,)`` if agents reckon differently.
+    rounds
+        So many rounds; None until nothing changes any more.
+    loss
+        Probability that the message over a link is lost in a round; needs `rounds`, and every agent
+        sends in each of them.
+    generator
+        Draws the losses.
+
+    Raises
+    ------
+    InputError
+        A number is out of range, or losses are asked for without rounds or generator.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> chain = Network(4, np.array([[0, 1], [1, 2], [2, 3]]))
+    >>> propagate_flags(chain, np.array([3.0, 2.0, 1.0, 4.0]), 2).flagged.tolist()
+    [False, True, True, False]
+    """
+    n = network.count
+    asked = np.broadcast_to(np.asarray(wanted, dtype=np.intp), (n,))
+    if distances_m.shape != (n,) or (asked < 0).any():
+        raise InputError(f"{len(distances_m)} distances for {n} agents", key="distances_m")
+    if not 0.0 <= loss < 1.0 or (loss > 0.0 and rounds is None):
+        raise InputError(
+            f"a loss of {loss!r}", key="loss", remedy="give 0 or more, less than 1, and `rounds`"
+        )
+    lists = start_lists(distances_m)
+    lists = _kept(lists, asked[lists.holder] > 0)
+    sent = np.ones(n, dtype=np.bool_)
+    messages = entries = 0
+    history = [flags_of(lists, n)]
+    while rounds is None or len(history) <= rounds:
+        every = loss > 0.0 or rounds is not None
+        talking = np.ones(n, dtype=np.bool_) if every else sent
+        sizes = np.bincount(lists.holder, minlength=n)
+        messages += int(network.degrees[talking & (sizes > 0)].sum())
+        entries += int((network.degrees * sizes)[talking].sum())
+        after = flag_round(lists, network, distances_m, asked, loss=loss, generator=generator)
+        sent = _changed(lists, after, n)
+        lists = after
+        if rounds is None and not sent.any():
+            break
+        history.append(flags_of(lists, n))
+    return Flags(history[-1], len(history) - 1, messages, entries, np.array(history))
+
+
+def pass_token(network: Network, distances_m: NDArray[np.float64], wanted: int) -> Flags:
+    """Find the agents nearest to an event with one token that flags them in order of distance.
+
+    The agent nearest to the event starts. The token carries the distances of the neighbours of all
+    flagged agents; the nearest of them is next, and the token travels to it over flagged agents.
+
+    Parameters
+    ----------
+    network, distances_m
+        As for :func:`propagate_flags`.
+    wanted
+        How many should respond, from 0 to the number of agents.
+
+    Returns
+    -------
+    Flags
+        A message is one hop of the token, or the answer of one neighbour with its distance.
+
+    Raises
+    ------
+    InputError
+        A number is out of range, or the network does not connect the nearest agents.
+    """
+    n = network.count
+    if distances_m.shape != (n,) or not 0 <= wanted <= n:
+        raise InputError(f"{wanted} of {n} agents", key="wanted")
+    neighbours: list[list[int]] = [[] for _ in range(n)]
+    links: list[tuple[int, int]] = network.links.tolist()
+    for a, b in links:
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    flagged = np.zeros(n, dtype=np.bool_)
+    history = [flagged.copy()]
+    messages = entries = 0
+    nearest = int(np.lexsort((np.arange(n), distances_m))[0])
+    offers = [(float(distances_m[nearest]), nearest)]
+    known = {nearest}
+    holder = nearest
+    while len(history) <= wanted:
+        if not offers:
+            raise InputError("the nearest agents are not connected", key="links")
+        _, agent = heapq.heappop(offers)
+        flagged[agent] = True
+        travelled = _hops_within(neighbours, flagged, holder, agent)
+        messages += travelled
+        entries += travelled * (len(offers) + 1)
+        holder = agent
+        for other in neighbours[agent]:
+            if other not in known:
+                known.add(other)
+                heapq.heappush(offers, (float(distances_m[other]), other))
+                messages += 1
+                entries += 1
+        history.append(flagged.copy())
+    return Flags(flagged, wanted, messages, entries, np.array(history))
+
+
+def _kept(lists: FlagLists, kept: NDArray[np.bool_]) -> FlagLists:
+    """Some of the entries."""
+    return FlagLists(
+        lists.holder[kept], lists.member[kept], lists.distance_m[kept], lists.age[kept]
+    )
+
+
+def _changed(before: FlagLists, after: FlagLists, count: int) -> NDArray[np.bool_]:
+    """Which agents' lists name other members than before; (n,)."""
+    old = before.holder * count + before.member
+    new = after.holder * count + after.member
+    changed = np.zeros(count, dtype=np.bool_)
+    changed[np.setxor1d(old, new) // count] = True
+    return changed
+
+
+def _hops_within(
+    neighbours: list[list[int]], allowed: NDArray[np.bool_], start: int, end: int
+) -> int:
+    """Least number of links from one agent to another over allowed agents."""
+    reached, edge, steps = {start}, [start], 0
+    while end not in reached:
+        edge = [b for a in edge for b in neighbours[a] if allowed[b] and b not in reached]
+        reached.update(edge)
+        steps += 1
+    return steps

@@ -1,0 +1,121 @@
+"""When an assignment is made anew, and how little of it is then changed.
+
+An assignment that follows every step of the agents may flip: a coverage agent on its way to its
+centroid overtakes a slow sensing agent. So it is latched. It is made again when the number of
+agents, the events or their estimated places have changed, and then agents are exchanged only if
+that brings one nearer by more than a hysteresis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.region import positive
+from planopt.errors import InputError
+
+
+@dataclass(frozen=True)
+class Circumstance:
+    """What an assignment was made for.
+
+    Attributes
+    ----------
+    agents
+        Names of the agents that take part.
+    events
+        Estimated place ``(x, y)`` in metres of each event, by its name.
+    """
+
+    agents: frozenset[int]
+    events: dict[str, tuple[float, float]]
+
+
+def is_due(last: Circumstance | None, now: Circumstance, moved_m: float) -> bool:
+    """Return whether an assignment has to be made again.
+
+    Parameters
+    ----------
+    last
+        What the present assignment was made for; None if there is none.
+    now
+        What is known now.
+    moved_m
+        An event whose estimate has moved by more than this counts as another.
+
+    Raises
+    ------
+    InputError
+        The threshold is negative or not finite.
+    """
+    positive(moved_m, "moved_m", zero=True)
+    if last is None or last.agents != now.agents or last.events.keys() != now.events.keys():
+        return True
+    return any(
+        np.hypot(x - last.events[name][0], y - last.events[name][1]) > moved_m
+        for name, (x, y) in now.events.items()
+    )
+
+
+def relatch(
+    held: NDArray[np.bool_], distances_m: NDArray[np.float64], wanted: int, hysteresis_m: float
+) -> NDArray[np.bool_]:
+    """Change an assignment of agents to one event as little as the hysteresis allows.
+
+    Missing agents are added and surplus ones released in order of distance. Then the farthest of
+    those who respond and the nearest of those who do not are exchanged, as long as the second is
+    nearer by more than the hysteresis.
+
+    Parameters
+    ----------
+    held
+        ``(n,)`` who responds so far.
+    distances_m
+        ``(n,)`` distances to the event; ties go to the smaller number.
+    wanted
+        How many should respond.
+    hysteresis_m
+        Gain in distance that an exchange needs; 0 gives the nearest agents.
+
+    Returns
+    -------
+    (n,) array
+        Who responds from now on: as many as wanted, none of them more than the hysteresis farther
+        away than an agent that does not.
+
+    Raises
+    ------
+    InputError
+        More agents are wanted than there are, or the hysteresis is negative.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> held, distances = np.array([True, False, False]), np.array([5.0, 4.0, 1.0])
+    >>> relatch(held, distances, 1, 2.0).tolist(), relatch(held, distances, 1, 9.0).tolist()
+    ([False, False, True], [True, False, False])
+    """
+    n = len(distances_m)
+    positive(hysteresis_m, "hysteresis_m", zero=True)
+    if not 0 <= wanted <= n:
+        raise InputError(f"{wanted} of {n} agents", key="wanted")
+    order = np.lexsort((np.arange(n), distances_m))
+    inside = order[held[order]].tolist()
+    outside = order[~held[order]].tolist()
+    if len(inside) > wanted:
+        outside = sorted(outside + inside[wanted:], key=order.tolist().index)
+        inside = inside[:wanted]
+    missing = wanted - len(inside)
+    inside = sorted(inside + outside[:missing], key=order.tolist().index)
+    outside = outside[missing:]
+    exchanged = 0
+    for farthest, nearest in zip(reversed(inside), outside, strict=False):
+        if not distances_m[farthest] > distances_m[nearest] + hysteresis_m:
+            break
+        exchanged += 1
+    kept = inside[: len(inside) - exchanged] + outside[:exchanged]
+    flags = np.zeros(n, dtype=np.bool_)
+    flags[kept] = True
+    return flags

@@ -1,0 +1,259 @@
+"""Voronoi cells of agents in a convex region, for thousands of agents at once.
+
+GEOS finds the diagram with exact predicates. Four places far outside are added so that every cell
+is bounded; they are too far away to cut anything inside the region. All cells are kept in flat
+arrays and clipped together.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import (
+    connected_components,  # pyright: ignore[reportUnknownVariableType]
+)
+from scipy.spatial import KDTree
+
+from planopt.coverage.region import ConvexRegion, checked_places
+
+COINCIDENT = 1e-12
+"""Agents nearer to each other than this share of the region's radius share one cell."""
+
+FAR = 4.0
+"""Distance of the four added places in radii of the region; their bisectors stay outside from 3."""
+
+
+@dataclass(frozen=True, eq=False)
+class Polygons:
+    """Convex polygons in flat arrays.
+
+    Attributes
+    ----------
+    corners_m
+        ``(v, 2)`` corners of all polygons, one polygon after the other, each counter-clockwise.
+    first
+        ``(g + 1,)``: polygon ``i`` has the corners ``first[i]`` to ``first[i + 1] - 1``.
+    """
+
+    corners_m: NDArray[np.float64]
+    first: NDArray[np.intp]
+
+    @property
+    def polygon_of(self) -> NDArray[np.intp]:
+        """Number of the polygon of each corner; (v,)."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+
+    @property
+    def following(self) -> NDArray[np.intp]:
+        """Number of the corner after each corner, round its polygon; (v,)."""
+        after = np.arange(1, len(self.corners_m) + 1)
+        begun = np.diff(self.first) > 0
+        after[self.first[1:][begun] - 1] = self.first[:-1][begun]
+        return after
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The Voronoi partition of a region.
+
+    Agents at the same place share one cell. Cells are counted by ``g``, agents by ``n``.
+
+    Attributes
+    ----------
+    region
+        What is partitioned.
+    generators_m
+        ``(g, 2)`` distinct places of agents.
+    cell_of
+        ``(n,)`` number of each agent's cell.
+    multiplicity
+        ``(g,)`` how many agents share the cell.
+    inside
+        The cells within the region.
+    unclipped
+        The cells as they are beyond the region's border as well, in the region's own units: the
+        centre is the origin, the radius is 1.
+    """
+
+    region: ConvexRegion
+    generators_m: NDArray[np.float64]
+    cell_of: NDArray[np.intp]
+    multiplicity: NDArray[np.intp]
+    inside: Polygons
+    unclipped: Polygons
+
+    def corners_of(self, agent: int) -> NDArray[np.float64]:
+        """Return the corners ``(k, 2)`` of one agent's cell, counter-clockwise."""
+        cell = self.cell_of[agent]
+        return self.inside.corners_m[self.inside.first[cell] : self.inside.first[cell + 1]]
+
+
+def voronoi_cells(region: ConvexRegion, agents_m: NDArray[np.float64]) -> Cells:
+    """Partition a region among agents: each cell is what is nearest to its generator.
+
+    The cost grows as n log n.
+
+    Parameters
+    ----------
+    region
+        What is partitioned.
+    agents_m
+        ``(n, 2)`` places of the agents, on the border allowed, coincident ones too.
+
+    Raises
+    ------
+    InputError
+        There is no agent, or one is not finite or outside the region.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from planopt.coverage.region import convex_region
+    >>> square = convex_region(np.array([[0, 0], [2, 0], [2, 2], [0, 2]]))
+    >>> cells = voronoi_cells(square, np.array([[0.5, 1.0], [1.5, 1.0]]))
+    >>> sorted(cells.corners_of(0).tolist())
+    [[0.0, 0.0], [0.0, 2.0], [1.0, 0.0], [1.0, 2.0]]
+    """
+    places = checked_places(region, agents_m, "agents")
+    generators, cell_of = merge_coincident(places, COINCIDENT * region.radius_m)
+    # Around the centre and scaled, so that large coordinates cost no precision.
+    unclipped = _diagram((generators - region.centre_m) / region.radius_m)
+    clipped = _clipped(unclipped, *_scaled_sides(region))
+    return Cells(
+        region,
+        generators,
+        cell_of,
+        np.bincount(cell_of, minlength=len(generators)),
+        Polygons(region.centre_m + region.radius_m * clipped.corners_m, clipped.first),
+        unclipped,
+    )
+
+
+def adjacent_cells(cells: Cells) -> NDArray[np.intp]:
+    """Return the pairs ``(e, 2)`` of cells with a common edge inside, the smaller number first."""
+    diagram = cells.unclipped
+    start, stop = diagram.corners_m, diagram.corners_m[diagram.following]
+    # Both cells of an edge have the same two corners, so that its middle is the same to the bit.
+    middle = start + stop
+    order = np.lexsort((middle[:, 1], middle[:, 0]))
+    same = (middle[order[1:]] == middle[order[:-1]]).all(axis=1)
+    one, other = order[:-1][same], order[1:][same]
+    owner = diagram.polygon_of
+    pair = np.sort(np.stack((owner[one], owner[other]), axis=1), axis=1)
+    ends = np.stack((start[one], stop[one]), axis=1)
+    return pair[_crosses(ends, *_scaled_sides(cells.region))]
+
+
+def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
+    """Return the pairs of agents ``(e, 2)`` that are Voronoi neighbours, the smaller number first.
+
+    Agents at one place are neighbours of each other and of all neighbours of the place.
+    """
+    adjacent = adjacent_cells(cells)
+    count = len(cells.generators_m)
+    if count == len(cells.cell_of):
+        # One agent a cell.
+        agent = np.argsort(cells.cell_of)
+        return np.sort(agent[adjacent], axis=1)
+    order = np.argsort(cells.cell_of, kind="stable")
+    begin = np.concatenate(([0], np.cumsum(cells.multiplicity)))
+    members: list[list[int]] = [order[begin[i] : begin[i + 1]].tolist() for i in range(count)]
+    touching: list[tuple[int, int]] = adjacent.tolist()
+    linked = [(a, b) for i, j in touching for a in members[i] for b in members[j]]
+    linked += [pair for group in members for pair in itertools.combinations(group, 2)]
+    return np.sort(np.array(linked, dtype=np.intp).reshape(-1, 2), axis=1)
+
+
+def merge_coincident(
+    places_m: NDArray[np.float64], within_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Group places that are at most a distance apart, directly or over others.
+
+    Parameters
+    ----------
+    places_m
+        ``(n, d)``.
+    within_m
+        The distance.
+
+    Returns
+    -------
+    generators_m, group
+        ``(g, d)`` the first place of each group, and ``(n,)`` each place's group. Without
+        coincident places both are as given and ``0 .. n - 1``.
+    """
+    tree = KDTree(places_m)
+    found = tree.query_pairs(within_m, output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+    pairs, count = cast("NDArray[np.intp]", found), len(places_m)
+    if not len(pairs):
+        return places_m, np.arange(count)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    label = cast("NDArray[np.int32]", connected_components(graph, directed=False)[1])
+    _, first, group = np.unique(label, return_index=True, return_inverse=True)
+    return places_m[first], group
+
+
+def _diagram(places: NDArray[np.float64]) -> Polygons:
+    """Cells of places (g, 2) near the origin, clipped to nothing inside the unit disc."""
+    count = len(places)
+    far = FAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    sites = shapely.multipoints(np.concatenate((places, far)))
+    cells = shapely.get_parts(shapely.voronoi_polygons(sites, ordered=True))[:count]
+    # GEOS writes rings clockwise and repeats the first corner at the end.
+    closed, cell = shapely.get_coordinates(cells[::-1], return_index=True)
+    kept = np.append(cell[1:] == cell[:-1], False)
+    sizes = np.bincount(cell[kept], minlength=count)[::-1]
+    return Polygons(closed[kept][::-1], np.concatenate(([0], np.cumsum(sizes))))
+
+
+def _scaled_sides(region: ConvexRegion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Normals and offsets of the region's sides in its own units."""
+    offsets = region.offsets_m - region.normals @ region.centre_m
+    return region.normals, offsets / region.radius_m
+
+
+def _clipped(
+    polygons: Polygons, normals: NDArray[np.float64], offsets: NDArray[np.float64]
+) -> Polygons:
+    """Clip polygons at half-planes ``normals @ q <= offsets``, one after the other, all at once.
+
+    Every polygon keeps its number, also if nothing is left of it.
+    """
+    for normal, offset in zip(normals, offsets, strict=True):
+        corners = polygons.corners_m
+        beyond = corners @ normal - offset
+        out = beyond > 0.0
+        if not out.any():
+            continue
+        after = polygons.following
+        crossing = out != out[after]
+        share = beyond[crossing] / (beyond[crossing] - beyond[after[crossing]])
+        cut = corners[crossing] + share[:, None] * (corners[after[crossing]] - corners[crossing])
+        # A corner inside stays; an edge that crosses the side adds a corner after it.
+        ends = np.cumsum(np.where(out, 0, 1) + crossing)
+        clipped = np.empty((ends[-1], 2))
+        clipped[ends[crossing] - 1] = cut
+        clipped[(ends - crossing)[~out] - 1] = corners[~out]
+        polygons = Polygons(clipped, np.concatenate(([0], ends))[polygons.first])
+    return polygons
+
+
+def _crosses(
+    ends: NDArray[np.float64], normals: NDArray[np.float64], offsets: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether segments (e, 2, 2) meet the region of all ``normals @ q <= offsets``; (e,)."""
+    beyond = ends @ normals.T - offsets
+    start, stop = beyond[:, 0], beyond[:, 1]
+    # Shares of the segment at which it enters and leaves each half-plane.
+    change = stop - start
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = -start / change
+    enters = np.where(change < 0.0, at, np.where((change == 0.0) & (start > 0.0), np.inf, 0.0))
+    leaves = np.where(change > 0.0, at, 1.0)
+    return np.maximum(enters.max(axis=1), 0.0) <= np.minimum(leaves.min(axis=1), 1.0)

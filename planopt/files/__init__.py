@@ -1,0 +1,1 @@
+"""Files as such: bounded reading of input files, whole writing of results."""

@@ -1,0 +1,292 @@
+"""Which places of a path bring a measurement: one rule for the loop, objectives, searches, solvers.
+
+A robot measures at the end of a step, but not nearer than the spacing to an earlier measurement:
+there multipath is known already, and another reading of it would tell nothing. The same holds
+between the steps of one plan. :meth:`MeasuringRule.takes` is that rule. Solvers cannot climb it;
+they climb :meth:`MeasuringRule.gates` instead, a smooth amplitude for every place: zero wherever
+the rule takes nothing, one from a little beyond the spacing on. So a solver never counts more than
+what the loop will collect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.nearest.place_tree import PlaceTree
+from planopt.channel.posterior import ChannelPosterior
+
+SAME_PLACE_M = 1e-6
+"""Places nearer than this are one place, whatever the spacing."""
+
+OPEN_SPACINGS = 1.25
+"""The smooth gate is fully open from so many spacings on."""
+
+MOST_BESIDE = 8
+"""So many earlier measurements are looked at near one place, the nearest. Where more are so near
+these close it."""
+
+FEW_KNOWN = 64
+"""Up to so many measurements are not looked through for those nearby."""
+
+FEW_PAIRS = 20_000
+"""Up to so many pairs of places and measurements are compared one by one; beyond, in a tree."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuringRule:
+    """Where measurements are taken, given those there are.
+
+    Attributes
+    ----------
+    spacing_m
+        A place nearer than this to an earlier measurement brings none.
+    known_m
+        ``(n, 2)`` places measured before, of each station. A place counts as measured once all
+        stations were measured near it.
+    """
+
+    spacing_m: float
+    known_m: tuple[NDArray[np.float64], ...]
+
+    @staticmethod
+    def of(posteriors: Sequence[ChannelPosterior], spacing_m: float) -> MeasuringRule:
+        """The rule for what is known of each station."""
+        known: list[NDArray[np.float64]] = []
+        for posterior in posteriors:
+            places = posterior.measurements.positions_m
+            if not any(np.array_equal(places, other) for other in known):
+                known.append(places)
+        return MeasuringRule(max(spacing_m, SAME_PLACE_M), tuple(known))
+
+    @property
+    def open_m(self) -> float:
+        """From this distance on gates are fully open."""
+        return OPEN_SPACINGS * self.spacing_m
+
+    def near(self, ways_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
+        """The same rule for places no farther than `beyond_m` from some of `ways_m` (..., 2)."""
+        places = ways_m.reshape(-1, 2)
+        if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
+            return self
+        room = beyond_m + self.open_m
+        low, high = places.min(axis=0) - room, places.max(axis=0) + room
+        return MeasuringRule(
+            self.spacing_m,
+            tuple(known[((known >= low) & (known <= high)).all(axis=1)] for known in self.known_m),
+        )
+
+    def is_open(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether each place, by itself, brings a measurement; ``(n, 2)`` to ``(n,)``."""
+        found = np.zeros(len(places_m), dtype=np.bool_)
+        for known in self.near(places_m).known_m:
+            distance, _ = _nearest(places_m, known, 1, self.spacing_m)
+            # All of them close it: the rule asks for a distance of at least the spacing.
+            found |= ~(distance[:, 0] < self.spacing_m)
+        return found
+
+    def takes(self, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which places bring a measurement when they are visited in turn.
+
+        Parameters
+        ----------
+        ways_m
+            ``(N, 2)``, or ``(c, N, 2)`` for several ways, each by itself.
+
+        Returns
+        -------
+        numpy.ndarray
+            ``(N,)`` or ``(c, N)``.
+        """
+        ways = ways_m.reshape(-1, *ways_m.shape[-2:])
+        taken = self.is_open(ways.reshape(-1, 2)).reshape(ways.shape[:2])
+        close = _squared_between_m2(ways) < self.spacing_m**2
+        if close.any():
+            for k in range(1, ways.shape[1]):
+                taken[:, k] &= ~(close[:, k, :k] & taken[:, :k]).any(axis=1)
+        return taken.reshape(ways_m.shape[:-1])
+
+    def gates(self, ways_m: NDArray[np.float64]) -> Gates | None:
+        """Smooth amplitudes of ways (c, N, 2); None where all are one and stay so nearby."""
+        count, steps = ways_m.shape[:2]
+        places = ways_m.reshape(-1, 2)
+        distance, offset = self._beside(places)
+        squared = _squared_between_m2(ways_m)
+        beside = distance < self.open_m
+        if not beside.any() and not (squared < self.open_m**2).any():
+            return None
+        taken = self.takes(ways_m)
+        # Earlier places of the way that were measured count like earlier measurements.
+        squared = np.where(taken[:, None], squared, np.inf)
+        known_log = _log_gate((distance * distance).reshape(count, steps, -1), self)
+        own_log = _log_gate(squared, self)
+        value = np.exp(known_log[0].sum(axis=2) + own_log[0].sum(axis=2))
+        return Gates(
+            value,
+            ways_m,
+            offset.reshape(count, steps, -1, 2),
+            known_log,
+            own_log,
+        )
+
+    def _beside(
+        self, places_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Distances and offsets from the measurements that may close each place, (n, m), (n, m, 2).
+
+        Of several stations that were measured elsewhere, those of the one measured farthest away.
+        """
+        found: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        for known in self.near(places_m).known_m:
+            distance, index = _nearest(places_m, known, MOST_BESIDE, self.open_m)
+            offset = places_m[:, None] - known[index] if len(known) else _no_offsets(distance)
+            offset[np.isinf(distance)] = 0.0
+            if found is None:
+                found = distance, offset
+                continue
+            farther = distance[:, 0] > found[0][:, 0]
+            found = (
+                np.where(farther[:, None], distance, found[0]),
+                np.where(farther[:, None, None], offset, found[1]),
+            )
+        if found is None:
+            raise AssertionError("there is at least one station")
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Gates:
+    """Smooth gates of ways, and how they change with the places.
+
+    Where the rule takes a measurement does not change while places move a little, but where two
+    places at once are about to be closed; between such changes gates are twice differentiable.
+
+    Attributes
+    ----------
+    value
+        ``(c, N)`` amplitudes in [0, 1]: a measurement counts as one of so much of the channel.
+    """
+
+    value: NDArray[np.float64]
+    _ways_m: NDArray[np.float64]
+    _offset_m: NDArray[np.float64]
+    _known: NDArray[np.float64]
+    _own: NDArray[np.float64]
+
+    def take(self, rows: NDArray[np.intp] | slice) -> Gates:
+        """Those of some of the ways."""
+        return Gates(
+            self.value[rows],
+            self._ways_m[rows],
+            self._offset_m[rows],
+            self._known[:, rows],
+            self._own[:, rows],
+        )
+
+    def pulled(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
+        """From derivatives by the gates (c, N) to those by the places (c, N, 2)."""
+        by_log = by_gate * self.value
+        found = 2.0 * by_log[:, :, None] * (self._known[1, ..., None] * self._offset_m).sum(axis=2)
+        slope = 2.0 * by_log[:, :, None] * self._own[1]
+        between = self._ways_m[:, :, None] - self._ways_m[:, None]
+        crossed = slope[..., None] * between
+        return found + crossed.sum(axis=2) - crossed.sum(axis=1)
+
+    def jacobian(self) -> NDArray[np.float64]:
+        """Of a single way, each gate by all coordinates x_1, y_1, x_2, ...; ``(N, 2 N)``."""
+        return self.value[0][:, None] * self._log_slopes()
+
+    def curvature(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of a single way, ``sum_i by_gate_i d^2 gate_i`` for `by_gate` (N,); ``(2 N, 2 N)``."""
+        steps = len(by_gate)
+        by_log = by_gate * self.value[0]
+        slopes = self._log_slopes()
+        found = slopes.T @ (by_log[:, None] * slopes)
+        blocks = found.reshape(steps, 2, steps, 2)
+        every, unit = np.arange(steps), np.eye(2)
+        # Second derivatives of log s(|o|^2) by the offset o: 2 L' I + 4 L'' o o'.
+        offset = self._offset_m[0]
+        known = 4.0 * np.einsum("im,ima,imb->iab", self._known[2, 0], offset, offset)
+        known += 2.0 * self._known[1, 0].sum(axis=1)[:, None, None] * unit
+        blocks[every, :, every] += by_log[:, None, None] * known
+        between = self._ways_m[0][:, None] - self._ways_m[0]
+        own = 4.0 * self._own[2, 0, ..., None, None] * between[..., None] * between[..., None, :]
+        own += 2.0 * self._own[1, 0, ..., None, None] * unit
+        own *= by_log[:, None, None, None]
+        blocks[every, :, every] += own.sum(axis=1) + own.sum(axis=0)
+        blocks -= (own + own.transpose(1, 0, 2, 3)).transpose(0, 2, 1, 3)
+        return found
+
+    def _log_slopes(self) -> NDArray[np.float64]:
+        """Derivatives of log gates of a single way by all its coordinates; ``(N, 2 N)``."""
+        steps = int(self.value.shape[1])
+        found = np.zeros((steps, steps, 2))
+        every = np.arange(steps)
+        between = self._ways_m[0][:, None] - self._ways_m[0]
+        crossed = 2.0 * self._own[1, 0, ..., None] * between
+        found -= crossed
+        found[every, every] += crossed.sum(axis=1)
+        found[every, every] += 2.0 * (self._known[1, 0, ..., None] * self._offset_m[0]).sum(axis=1)
+        return found.reshape(steps, 2 * steps)
+
+
+def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
+    """Return log s with first and second derivative by the squared distance; ``(3, ...)``.
+
+    s = u^3 (10 - 15 u + 6 u^2) rises from 0 at the spacing to 1 where gates are fully open, with
+    two continuous derivatives. Where s is 0 its logarithm is minus infinity and derivatives are 0:
+    the gate's own are.
+    """
+    low, high = rule.spacing_m**2, rule.open_m**2
+    found = np.zeros((3, *squared_m2.shape))
+    closed = squared_m2 <= low
+    found[0][closed] = -np.inf
+    ramp = ~closed & (squared_m2 < high)
+    u = (squared_m2[ramp] - low) / (high - low)
+    s = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+    slope = 30.0 * (u * (1.0 - u)) ** 2 / s
+    bend = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / s
+    found[0][ramp] = np.log(s)
+    found[1][ramp] = slope / (high - low)
+    found[2][ramp] = (bend - slope * slope) / (high - low) ** 2
+    return found
+
+
+def _squared_between_m2(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared distances of places from the earlier ones of their way, else inf; (c, N, N)."""
+    steps = ways_m.shape[1]
+    x, y = ways_m[..., 0], ways_m[..., 1]
+    found = (x[:, :, None] - x[:, None]) ** 2
+    found += (y[:, :, None] - y[:, None]) ** 2
+    found[:, np.triu(np.ones((steps, steps), dtype=np.bool_))] = np.inf
+    return found
+
+
+def _nearest(
+    places_m: NDArray[np.float64], known_m: NDArray[np.float64], count: int, within_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Distances of up to `count` nearest of `known_m`, ascending, inf beyond; their indices."""
+    nothing = np.full((len(places_m), 1), np.inf)
+    nowhere = nothing, np.zeros(nothing.shape, dtype=np.intp)
+    there = min(count, len(known_m))
+    if not there:
+        return nowhere
+    if len(places_m) * len(known_m) > FEW_PAIRS:
+        index, distance = PlaceTree(known_m).nearest(places_m, there, within_m)
+        return distance, np.minimum(index, len(known_m) - 1)
+    squared = (places_m[:, :1] - known_m[:, 0]) ** 2
+    squared += (places_m[:, 1:] - known_m[:, 1]) ** 2
+    beside = np.flatnonzero((squared < within_m**2).any(axis=0))
+    if not len(beside):
+        return nowhere
+    squared = squared[:, beside]
+    index = np.argsort(squared, axis=1, kind="stable")[:, :there]
+    distance = np.sqrt(np.take_along_axis(squared, index, axis=1))
+    return np.where(distance < within_m, distance, np.inf), beside[index]
+
+
+def _no_offsets(distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.zeros((*distance_m.shape, 2))

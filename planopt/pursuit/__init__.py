@@ -1,0 +1,1 @@
+"""Pursuit over distance-sensitive snapshots: the service, its guarantees, its design, the chase."""

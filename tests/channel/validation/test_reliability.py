@@ -1,0 +1,95 @@
+"""Reliability tables: known cases, and how often their intervals hold."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from planopt.channel.validation.reliability import EDGES, FEWEST_GROUPS, reliability, share_interval
+from planopt.errors import InputError
+
+
+def test_bins_partition_the_predictions():
+    """Every prediction is in one bin, on an edge in the upper one, NaN in none."""
+    generator = np.random.default_rng(0)
+    predicted = np.concatenate([generator.uniform(size=500), EDGES, [np.nan]])
+    realised = generator.uniform(size=len(predicted)) < 0.5
+    groups = np.arange(len(predicted)) % 7
+    bins = reliability(predicted, realised, groups)
+    assert [(one.low, one.high) for one in bins] == list(pairwise(EDGES))
+    assert sum(one.count for one in bins) == 500 + len(EDGES)
+    for one in bins:
+        inside = (predicted >= one.low) & (predicted < one.high)
+        if one.high == 1.0:
+            inside |= predicted == 1.0
+        assert one.count == inside.sum()
+        assert one.groups == len(set(groups[inside]))
+        assert one.predicted == pytest.approx(predicted[inside].mean())
+        assert one.realised == pytest.approx(realised[inside].mean())
+
+
+def test_empty_bins_are_left_out():
+    """Nothing predicted, no bin; nothing near one half, no bin there."""
+    nothing = np.zeros(0)
+    assert reliability(nothing, nothing.astype(bool), nothing.astype(int)) == ()
+    [low, high] = reliability(np.array([0.1, 0.9]), np.array([True, True]), np.array([0, 1]))
+    assert (low.high, high.low) == (0.15, 0.85)
+
+
+def test_no_interval_from_few_groups():
+    """Four runs give none, five do, however many steps each has."""
+    for groups in (FEWEST_GROUPS - 1, FEWEST_GROUPS):
+        count = 20 * groups
+        [one] = reliability(np.full(count, 0.9), np.arange(count) % 10 != 0, np.arange(count) // 20)
+        assert (one.interval is None) == (groups < FEWEST_GROUPS)
+        assert (one.agrees is None) == (one.interval is None)
+
+
+def test_independent_outcomes_are_the_exact_binomial_interval():
+    """One outcome a group: a design effect of g / (g - 1), and Clopper and Pearson's interval."""
+    groups, hits = 40, 31
+    low, high = share_interval(np.arange(groups) < hits, np.ones(groups))
+    exact = stats.binomtest(hits, groups).proportion_ci(0.95, method="exact")
+    fewer = stats.beta.ppf(
+        [0.025, 0.975],
+        [hits * 39 / 40, hits * 39 / 40 + 1],
+        [9 * 39 / 40 + 1, 9 * 39 / 40],
+    )
+    assert (low, high) == pytest.approx(tuple(fewer))
+    assert low < exact.low and high > exact.high
+
+
+def test_one_outcome_only_is_worth_the_groups():
+    """Twenty runs that were connected throughout: the interval of 20 trials, t's correction off."""
+    low, high = share_interval(np.full(20, 50.0), np.full(20, 50.0))
+    assert high == 1.0
+    worth = 20 * (stats.t.ppf(0.975, 999) / stats.t.ppf(0.975, 19)) ** 2
+    assert low == pytest.approx(0.025 ** (1.0 / worth))
+    assert share_interval(np.zeros(20), np.full(20, 50.0)) == pytest.approx((0.0, 1.0 - low))
+
+
+@pytest.mark.parametrize("share", [0.7, 0.95, 0.995])
+@pytest.mark.parametrize("together", [0.0, 0.3])
+def test_interval_holds_where_steps_belong_together(share, together):
+    """Runs that share their luck (Gaussian copula): 95 % of intervals hold the truth, or more."""
+    generator = np.random.default_rng(int(1e4 * share + 10 * together))
+    held = ordinary = 0
+    for _ in range(400):
+        sizes = 1.0 + generator.poisson(15, 20)
+        luck = generator.standard_normal(20) * np.sqrt(together)
+        chance = stats.norm.cdf((stats.norm.ppf(share) - luck) / np.sqrt(1.0 - together))
+        connected = generator.binomial(sizes.astype(int), chance).astype(float)
+        low, high = share_interval(connected, sizes)
+        held += low <= share <= high
+        counted = stats.binomtest(int(connected.sum()), int(sizes.sum())).proportion_ci(0.95)
+        ordinary += counted.low <= share <= counted.high
+    assert held >= 0.93 * 400
+    if together and share < 0.99:
+        assert ordinary < 0.85 * 400
+
+
+def test_lengths_must_agree():
+    """Three predictions of two outcomes are refused."""
+    with pytest.raises(InputError, match="cannot be compared"):
+        reliability(np.zeros(3), np.zeros(2, dtype=bool), np.zeros(3, dtype=int))

@@ -1,0 +1,237 @@
+"""The coverage cost and centroids against closed forms, sampling and differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scattered import scattered
+from scipy.spatial import KDTree
+
+from planopt.coverage.cost import UNIFORM, coverage
+from planopt.coverage.density import (
+    CallableDensity,
+    Density,
+    GaussianMixture,
+    UniformDensity,
+    checked_mass,
+)
+from planopt.coverage.raster_density import RasterDensity
+from planopt.coverage.region import ConvexRegion, convex_region
+from planopt.coverage.voronoi import voronoi_cells
+from planopt.errors import InputError
+from planopt.world.raster import Raster
+
+
+def bumps(at_m: NDArray[np.float64]) -> GaussianMixture:
+    """Two bumps, one of them tilted, over a floor."""
+    means = at_m + np.array([[-15.0, -10.0], [25.0, 20.0]])
+    covariances = np.array([[[100.0, 30.0], [30.0, 60.0]], [[50.0, 0.0], [0.0, 20.0]]])
+    return GaussianMixture(np.array([1.0, 2.0]), means, covariances, 1e-5)
+
+
+def raster(region: ConvexRegion, generator: np.random.Generator) -> RasterDensity:
+    """Random values on cells of 7 by 5 m that reach over the region."""
+    low, high = region.corners_m.min(axis=0) - 3.0, region.corners_m.max(axis=0) + 8.0
+    x, y = np.arange(low[0], high[0], 7.0), np.arange(low[1], high[1], 5.0)
+    return RasterDensity(Raster(x, y, generator.random((len(y), len(x)))))
+
+
+def densities(region: ConvexRegion) -> list[Density]:
+    """One density of each kind."""
+    mixture = bumps(region.centre_m)
+    line = CallableDensity(lambda q: np.asarray(1.0 + 0.005 * q[:, 0] ** 2), 50.0)
+    return [UNIFORM, mixture, CallableDensity(mixture.at, 4.0), line, raster(region, rng(1))]
+
+
+def rng(seed: int) -> np.random.Generator:
+    """A generator of its own for each use."""
+    return np.random.default_rng(seed)
+
+
+@pytest.mark.parametrize("range_m", [None, 9.0])
+@pytest.mark.parametrize("kind", range(5))
+def test_against_sampling(hexagon: ConvexRegion, kind: int, range_m: float | None) -> None:
+    """Cost, masses and centroids are those of places on a fine grid."""
+    density = densities(hexagon)[kind]
+    agents = scattered(hexagon, 25, rng(2))
+    found = coverage(voronoi_cells(hexagon, agents), density, range_m)
+    low, high = hexagon.corners_m.min(axis=0), hexagon.corners_m.max(axis=0)
+    x, y = (low[k] + (high[k] - low[k]) * (np.arange(997) + 0.5) / 997 for k in range(2))
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    places = places[hexagon.contains(places)]
+    weight = density.at(places) * hexagon.area_m2 / len(places)
+    distance, nearest = KDTree(agents).query(places)
+    limit = math.inf if range_m is None else range_m
+    assert found.cost == pytest.approx(float(weight @ np.minimum(distance, limit) ** 2), rel=3e-3)
+    weight[distance > limit] = 0.0
+    mass = np.bincount(nearest, weight, minlength=25)
+    assert found.mass == pytest.approx(mass, rel=0.05)
+    for axis in range(2):
+        mean = np.bincount(nearest, weight * places[:, axis], minlength=25) / mass
+        assert found.centroids_m[:, axis] == pytest.approx(mean, abs=0.3)
+
+
+@pytest.mark.parametrize("range_m", [None, 9.0])
+@pytest.mark.parametrize("kind", range(5))
+def test_gradient_by_differences(hexagon: ConvexRegion, kind: int, range_m: float | None) -> None:
+    """The gradient 2 M (p - C) is the cost's, for every density, with and without range."""
+    density, step = densities(hexagon)[kind], 1e-4
+    agents = scattered(hexagon, 12, rng(4))
+    found = coverage(voronoi_cells(hexagon, agents), density, range_m)
+    scale = float(np.abs(found.gradient).max())
+    centred = 2.0 * found.mass[:, None] * (agents - found.centroids_m)
+    assert found.gradient == pytest.approx(centred, abs=1e-9 * scale)
+    for agent, axis in ((0, 0), (3, 1), (7, 0)):
+        shift = np.zeros_like(agents)
+        shift[agent, axis] = step
+        up, down = (
+            coverage(voronoi_cells(hexagon, agents + sign * shift), density, range_m).cost
+            for sign in (1.0, -1.0)
+        )
+        assert (up - down) / (2.0 * step) == pytest.approx(
+            found.gradient[agent, axis], abs=1e-6 * scale
+        )
+
+
+def test_kinds_of_density_agree(hexagon: ConvexRegion) -> None:
+    """The same density given in two ways has the same integrals, to nine digits."""
+    cells = voronoi_cells(hexagon, scattered(hexagon, 30, rng(5)))
+    flat = raster(hexagon, rng(0)).raster
+    flat = RasterDensity(Raster(flat.x_m, flat.y_m, np.full(flat.values.shape, 2.5)))
+    pairs: list[tuple[Density, Density]] = [
+        (UniformDensity(2.5), flat),
+        (UniformDensity(2.5), CallableDensity(lambda q: np.full(len(q), 2.5), 100.0)),
+        (bumps(hexagon.centre_m), CallableDensity(bumps(hexagon.centre_m).at, 1.0)),
+    ]
+    for one, other in pairs:
+        for range_m in (None, 9.0):
+            a, b = coverage(cells, one, range_m), coverage(cells, other, range_m)
+            assert a.cost == pytest.approx(b.cost, rel=1e-9)
+            assert a.mass == pytest.approx(b.mass, rel=1e-9)
+            assert a.centroids_m == pytest.approx(b.centroids_m, abs=1e-7)
+
+
+def test_closed_forms(square: ConvexRegion) -> None:
+    """One agent in a square: a b (a^2 + b^2) / 12 about the middle, and Steiner off it."""
+    middle = coverage(voronoi_cells(square, np.array([[50.0, 50.0]])))
+    assert middle.cost == pytest.approx(1e8 / 6.0)
+    off = coverage(voronoi_cells(square, np.array([[20.0, 90.0]])))
+    assert off.cost == pytest.approx(1e8 / 6.0 + 1e4 * (30.0**2 + 40.0**2))
+    assert off.centroids_m[0] == pytest.approx([50.0, 50.0])
+
+
+def test_range_within_the_cell(square: ConvexRegion) -> None:
+    """Agents that sense less than their cells see discs, one on the border half of one."""
+    agents = np.array([[30.0, 30.0], [80.0, 100.0]])
+    found = coverage(voronoi_cells(square, agents), UNIFORM, 10.0)
+    assert found.mass == pytest.approx([100.0 * math.pi, 50.0 * math.pi])
+    assert found.centroids_m == pytest.approx(
+        np.array([[30.0, 30.0], [80.0, 100.0 - 40.0 / (3.0 * math.pi)]])
+    )
+    inner = 0.5 * math.pi * 10.0**4 * 1.5
+    assert found.cost == pytest.approx(inner + 100.0 * (1e4 - 150.0 * math.pi))
+
+
+def test_long_range_changes_nothing(hexagon: ConvexRegion) -> None:
+    """A range beyond the region's size is none."""
+    cells = voronoi_cells(hexagon, scattered(hexagon, 9, rng(6)))
+    for density in densities(hexagon):
+        near, far = coverage(cells, density, 500.0), coverage(cells, density)
+        assert near.cost == pytest.approx(far.cost, rel=1e-8)
+        assert near.centroids_m == pytest.approx(far.centroids_m, abs=1e-9)
+
+
+def test_agents_at_one_place(square: ConvexRegion) -> None:
+    """Coincident agents share the derivative; moving them together changes H by all of it."""
+    agents = np.array([[20.0, 30.0], [20.0, 30.0], [70.0, 60.0]])
+    found = coverage(voronoi_cells(square, agents))
+    alone = coverage(voronoi_cells(square, agents[1:]))
+    assert found.cost == pytest.approx(alone.cost)
+    assert found.gradient[0] == pytest.approx(found.gradient[1])
+    assert found.gradient[:2].sum(axis=0) == pytest.approx(alone.gradient[0])
+    assert found.centroids_m[[0, 2]] == pytest.approx(alone.centroids_m)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.3])
+@pytest.mark.parametrize("range_m", [None, 12.0])
+@pytest.mark.parametrize("kind", range(5))
+def test_cost_falls_along_the_law(
+    hexagon: ConvexRegion, kind: int, range_m: float | None, gain: float
+) -> None:
+    """Steps toward the centroids never raise H, and lower it by at least gain M |p - C|^2."""
+    density = densities(hexagon)[kind]
+    agents = scattered(hexagon, 15, rng(7))
+    before = coverage(voronoi_cells(hexagon, agents), density, range_m)
+    for _ in range(12):
+        offset = before.centroids_m - agents
+        agents = agents + gain * offset
+        after = coverage(voronoi_cells(hexagon, agents), density, range_m)
+        promised = gain * (2.0 - gain) * float(before.mass @ (offset * offset).sum(axis=1))
+        assert after.cost <= before.cost - promised + 1e-9 * before.cost
+        before = after
+
+
+def test_empty_cells_stay(square: ConvexRegion) -> None:
+    """An agent whose cell has no mass has its own place as centroid."""
+    x = np.arange(5.0, 100.0, 10.0)
+    values = np.zeros((10, 10))
+    values[:, 0] = 1.0
+    found = coverage(
+        voronoi_cells(square, np.array([[10.0, 50.0], [90.0, 40.0]])),
+        RasterDensity(Raster(x, x, values)),
+    )
+    assert found.mass[1] == pytest.approx(0.0, abs=1e-9)
+    assert found.centroids_m[1].tolist() == [90.0, 40.0]
+    assert found.centroids_m[0] == pytest.approx([5.0, 50.0])
+
+
+def test_scaling(hexagon: ConvexRegion) -> None:
+    """Lengths in other units scale H by the fourth power and turn the rest with them."""
+    agents = scattered(hexagon, 20, rng(8))
+    one = coverage(voronoi_cells(hexagon, agents), UNIFORM, 15.0)
+    larger = convex_region(hexagon.corners_m * 1e3)
+    other = coverage(voronoi_cells(larger, agents * 1e3), UNIFORM, 15e3)
+    assert other.cost == pytest.approx(one.cost * 1e12, rel=1e-10)
+    assert other.centroids_m == pytest.approx(one.centroids_m * 1e3, rel=1e-10)
+
+
+def test_bad_densities(square: ConvexRegion) -> None:
+    """Negative, infinite, empty and ill-shaped densities are errors with their key."""
+    cells = voronoi_cells(square, np.array([[10.0, 50.0], [90.0, 40.0]]))
+    grid = np.arange(5.0, 100.0, 10.0)
+    eye = np.eye(2)[None]
+    bad = [
+        lambda: UniformDensity(0.0),
+        lambda: UniformDensity(math.nan),
+        lambda: coverage(cells, CallableDensity(lambda q: q[:, 0] - 50.0, 20.0)),
+        lambda: coverage(cells, CallableDensity(lambda q: np.full(len(q), np.nan), 20.0)),
+        lambda: coverage(cells, CallableDensity(lambda q: q, 20.0)),
+        lambda: coverage(cells, CallableDensity(lambda q: q[:, 0], 1e-3)),
+        lambda: CallableDensity(lambda q: q[:, 0], 0.0),
+        lambda: RasterDensity(Raster(grid, grid, np.zeros((10, 10)))),
+        lambda: RasterDensity(Raster(grid, grid, np.full((10, 10), -1.0))),
+        lambda: GaussianMixture(np.array([-1.0]), np.zeros((1, 2)), eye),
+        lambda: GaussianMixture(np.array([0.0]), np.zeros((1, 2)), eye),
+        lambda: GaussianMixture(np.array([1.0]), np.zeros((1, 2)), 0.0 * eye),
+        lambda: GaussianMixture(np.array([1.0]), np.full((1, 2), np.nan), eye),
+        lambda: GaussianMixture(np.array([1.0]), np.zeros((1, 3)), eye),
+        lambda: checked_mass(square, RasterDensity(Raster(grid - 500.0, grid, np.ones((10, 10))))),
+        lambda: checked_mass(square, CallableDensity(lambda q: np.zeros(len(q)), 20.0)),
+    ]
+    for number, attempt in enumerate(bad):
+        with pytest.raises(InputError) as caught:
+            attempt()
+        assert (caught.value.key or "").startswith("density"), number
+    for range_m in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="out of range"):
+            coverage(cells, UNIFORM, range_m)
+
+
+def test_raster_reach(square: ConvexRegion) -> None:
+    """A raster says whether it reaches over the region."""
+    grid = np.arange(5.0, 100.0, 10.0)
+    assert RasterDensity(Raster(grid, grid, np.ones((10, 10)))).covers(square)
+    assert not RasterDensity(Raster(grid + 1.0, grid, np.ones((10, 10)))).covers(square)

@@ -1,0 +1,146 @@
+"""Arrays of npz files: the same as NumPy's where they are sound, one error where they are not."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planopt.errors import InputError
+from planopt.files import npz
+from planopt.files.npz import npz_names, read_npz
+
+ARRAYS = {
+    "positions": np.arange(6.0).reshape(3, 2),
+    "by_columns": np.asfortranarray(np.arange(6.0).reshape(3, 2)),
+    "flags": np.array([True, False]),
+    "text": np.array("reml"),
+    "texts": np.array(["a", "bcd"]),
+    "big_endian": np.arange(3, dtype=">i4"),
+    "none": np.zeros((0, 4)),
+}
+
+
+def npy(array: np.ndarray) -> bytes:
+    """An array as NumPy writes it."""
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def with_header(text: str, content: bytes = b"") -> bytes:
+    """An npy file with a header of one's own."""
+    header = text.encode()
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + content
+
+
+def archive(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> Path:
+    """A zip archive of `members`."""
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, content in members.items():
+            file.writestr(f"{name}.npy", content)
+    return path
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_sound_arrays_are_those_of_numpy(save, tmp_path: Path) -> None:
+    """Values, shapes, dtypes and names; those that were not asked for are left out."""
+    path = tmp_path / "a.npz"
+    save(path, **ARRAYS)
+    assert npz_names(path) == tuple(ARRAYS)
+    found = read_npz(path)
+    with np.load(path) as arrays:
+        for name in ARRAYS:
+            np.testing.assert_array_equal(found[name], arrays[name])
+            assert found[name].dtype == arrays[name].dtype
+            assert found[name].flags.writeable
+    assert list(read_npz(path, ("flags", "missing"))) == ["flags"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}\n"),
+            "declares 1000000 x 1000000 values",
+        ),
+        (
+            with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 2)}\n", b"12345"),
+            "another size than its header says",
+        ),
+        (npy(np.arange(3.0)) + b"more", "another size than its header says"),
+        (
+            with_header("{'descr': '<U99999999', 'fortran_order': False, 'shape': (1,)}\n"),
+            "values of 399999996 bytes",
+        ),
+        (with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}\n"), "declares -3"),
+        (with_header("(" * 5000), "not an npz that can be read"),
+        (with_header("'\\d'\n"), "not an npz that can be read"),
+        (b"\x93NUMPY\x07\x00", "npy version 7.0 is not known"),
+        (b"", "not an npz that can be read"),
+        (b"hello", "not an npz that can be read"),
+    ],
+)
+def test_members_that_are_no_sound_array(content: bytes, words: str, tmp_path: Path) -> None:
+    """The array is named, and nothing is allocated for what a header declares."""
+    path = archive(tmp_path / "a.npz", {"gain": content})
+    with pytest.raises(InputError, match=f"a.npz, key gain: .*{words}"):
+        read_npz(path)
+
+
+def test_objects_are_never_unpickled(tmp_path: Path) -> None:
+    """Not even looked at."""
+    path = tmp_path / "a.npz"
+    np.savez(path, gain=np.array([{}], dtype=object))
+    with pytest.raises(InputError, match="key gain: holds Python objects"):
+        read_npz(path)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_packing_of_another_kind(method: int, tmp_path: Path) -> None:
+    """NumPy stores or deflates; what packs more tightly is refused."""
+    path = archive(tmp_path / "a.npz", {"gain": npy(np.zeros(9))}, method)
+    with pytest.raises(InputError, match="key gain: is packed in a way"):
+        read_npz(path)
+
+
+def test_a_zip_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum of the declared sizes counts, of the arrays asked for; the limit is exact."""
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, a=np.zeros(100_000), b=np.zeros(100_000), c=np.zeros(1))
+    with zipfile.ZipFile(path) as file:
+        sizes = {member.filename: member.file_size for member in file.infolist()}
+    assert path.stat().st_size < sum(sizes.values()) / 100
+    monkeypatch.setattr(npz, "LARGEST_UNPACKED_BYTES", sizes["a.npy"] + sizes["c.npy"])
+    assert list(read_npz(path, ("a", "c"))) == ["a", "c"]
+    with pytest.raises(InputError, match=r"declares 2 MB of arrays, more than the limit of 1 MB"):
+        read_npz(path)
+
+
+def test_archives_that_are_damaged(tmp_path: Path) -> None:
+    """Cut off, encrypted, of another version, with a member twice, or with too many."""
+    path = tmp_path / "a.npz"
+    np.savez(path, gain=np.arange(9.0))
+    whole = path.read_bytes()
+    central = whole.index(b"PK\x01\x02")
+    spoilt = {
+        "encrypted": whole[: central + 8] + b"\x01" + whole[central + 9 :],
+        "version": whole[: central + 6] + b"\xd9" + whole[central + 7 :],
+        "cut": whole[:-30],
+        "empty": b"",
+        "text": b"x,y\n1,2\n",
+        "checksum": whole[:150] + bytes([whole[150] ^ 255]) + whole[151:],
+    }
+    for content in spoilt.values():
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"a\.npz"):
+            read_npz(path)
+    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "w") as file:
+        file.writestr("a.npy", b"")
+        file.writestr("a.npy", b"")
+    with pytest.raises(InputError, match="key a: stands in the archive twice"):
+        read_npz(path)
+    path.write_bytes(b"PK\x03\x04" + 10_001 * b"PK\x01\x02")
+    with pytest.raises(InputError, match="more than 10000 arrays"):
+        read_npz(path)

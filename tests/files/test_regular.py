@@ -1,0 +1,91 @@
+"""Bounded reading: only regular files, of known size, as text that is text."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from planopt.errors import InputError
+from planopt.files.regular import foreign_reader, read_bytes, read_text, require_array_size
+
+needs_devices = pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no devices")
+
+
+def test_content_is_returned(tmp_path: Path) -> None:
+    """Bytes as they are; text without its byte order mark; a symbolic link is followed."""
+    path = tmp_path / "a"
+    path.write_bytes(b"\xef\xbb\xbfab\r\n")
+    (tmp_path / "link").symlink_to(path)
+    assert read_bytes(path) == read_bytes(tmp_path / "link") == b"\xef\xbb\xbfab\r\n"
+    assert read_text(path) == "ab\r\n"
+
+
+@needs_devices
+@pytest.mark.parametrize("name", ["/dev/zero", "link", "pipe", "."])
+def test_what_is_no_regular_file(name: str, tmp_path: Path) -> None:
+    """A device, a link to one, a pipe that nobody writes to, a folder: refused without waiting."""
+    (tmp_path / "link").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=r"not a regular file|is a folder"):
+        read_bytes(tmp_path / name)
+
+
+def test_a_missing_file_and_a_name_that_cannot_be(tmp_path: Path) -> None:
+    """Each is one error with the file."""
+    with pytest.raises(InputError, match=r"none: there is no such file"):
+        read_bytes(tmp_path / "none")
+    for name in ("a\0b", "n" * 5000):
+        with pytest.raises(InputError, match="cannot be read"):
+            read_bytes(tmp_path / name)
+
+
+def test_size_limit(tmp_path: Path) -> None:
+    """One byte more than the limit is refused, and a sparse file is not read at all."""
+    path = tmp_path / "a"
+    path.write_bytes(b"x" * 100)
+    assert len(read_bytes(path, largest=100)) == 100
+    with pytest.raises(InputError, match="more than the limit"):
+        read_bytes(path, largest=99)
+    os.truncate(path, 2**40)
+    with pytest.raises(InputError, match="has 1048576 MB, more than the limit of 512 MB"):
+        read_bytes(path)
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="no /proc")
+def test_a_file_that_says_it_is_empty_is_still_bounded() -> None:
+    """Files of /proc have size 0 and any content."""
+    assert Path("/proc/self/maps").stat().st_size == 0
+    with pytest.raises(InputError, match="more than the limit"):
+        read_bytes(Path("/proc/self/maps"), largest=10)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [(b"a\xff", "not UTF-8 text: .* at byte 1"), (b"a\0b", "NUL at char")]
+)
+def test_what_is_no_text(content: bytes, words: str, tmp_path: Path) -> None:
+    """The message says where."""
+    (tmp_path / "a").write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        read_text(tmp_path / "a")
+
+
+def test_array_sizes() -> None:
+    """A product above the limit and a negative length are refused, whatever their type."""
+    path = Path("map.nc")
+    require_array_size(path, "gain", 5000, 5000)
+    require_array_size(path, "gain")
+    for lengths in ((10**6, 10**6), (-1, -1), (2**62, 4)):
+        with pytest.raises(InputError, match=r"map\.nc, key gain: declares"):
+            require_array_size(path, "gain", *lengths)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RecursionError("deep"), EOFError(), KeyError(3)])
+def test_foreign_errors_become_ours(error: Exception) -> None:
+    """Whatever a dependency raises; interrupts and errors of ours pass."""
+    with pytest.raises(InputError, match=r"a\.nc: not a NetCDF file that can be read: \w"):
+        with foreign_reader(Path("a.nc"), "a NetCDF file"):
+            raise error
+    for passed in (InputError("ours"), KeyboardInterrupt()):
+        with pytest.raises(type(passed)) as caught, foreign_reader(Path("a.nc"), "a file"):
+            raise passed
+        assert caught.value is passed

@@ -1,0 +1,222 @@
+"""The measuring rule: what it takes, and the smooth gates that solvers climb in its place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from path_scene import CHANNEL, START, drawn
+
+from planopt.channel.posterior import condition
+from planopt.objectives.information_derivatives import (
+    average_reduction_derivatives,
+    path_information_derivatives,
+    path_loss_derivatives,
+)
+from planopt.objectives.local_channel import local_channel, local_grid
+from planopt.objectives.mapping import Uncertainty
+from planopt.objectives.measuring import (
+    FEW_PAIRS,
+    OPEN_SPACINGS,
+    SAME_PLACE_M,
+    Gates,
+    MeasuringRule,
+)
+from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
+from planopt.objectives.path_loss_learning import Criterion
+
+SPACING_M = 2.0
+POSTERIOR = condition(CHANNEL, drawn(30, side_m=20.0))
+GRID = np.random.default_rng(4).uniform(0.0, 20.0, (15, 2))
+
+
+def rule_of(*known, spacing_m=SPACING_M):
+    """A rule with these places known of each station."""
+    return MeasuringRule(spacing_m, tuple(np.reshape(places, (-1, 2)) for places in known))
+
+
+def taken_in_turn(known, way, spacing_m=SPACING_M):
+    """The loop, written out: measure where no earlier measurement is nearer than the spacing."""
+    measured, taken = [np.asarray(p) for p in known], []
+    for place in way:
+        far = all(np.linalg.norm(place - other) >= spacing_m for other in measured)
+        if far:
+            measured.append(place)
+        taken.append(far)
+    return taken
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_takes_what_a_loop_takes(seed):
+    """Ways among measurements, that come back to their own places; each way by itself."""
+    rng = np.random.default_rng(seed)
+    known = rng.uniform(0.0, 12.0, (rng.integers(0, 8), 2))
+    ways = rng.uniform(0.0, 12.0, (5, 9, 2))
+    ways[0, 4:] = ways[0, 3]
+    wanted = [taken_in_turn(known, way) for way in ways]
+    rule = rule_of(known)
+    np.testing.assert_array_equal(rule.takes(ways), wanted)
+    np.testing.assert_array_equal(rule.takes(ways[2]), wanted[2])
+    np.testing.assert_array_equal(rule.near(ways).takes(ways), wanted)
+
+
+def test_many_measurements_are_looked_up_alike():
+    """Beyond `FEW_PAIRS` pairs a tree finds them, and the same places are taken."""
+    rng = np.random.default_rng(3)
+    known = rng.uniform(0.0, 60.0, (400, 2))
+    places = rng.uniform(0.0, 60.0, (200, 2))
+    assert len(places) * len(known) > FEW_PAIRS
+    wanted = np.linalg.norm(places[:, None] - known, axis=2).min(axis=1) >= SPACING_M
+    assert 0 < wanted.sum() < len(wanted)
+    np.testing.assert_array_equal(rule_of(known).is_open(places), wanted)
+    few = [rule_of(known).is_open(places[k : k + 1])[0] for k in range(len(places))]
+    np.testing.assert_array_equal(few, wanted)
+
+
+def test_a_place_is_measured_until_all_stations_were():
+    """Known of one station alone it brings a measurement; known of both it does not."""
+    near, far = np.array([[0.0, 0.0]]), np.array([[50.0, 0.0]])
+    place = np.array([[0.5, 0.0]])
+    assert rule_of(near, far).is_open(place)[0]
+    assert not rule_of(near, near + 0.2).is_open(place)[0]
+    assert rule_of(near, np.zeros((0, 2))).is_open(place)[0]
+    ways = np.array([[[0.5, 0.0]]])
+    assert rule_of(near, far).gates(ways) is None
+    assert rule_of(near, near + 0.2).gates(ways).value[0, 0] == 0.0
+
+
+def test_without_spacing_a_place_is_still_measured_once():
+    """Standing still tells nothing new, whatever the spacing."""
+    rule = MeasuringRule.of([POSTERIOR], 0.0)
+    assert rule.spacing_m == SAME_PLACE_M
+    here = POSTERIOR.measurements.positions_m[:1]
+    assert not rule.is_open(here)[0]
+    assert rule.is_open(here + 1e-3)[0]
+    np.testing.assert_array_equal(rule.takes(np.tile(here + 1e-3, (3, 1))), [True, False, False])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_gates_never_count_what_is_not_taken(seed):
+    """Between 0 and 1; 0 where nothing is taken, 1 from a quarter beyond the spacing on."""
+    rng = np.random.default_rng(seed)
+    known, ways = rng.uniform(0.0, 9.0, (5, 2)), rng.uniform(0.0, 9.0, (30, 6, 2))
+    rule = rule_of(known)
+    gates = rule.gates(ways)
+    assert gates is not None
+    taken = rule.takes(ways)
+    assert ((gates.value >= 0.0) & (gates.value <= 1.0)).all()
+    assert (gates.value[~taken] == 0.0).all()
+    wide = rule_of(known, spacing_m=OPEN_SPACINGS * SPACING_M)
+    fully = wide.is_open(ways.reshape(-1, 2)).reshape(taken.shape)
+    assert (gates.value[:, 0][fully[:, 0]] == 1.0).all()
+    np.testing.assert_array_equal(gates.take(slice(3, 5)).value, gates.value[3:5])
+
+
+def test_gates_are_none_where_all_is_open():
+    """Nothing near: solvers work as without a rule."""
+    assert rule_of([100.0, 100.0]).gates(np.array([[[0.0, 0.0], [5.0, 0.0]]])) is None
+
+
+def partly_open(seed):
+    """A rule and a way some of whose gates are partly open, clear of where measuring changes."""
+    rng = np.random.default_rng(seed)
+    while True:
+        known = rng.uniform(0.0, 7.0, (3, 2))
+        way = rng.uniform(0.0, 7.0, (5, 2))
+        rule, gates = rule_of(known), rule_of(known).gates(way[None])
+        if gates is None:
+            continue
+        value = gates.value[0]
+        places = np.vstack([known, way])
+        apart = np.linalg.norm(way[:, None] - places, axis=2)
+        near_edge = np.abs(apart - SPACING_M) < 0.01
+        if not near_edge.any() and ((value > 0.05) & (value < 0.95)).sum() >= 2:
+            return rule, way, gates
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_derivatives_of_gates_are_those_of_differences(seed):
+    """Jacobian, pull back and curvature, between known places and places of the way."""
+    rule, way, gates = partly_open(seed)
+    weight, h = np.random.default_rng(seed).normal(size=5), 1e-6
+    jacobian, curvature = np.empty((5, 10)), np.empty((10, 10))
+    for p in range(10):
+        step = h * np.eye(10)[p].reshape(1, 5, 2)
+        more, less = rule.gates(way[None] + step), rule.gates(way[None] - step)
+        jacobian[:, p] = (more.value[0] - less.value[0]) / (2 * h)
+        pulled = more.pulled(weight[None]) - less.pulled(weight[None])
+        curvature[:, p] = pulled.ravel() / (2 * h)
+    np.testing.assert_allclose(gates.jacobian(), jacobian, atol=1e-7)
+    np.testing.assert_allclose(gates.pulled(weight[None]).ravel(), weight @ jacobian, atol=1e-6)
+    np.testing.assert_allclose(gates.curvature(weight), curvature, atol=1e-5)
+
+
+def information(channel, way, gates):
+    """What is told of the channel."""
+    return path_information_derivatives(channel, way, gates=gates)
+
+
+def average(channel, way, gates):
+    """Variance removed over a grid."""
+    grid = local_grid(channel, GRID, np.full(len(GRID), 1.0 / len(GRID)))
+    return average_reduction_derivatives(channel, grid, way, gates=gates)
+
+
+def above(channel, way, gates):
+    """The path form, some steps of it below the threshold."""
+    settings = Uncertainty(8.0, 0.05, START)
+    return path_uncertainty_derivatives(channel, way, settings, gates)
+
+
+OBJECTIVES = {
+    "information": information,
+    "average": average,
+    "path form": above,
+    **{
+        kind: lambda channel, way, gates, kind=kind: path_loss_derivatives(
+            channel, way, Criterion(kind), gates
+        )
+        for kind in ("T", "D", "A")
+    },
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_gated_objectives_have_the_derivatives_of_their_values(name, seed):
+    """Gradient from values and Hessian from gradients, through S, B and the gates."""
+    rule, way, _ = partly_open(seed)
+    channel = local_channel(POSTERIOR, way, 30)
+
+    def at(places):
+        return OBJECTIVES[name](channel, places, rule.gates(places[None]))
+
+    found, h = at(way), 1e-5
+    gradient, hessian = np.empty(10), np.empty((10, 10))
+    for p in range(10):
+        step = h * np.eye(10)[p].reshape(5, 2)
+        more, less = at(way + step), at(way - step)
+        gradient[p] = (more.value - less.value) / (2 * h)
+        hessian[p] = (more.gradient - less.gradient) / (2 * h)
+    np.testing.assert_allclose(found.gradient, gradient, atol=1e-6 * np.abs(gradient).max())
+    np.testing.assert_allclose(found.hessian, hessian, atol=5e-6 * np.abs(hessian).max())
+    np.testing.assert_allclose(found.hessian, found.hessian.T, atol=1e-9 * np.abs(hessian).max())
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_closed_places_are_left_out_and_open_ones_counted_whole(name):
+    """Gates of 0 and 1: the objective of the places that are measured, nothing else."""
+    way = np.array([[4.0, 5.0], [8.0, 5.0], [8.0, 5.5], [12.0, 9.0], [4.5, 5.0]])
+    rule = rule_of([12.0, 10.0])
+    gates = rule.gates(way[None])
+    assert isinstance(gates, Gates)
+    np.testing.assert_array_equal(gates.value[0], [1.0, 1.0, 0.0, 0.0, 0.0])
+    channel = local_channel(POSTERIOR, way, 30)
+    found = OBJECTIVES[name](channel, way, gates)
+    alone = OBJECTIVES[name](channel, way[:2], None)
+    # The threshold's rounding gives 3/16 of its width for each place that brings nothing.
+    stated = 3 * 3.0 / 16.0 * 0.29 if name == "path form" else 1e-9 * abs(alone.value)
+    assert found.value == pytest.approx(alone.value, abs=stated)
+    # That is worth a little more nearby, so that such places have a slope all the same.
+    near = (3e-2 if name == "path form" else 1e-9) * np.abs(alone.gradient).max()
+    np.testing.assert_allclose(found.gradient[:4], alone.gradient, atol=near)
+    np.testing.assert_allclose(found.gradient[4:], 0.0, atol=near)

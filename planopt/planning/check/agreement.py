@@ -38,7 +38,9 @@ PREDICTED_NAMES = frozenset(
         "trace_m_db",
     )
 )
-FITTED_NAMES = frozenset(("parameters", "standard_errors", "theta", "theta_covariance"))
+FITTED_NAMES = frozenset(
+    ("connection_law", "parameters", "standard_errors", "theta", "theta_covariance")
+)
 
 SHOWN_ALIKE = 3
 """Of disagreements that differ in nothing but an index, so many are reported one by one."""

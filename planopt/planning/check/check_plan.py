@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
@@ -22,8 +26,10 @@ from planopt.planning.files.solution_json import PlanRecord, plan_json
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.holes import holes_on
 from planopt.planning.plan import Plan, Termination
-from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.circumstances import Circumstances, circumstances_of
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
@@ -80,6 +86,7 @@ def check_plan(
         Effort(record.wall_s, record.solve_s, record.iterations),
         drive,
     )
+    plan = replace(plan, **_on_the_way(problem, record, plan, posteriors, circumstances))
     explanation = explanation_again(record.explanation)
     case = Case(problem, 0, posteriors, plan, circumstances.moving)
     found = {
@@ -98,6 +105,22 @@ def check_plan(
     reasons += steps_reasons(steps, steps_of_plan(plan))
     reasons += belief_reasons(problem, belief, posteriors, given, NOTHING_TAKEN, record.seed)
     return [judgement.certificate], reasons
+
+
+def _on_the_way(
+    problem: Problem,
+    record: PlanRecord,
+    plan: Plan,
+    posteriors: Sequence[ChannelPosterior],
+    under: Circumstances,
+) -> dict[str, Any]:
+    """The rest of the way as it is saved, and the coverage holes that there are on it."""
+    if len(record.route.x_m) != len(record.route.y_m):
+        return {}
+    route = np.stack([record.route.x_m, record.route.y_m], axis=1).reshape(-1, 2)
+    places = np.vstack([plan.positions_m, route])
+    power = search_prediction(posteriors[0], places, under.broad)
+    return {"route_m": route, "holes": holes_on(problem, power, places)}
 
 
 def effort_faults(plan: Plan, where: str) -> list[str]:

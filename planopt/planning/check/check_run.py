@@ -92,7 +92,8 @@ def check_run(
     for step, released in enumerate(record.plans, start=1):
         posteriors = posteriors_at(belief, posteriors, step)
         path = np.stack([released.x_m, released.y_m], axis=1)
-        history = history_of(problem, track[:step], connected[: step - 1])
+        proofs = [plan.certificate for plan in plans]
+        history = history_of(problem, track[:step], connected[: step - 1], proofs)
         circumstances = circumstances_of(problem, posteriors, history)
         place = f"plans[{step - 1}].drive"
         drive = drive_of(robot.dynamics, path, released.drive, folder / RUN_FILE, place)

@@ -1,7 +1,7 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
-Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `reachability.py`,
-`ways_to_goal.py`, `grid.py`, `detours.py`, `shortest_ways.py` or `motion.py`. Good and bad plans
+Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `goal_paths.py`,
+`reachability.py`, `grid.py`, `detours.py`, `shortest_ways.py` or `motion.py`. Good and bad plans
 are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
 which must say something else of at least one of them. A mutant that survives is a hole here.
 """
@@ -34,14 +34,15 @@ from scenes import (
     good_everywhere,
     small_problem,
 )
+from unpriced import unpriced
 
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
 CLEARANCE, BOUNDS, SPEED = "clearance_m", "bounds_m", "speed_max_m_s"
-BELOW, NOWHERE = "within reach, and so", "is met at none"
-NEEDLESS = "are driven below"
-KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, NEEDLESS, "not finite")
+BELOW, NOWHERE = "dB to spare is within reach", "is met at none"
+DEAR, NO_PLACE, STANDS = "m was found", "is met nowhere", "stands still"
+KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, DEAR, NO_PLACE, STANDS, "not finite")
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,13 @@ class Case:
     relaxed: tuple[int, ...] = ()
     hopeless: tuple[bool, ...] = ()
     """For each relaxed step, whether no place in reach keeps the bound."""
-    no_way: bool = False
+    cost_m: float | None = None
+    best_m: float | None = None
+    """Cost of the path and of the cheapest one found, to a metre."""
     clearance_m: float = math.inf
     defect_m: float | None = None
+    has_goal: bool = True
+    """Whether the robot is to reach a goal; else outage has no price."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ class Said:
     reasons: frozenset[str]
     relaxed: tuple[int, ...]
     hopeless: tuple[bool, ...]
-    no_way: bool
+    cost_m: float | None
+    best_m: float | None
     clearance_m: float
     defect_m: float | None
     kkt_residual: float | None
@@ -288,11 +294,11 @@ CASES: dict[str, Case] = {
 }
 
 VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
-GRID, WAYS = "planopt.planning.proof.grid", "planopt.planning.proof.ways_to_goal"
+GRID, PATHS = "planopt.planning.proof.grid", "planopt.planning.proof.goal_paths"
 STEPS = "planopt.planning.proof.rules.single_steps"
 MOTION = "planopt.planning.proof.motion"
 DETOURS, ROUND = "planopt.planning.proof.detours", "planopt.world.shortest_ways"
-MODULES = (VERIFY, STEPS, REACHABILITY, DETOURS, ROUND, WAYS, GRID, MOTION)
+MODULES = (VERIFY, STEPS, REACHABILITY, DETOURS, ROUND, PATHS, GRID, MOTION)
 
 
 def source_of(module: str) -> str:
@@ -316,11 +322,11 @@ def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
     modules = {module: module_of(module, sources[module]) for module in MODULES}
     for user, used, names in (
         (REACHABILITY, GRID, ("grid_of", "parts_of")),
-        (WAYS, GRID, ("grid_of", "parts_of")),
+        (PATHS, GRID, ("grid_of",)),
         (DETOURS, ROUND, ("is_near_joined", "shortest_ways", "way_lengths_m")),
         (REACHABILITY, DETOURS, ("best_by_ways",)),
         (STEPS, REACHABILITY, ("best_margins_by_step",)),
-        (STEPS, WAYS, ("connected_way_exists", "least_outage_m")),
+        (STEPS, PATHS, ("build_goal_grid", "goal_costs", "price_path")),
         (VERIFY, MOTION, ("judge_motion",)),
         (VERIFY, STEPS, ("judge_single_steps",)),
     ):
@@ -329,14 +335,27 @@ def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
     return modules[VERIFY].verify
 
 
+def verdict_of(case: Case) -> str:
+    """Standing still is feasible, but not verified."""
+    if case.reasons == {STANDS}:
+        return "feasible_unverified"
+    return "violated" if case.reasons else "verified"
+
+
+def rounded(metres: float | None) -> float | None:
+    """To a tenth of a metre."""
+    return None if metres is None else round(metres, 1)
+
+
 def expected(case: Case) -> Said:
     """What must be said of a case."""
     return Said(
-        verdict="violated" if case.reasons else "verified",
+        verdict=verdict_of(case),
         reasons=frozenset(case.reasons),
         relaxed=case.relaxed,
         hopeless=case.hopeless,
-        no_way=case.no_way,
+        cost_m=case.cost_m,
+        best_m=case.best_m,
         clearance_m=case.clearance_m,
         defect_m=case.defect_m,
         kkt_residual=0.125,
@@ -347,10 +366,11 @@ def said(verifier: Callable[..., tuple], case: Case) -> Said:
     """What a verifier says of a case."""
     path = np.array(case.path_m, dtype=float)
     start = path[0] if case.start_m is None else np.array(case.start_m)
+    problem = case.problem if case.has_goal else unpriced(case.problem)
     certificate, verdict = verifier(
-        case.problem,
-        index_obstacles(case.problem.workspace),
-        belief_of(case.problem, case.power_at).posterior,
+        problem,
+        index_obstacles(problem.workspace),
+        belief_of(problem, case.power_at).posterior,
         start,
         path,
         0.125,
@@ -361,7 +381,8 @@ def said(verifier: Callable[..., tuple], case: Case) -> Said:
         reasons=frozenset(keys[0] if keys else "?" for keys in shown),
         relaxed=certificate.relaxed_steps,
         hopeless=tuple(best < 0.0 for best in certificate.best_margin_db),
-        no_way=certificate.no_connected_way,
+        cost_m=rounded(certificate.path_cost_m),
+        best_m=rounded(certificate.best_cost_m),
         clearance_m=round(certificate.min_clearance_m, 6),
         defect_m=None if case.defect_m is None else round(certificate.dynamics_defect, 6),
         kkt_residual=certificate.kkt_residual,

@@ -48,6 +48,10 @@ def connected_steps_asked(problem: Problem, history: History, count: int) -> flo
 
 
 def is_priced(problem: Problem) -> bool:
-    """Whether single steps may miss the bound at a price: of a robot that is to reach a goal."""
+    """Whether single steps may miss the bound at a price: of a robot that is to reach a goal.
+
+    A stated time is asked for itself: the price is of metres, and a robot may wait in contact.
+    """
     rule = problem.constraints.rule
-    return problem.task == "reach" and rule.by_step and rule.slack_max_db is None
+    is_plain = rule.connectivity == "each_step" and rule.slack_max_db is None
+    return problem.task == "reach" and is_plain

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.certificate import Certificate
-from planopt.planning.check.agreement import disagreements, in_words
+from planopt.planning.check.agreement import EXACT, disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
 from planopt.planning.check.check_explanation import explanation_faults
 from planopt.planning.check.check_steps import steps_reasons
@@ -31,6 +33,7 @@ from planopt.planning.plan import Plan, Termination
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.verify import judge
+from planopt.planning.roads import build_roads
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -114,13 +117,25 @@ def _on_the_way(
     posteriors: Sequence[ChannelPosterior],
     under: Circumstances,
 ) -> dict[str, Any]:
-    """The rest of the way as it is saved, and the coverage holes that there are on it."""
+    """The rest of the way as it is saved, if it leads to the goal, and the holes on it."""
     if len(record.route.x_m) != len(record.route.y_m):
         return {}
     route = np.stack([record.route.x_m, record.route.y_m], axis=1).reshape(-1, 2)
+    if len(route) and not _leads_to_goal(problem, route):
+        return {}
     places = np.vstack([plan.positions_m, route])
     power = search_prediction(posteriors[0], places, under.broad)
     return {"route_m": route, "holes": holes_on(problem, power, places)}
+
+
+def _leads_to_goal(problem: Problem, route_m: NDArray[np.float64]) -> bool:
+    """Whether a route (r, 2) is one over the lattice to the goal."""
+    roads = build_roads(problem, np.asarray(problem.goal_m))
+    nearest, away = PlaceTree(roads.nodes_m).nearest(route_m, 1)
+    nodes = nearest[:, 0]
+    joined = (roads.sources[nodes[1:]] == nodes[:-1, None]).any(axis=1)
+    at_goal = float(np.linalg.norm(route_m[-1] - np.asarray(problem.goal_m)))
+    return bool(away.max() <= EXACT and joined.all() and at_goal <= EXACT)
 
 
 def effort_faults(plan: Plan, where: str) -> list[str]:

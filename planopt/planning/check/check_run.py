@@ -114,7 +114,8 @@ def check_run(
     taken = taken_on_the_way(problem, belief, track, true)
     outcome, reason, faults = _ended(problem, states, taken, plans)
     # Without a truth these can only be taken as they stand.
-    said = {key: value for key, value in data["metrics"].items() if key in COSTS}
+    metrics = data.get("metrics")
+    said = {key: metrics[key] for key in COSTS if isinstance(metrics, dict) and key in metrics}
     costs = run_costs(problem, roads, index, truths, track, outcome) if truths else said
     run = Run(
         robot=problem.robots[0].name,

@@ -114,8 +114,8 @@ def check_run(
     taken = taken_on_the_way(problem, belief, track, true)
     outcome, reason, faults = _ended(problem, states, taken, plans)
     # Without a truth these can only be taken as they stand.
-    metrics = data.get("metrics")
-    said = {key: metrics[key] for key in COSTS if isinstance(metrics, dict) and key in metrics}
+    said: Mapping[str, float] = data.get("metrics", {})
+    said = {key: said[key] for key in COSTS if key in said}
     costs = run_costs(problem, roads, index, truths, track, outcome) if truths else said
     run = Run(
         robot=problem.robots[0].name,

@@ -52,6 +52,4 @@ def is_priced(problem: Problem) -> bool:
 
     A stated time is asked for itself: the price is of metres, and a robot may wait in contact.
     """
-    rule = problem.constraints.rule
-    is_plain = rule.connectivity == "each_step" and rule.slack_max_db is None
-    return problem.task == "reach" and is_plain
+    return problem.task == "reach" and problem.constraints.rule.is_plain

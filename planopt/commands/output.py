@@ -31,6 +31,13 @@ def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
         typer.echo("\n".join(escaped(line) for line in text.split("\n")))
 
 
+def say(text: str) -> None:
+    """Print a line to stderr while work is going on."""
+    from planopt.errors import escaped
+
+    typer.echo(escaped(text), err=True)
+
+
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
     """A number for people; a dash where there is none."""
     return "-" if value is None else f"{value:.{digits}g}{unit}"

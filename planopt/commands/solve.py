@@ -66,6 +66,8 @@ def solve(asked: Asked) -> int:
 
 
 def _in_words(solution: Solution) -> str:
+    from planopt.planning.holes import goal_in_words, holes_in_words
+
     plan, certificate = solution.plan, solution.plan.certificate
     lines = [
         f"{solution.problem.name}: {plan.verdict.value} ({plan.rung.value}, "
@@ -81,4 +83,7 @@ def _in_words(solution: Solution) -> str:
         lines.append(f"  {certificate.rule.words}")
     if plan.message:
         lines.append(f"  {plan.message}")
+    words = goal_in_words(solution.problem, plan.holes)
+    words += holes_in_words(solution.problem, plan.holes, "the way to the goal crosses")
+    lines += [f"  {line}" for line in words]
     return "\n".join([*lines, *explained(solution.explanation)])

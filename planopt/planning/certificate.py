@@ -34,6 +34,9 @@ class Certificate:
         On the way to a goal, where the bound is missed: what the plan and the rest of the way cost
         at the outage price, and what the cheapest path costs that the verifier finds, in metres;
         else None.
+    step_cost_m, step_excess_m
+        There as well: what the first step costs, and by how much the cheapest path is dearer after
+        it than before, that included. A run's sums of both are bounded by its allowance.
     reasons
         Why the verdict is not ``verified``; empty if it is.
     min_separation_m
@@ -57,6 +60,8 @@ class Certificate:
     best_margin_db: tuple[float, ...] = ()
     path_cost_m: float | None = None
     best_cost_m: float | None = None
+    step_cost_m: float | None = None
+    step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
     min_separation_m: float | None = None
     min_moving_clearance_m: float | None = None

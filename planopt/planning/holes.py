@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import Prediction
 from planopt.planning.bound_margins import margins_asked_db
-from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+
+MOST_IN_WORDS = 4
+"""Of more holes the longest are told of."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,15 @@ class Hole:
         Driven below the bound, half of the steps in and out included.
     least_connectivity
         Least probability of connection in it.
+    to_end
+        Whether the path ends in it.
     """
 
     from_m: tuple[float, float]
     to_m: tuple[float, float]
     length_m: float
     least_connectivity: float
+    to_end: bool
 
     @property
     def words(self) -> str:
@@ -71,13 +77,14 @@ def holes_along(
                 (float(finish[0]), float(finish[1])),
                 float(share[max(first - 1, 0) : end].sum()),
                 float(connectivity[first:end].min()),
+                end == len(places_m),
             )
         )
     return tuple(holes)
 
 
 def holes_on(
-    problem: Problem, situation: Situation, places_m: NDArray[np.float64]
+    problem: Problem, power: Prediction, places_m: NDArray[np.float64]
 ) -> tuple[Hole, ...]:
     """Find the holes of a path of places (n, 2), by what is believed.
 
@@ -85,21 +92,49 @@ def holes_on(
     ----------
     problem
         Its bound is asked of every place.
-    situation
-        What is believed.
+    power
+        What is believed of them.
     places_m
         The path.
     """
-    power = situation.power(places_m)
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
-    return holes_along(places_m, chance, margins_asked_db(problem, power) < 0.0)
+    slack_db = problem.constraints.rule.slack_max_db or 0.0
+    return holes_along(places_m, chance, margins_asked_db(problem, power) < -slack_db)
 
 
-def holes_in_words(holes: Sequence[Hole], price: float) -> list[str]:
-    """Lines for people about holes that are crossed."""
+def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses") -> list[str]:
+    """Lines for people about holes on the way to a goal; the longest where there are many.
+
+    Parameters
+    ----------
+    problem
+        With the price at which they are crossed.
+    holes
+        In the order of the path.
+    verb
+        Says when they are crossed.
+    """
+    if not holes:
+        return []
+    price, p_min = problem.reach.outage_price, problem.constraints.p_min
+    total_m = sum(hole.length_m for hole in holes)
+    told = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
+    lines = [f"{verb} a coverage hole of {hole.words}" for hole in holes if hole in told]
+    if len(told) < len(holes):
+        lines.append(f"{verb} {len(holes) - len(told)} shorter ones")
+    lines.append(
+        f"in all {total_m:.0f} m below constraints.p_min {p_min:g}: at objective.outage_price "
+        f"{price:g} no path round is cheaper"
+    )
+    return lines
+
+
+def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
+    """A line for people where the goal itself is out of contact; none where it is not."""
+    if not holes or not holes[-1].to_end:
+        return []
     return [
-        f"crosses a coverage hole: {hole.words}; no path round it is cheaper at "
-        f"objective.outage_price {price:g}"
-        for hole in holes
+        f"the goal {list(problem.goal_m)} is itself below constraints.p_min "
+        f"{problem.constraints.p_min:g}"
     ]

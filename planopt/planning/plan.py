@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.certificate import Certificate
+from planopt.planning.holes import Hole
 from planopt.robots.drive import Drive
 from planopt.short_repr import short_repr
 
@@ -115,6 +116,8 @@ class Plan:
         States and inputs along the places; None for the single integrator.
     route_m
         ``(r, 2)`` the rest of the way to a goal from the last place on, as the search found it.
+    holes
+        Stretches of path and route to a goal that miss the bound on connectivity.
     """
 
     robot: str
@@ -140,6 +143,7 @@ class Plan:
     sense: Literal["min", "max"] = "min"
     drive: Drive | None = None
     route_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    holes: tuple[Hole, ...] = ()
 
     __repr__ = short_repr
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.errors import NoPlanError
-from planopt.planning.budget import Budget, budget_from
+from planopt.planning.budget import Budget, budget_from, solve_limit_s
 from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
@@ -25,6 +25,7 @@ from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.goal_paths import build_goal_grid
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
@@ -67,7 +68,7 @@ class ReachPlanner:
                 problem.planner.horizon,
                 lines,
                 METHODS[problem.planner.name],
-                problem.planner.budget_s,
+                solve_limit_s(problem),
             )
 
     def plan(
@@ -131,13 +132,16 @@ class ReachPlanner:
             pivot = cost.pivot_of(chosen.path_m)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
-        return replace(plan, pivot=pivot, route_m=route)
+        places = np.vstack([plan.positions_m, route])
+        power = search_prediction(belief.posterior, places, circumstances.broad)
+        holes = holes_on(problem, power, places)
+        return replace(plan, pivot=pivot, route_m=route, holes=holes)
 
     def _why_blocked(self, situation: Situation, start: GlobalStart) -> str:
         """Where contact would have to be left, and for how long."""
         constraints = self.problem.constraints
         places = np.vstack([situation.position_m, start.path_m, start.route_m])
-        holes = holes_on(self._eased, situation, places)
+        holes = holes_on(self.problem, situation.power(places), places)
         longest = max(holes, key=lambda hole: hole.length_m, default=None)
         where = "" if longest is None else f", which has a coverage hole of {longest.words}"
         return (

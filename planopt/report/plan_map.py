@@ -23,6 +23,7 @@ from planopt.report.maps import (
 )
 from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel
+from planopt.report.route_line import draw_route
 from planopt.report.style import (
     PREDICTED,
     PROBABILITY_MAP,
@@ -71,7 +72,8 @@ def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Arti
 
     problem, plan = solution.problem, solution.plan
     p_min = problem.constraints.p_min
-    window = window_about(problem, plan.positions_m)
+    shown = np.vstack([plan.positions_m, plan.route_m]) if plan.holes else plan.positions_m
+    window = window_about(problem, shown)
     _, _, layer = believed_rasters(problem, solution.belief, window)
     draw_ground(panel, problem.workspace, "the plan on the predicted P(connected)")
     draw_layer(
@@ -94,13 +96,14 @@ def draw_plan_map(figure: Figure, panel: Panel, solution: Solution) -> list[Arti
         zorder=PATH_Z,
         label="planned waypoints and swept path",
     )
+    route = draw_route(panel, plan)
     places = draw_places(panel, problem)
     panel.set_xlim(window[0], window[2])
     panel.set_ylim(window[1], window[3])
     if is_small(problem, window):
         draw_inset(panel, problem, plan.positions_m, window)
     level = Line2D([], [], color=VERMILLION, linewidth=1.2, label=f"P(connected) = {p_min:g}")
-    return [path, margin, level, *moving, *places]
+    return [path, *route, margin, level, *moving, *places]
 
 
 def _draw_margin(panel: Panel, problem: Problem, window: Bounds) -> Artist:

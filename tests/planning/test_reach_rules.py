@@ -12,12 +12,15 @@ from scenes import bad_band, belief_of, small_problem
 from planopt import load
 from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
+from planopt.planning.explain.blocked import explain_blocked
 from planopt.planning.files.saved import save_simulation
+from planopt.planning.ground import first_moves
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
+from planopt.planning.search.node_margins import NodeMargins
 from planopt.problems.connectivity_rule import ConnectivityRule
 
 GAP = bad_band(17.0, 23.0)
@@ -131,3 +134,30 @@ def test_check_agrees_with_a_run(rule, tmp_path: Path):
     found = check(tmp_path)
     assert found.reasons == ()
     assert found.certificate.rule.connectivity == rule.connectivity
+
+
+def test_what_would_open_a_hard_bound():
+    """Each change by itself, no looser than needed: 5 % less opens nothing."""
+    problem = ruled(0.9, ConnectivityRule(slack_max_db=0.0))
+    scene, belief = build_scene(problem), belief_of(problem, GAP)
+    margins = NodeMargins(scene.road_map, problem.stations[0].threshold_dbm, 0.9)
+    margins.refresh(belief.posterior)
+    first, _ = first_moves(scene.ground, problem, np.array(START))
+
+    def solve_again(changed):
+        try:
+            return ReachPlanner(changed, scene).plan(belief, np.array(START)).verdict
+        except NoPlanError:
+            return Verdict.NONE
+
+    found = explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, solve_again)
+    by_key = {(each.constraint, each.relaxed_value is None): each for each in found}
+    lower = by_key["stations[0].threshold_dbm", False]
+    slack = by_key["constraints.slack_max_db", False]
+    assert by_key["constraints.slack_max_db", True].verified
+    assert slack.relaxed_value == pytest.approx(-80.0 - lower.relaxed_value, abs=0.05)
+    rule = ConnectivityRule(slack_max_db=0.95 * slack.relaxed_value)
+    assert solve_again(ruled(0.9, rule)) is Verdict.NONE
+    assert solve_again(ruled(0.9, replace(rule, slack_max_db=slack.relaxed_value))) is (
+        Verdict.VERIFIED
+    )

@@ -11,7 +11,7 @@ import scipy.stats
 
 from planopt import load
 from planopt.errors import InputError
-from planopt.planning.loop.clairvoyant import COSTS
+from planopt.planning.loop.clairvoyant import COSTS as COST_METRICS
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.run import Metrics, Outcome, StepLog
 from planopt.studies.compare import compare_horizons, mean_interval, paired_ratio, tabulate
@@ -19,7 +19,7 @@ from planopt.studies.comparison import Comparison, Row
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6
 TIMES = {"p50_step_s", "p95_step_s"}
-METRICS = [*(field.name for field in fields(Metrics)), *COSTS]
+METRICS = [*(field.name for field in fields(Metrics)), *COST_METRICS]
 
 
 @pytest.fixture(scope="module")

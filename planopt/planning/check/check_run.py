@@ -92,7 +92,8 @@ def check_run(
     for step, released in enumerate(record.plans, start=1):
         posteriors = posteriors_at(belief, posteriors, step)
         path = np.stack([released.x_m, released.y_m], axis=1)
-        history = history_of(problem, track[:step], connected[: step - 1])
+        proofs = [plan.certificate for plan in plans]
+        history = history_of(problem, track[:step], connected[: step - 1], proofs)
         circumstances = circumstances_of(problem, posteriors, history)
         place = f"plans[{step - 1}].drive"
         drive = drive_of(robot.dynamics, path, released.drive, folder / RUN_FILE, place)
@@ -113,7 +114,8 @@ def check_run(
     taken = taken_on_the_way(problem, belief, track, true)
     outcome, reason, faults = _ended(problem, states, taken, plans)
     # Without a truth these can only be taken as they stand.
-    said = {key: value for key, value in data["metrics"].items() if key in COSTS}
+    said: Mapping[str, float] = data.get("metrics", {})
+    said = {key: said[key] for key in COSTS if key in said}
     costs = run_costs(problem, roads, index, truths, track, outcome) if truths else said
     run = Run(
         robot=problem.robots[0].name,

@@ -37,6 +37,7 @@ def simulate(
     seed: int = 0,
     scene: Scene | None = None,
     prepared: Prepared | None = None,
+    on_start: Callable[[Plan], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Simulation:
     """Drive a problem's robot in the true channel.
@@ -51,6 +52,8 @@ def simulate(
         Of the truth's fading and of the first measurements.
     scene, prepared
         Geometry, truth and first belief if they are there already, for many runs of one seed.
+    on_start
+        Called with the first plan, before the first step.
     on_step
         Called after every step with its number, for progress display.
     """
@@ -72,12 +75,15 @@ def simulate(
         places = np.array(track)[:, :2]
         here = true_serving_dbm(problem, truths, places[1:])
         connected = here >= problem.stations[0].threshold_dbm
-        history = history_of(problem, places, connected)
+        proofs = [plan.certificate for plan in plans]
+        history = history_of(problem, places, connected, proofs)
         try:
             plan = planning.plan(belief, state, plans[-1] if plans else None, history)
         except NoPlanError as error:
             ended = Outcome.NO_PLAN, str(error)
             break
+        if not plans and on_start is not None:
+            on_start(plan)
         plans.append(plan)
         state = plan.next_state
         track.append(state)

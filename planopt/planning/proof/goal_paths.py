@@ -94,10 +94,14 @@ class PricedPath:
     ----------
     cost_m, best_m
         Metres, those out of contact counted at the outage price.
+    step_m, excess_m
+        The cost of its first step, and that with the cheapest path from there less `best_m`.
     """
 
     cost_m: float
     best_m: float
+    step_m: float
+    excess_m: float
 
 
 def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
@@ -213,4 +217,7 @@ def price_path(
 
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     driven = float(lengths.sum()) + price * charged_length_m(lengths, share)
-    return PricedPath(driven + rest_m(len(positions_m) - 1), rest_m(0))
+    best = rest_m(0)
+    step = float(lengths[0]) + price * charged_length_m(lengths[:1], share[:2])
+    excess = step + rest_m(1) - best
+    return PricedPath(driven + rest_m(len(positions_m) - 1), best, step, excess)

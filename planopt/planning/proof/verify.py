@@ -145,6 +145,8 @@ def judge(
         best_margin_db=() if steps is None else steps.best_margin_db,
         path_cost_m=None if steps is None else steps.path_cost_m,
         best_cost_m=None if steps is None else steps.best_cost_m,
+        step_cost_m=None if steps is None else steps.step_cost_m,
+        step_excess_m=None if steps is None else steps.step_excess_m,
         reasons=tuple(reasons),
         min_separation_m=apart.min_separation_m,
         min_moving_clearance_m=apart.min_moving_clearance_m,

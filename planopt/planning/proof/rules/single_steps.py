@@ -18,6 +18,7 @@ from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import outage_share
+from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.goal_paths import (
@@ -39,9 +40,11 @@ MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """From positions (n, 2) to margins (n,) in dB."""
 
 COST_TOLERANCE = 0.05
-"""By what share a plan may cost more than the cheapest path that the verifier finds."""
+"""By what share a plan may cost more than the cheapest path that the verifier finds; and all steps
+of a run, each by what was known then."""
 COST_LEEWAY_STEPS = 2.0
-"""And by so many longest steps out of contact: steps end where they end, the grid is as it is."""
+"""And by so many longest steps out of contact, once for a plan and once for a run: steps end where
+they end, the grid is as it is."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,9 @@ class StepsFinding:
 
     Attributes
     ----------
-    relaxed_steps, relaxation_db, best_margin_db, path_cost_m, best_cost_m, reasons
+    relaxed_steps, relaxation_db, best_margin_db, path_cost_m, best_cost_m
+        As in :class:`planopt.planning.certificate.Certificate`.
+    step_cost_m, step_excess_m, reasons
         As in :class:`planopt.planning.certificate.Certificate`.
     result
         None for the plain rule: at each step where possible.
@@ -61,6 +66,8 @@ class StepsFinding:
     best_margin_db: tuple[float, ...] = ()
     path_cost_m: float | None = None
     best_cost_m: float | None = None
+    step_cost_m: float | None = None
+    step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
     result: RuleResult | None = None
 
@@ -110,7 +117,9 @@ def judge_single_steps(
             relaxation,
             path_cost_m=priced.cost_m,
             best_cost_m=priced.best_m,
-            reasons=tuple(_too_dear(problem, priced, best_margin_db)),
+            step_cost_m=priced.step_m,
+            step_excess_m=priced.excess_m,
+            reasons=tuple(_too_dear(problem, under.history, priced, best_margin_db)),
             result=result,
         )
     best = best_margins_by_step(
@@ -204,8 +213,10 @@ def _priced(
     return priced, costs.best_margin_db
 
 
-def _too_dear(problem: Problem, priced: PricedPath, best_margin_db: float) -> list[str]:
-    """Object to a path that costs too much, or to a bound that is met nowhere."""
+def _too_dear(
+    problem: Problem, history: History, priced: PricedPath, best_margin_db: float
+) -> list[str]:
+    """Object to a path that costs too much, a run that has, or a bound that is met nowhere."""
     p_min, price = problem.constraints.p_min, problem.reach.outage_price
     if best_margin_db < -MARGIN_TOLERANCE_DB:
         return [
@@ -213,6 +224,14 @@ def _too_dear(problem: Problem, priced: PricedPath, best_margin_db: float) -> li
             f"the best place found misses it by {-best_margin_db:.2f} dB"
         ]
     leeway = COST_LEEWAY_STEPS * problem.step_length_m * (1.0 + price)
+    spent = history.crossing_excess_m + priced.excess_m
+    allowed = COST_TOLERANCE * (history.crossing_cost_m + priced.step_m) + leeway
+    if spent > allowed:
+        return [
+            f"steps are below constraints.p_min {p_min:g}, and those of the run so far have cost "
+            f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
+            f"{price:g}, {allowed:.1f} m are allowed"
+        ]
     if priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway:
         return []
     return [

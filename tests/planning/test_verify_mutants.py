@@ -593,7 +593,7 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "outage always priced": (STEPS, "if is_priced(problem):", "if True:"),
     "any price will do": (
         STEPS,
-        "reasons=tuple(_too_dear(problem, priced, best_margin_db)),",
+        "reasons=tuple(_too_dear(problem, under.history, priced, best_margin_db)),",
         "reasons=(),",
     ),
     "nowhere turned round": (
@@ -641,8 +641,8 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     ),
     "best from the end": (
         PATHS,
-        "1), rest_m(0))",
-        "1), rest_m(len(positions_m) - 1))",
+        "    best = rest_m(0)\n",
+        "    best = rest_m(len(positions_m) - 1)\n",
     ),
     "joined through walls": (PATHS, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > -1.0]"),
     "joined to nothing": (PATHS, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > np.inf]"),

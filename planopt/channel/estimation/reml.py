@@ -113,9 +113,9 @@ def reml_fit(
     known
         What is not estimated here, as in :func:`likelihood_data`.
     ends
-        Whether to look for other maxima at the ends of `bounds`, for up to
-        `MOST_DENSE` measurements. It takes about half as long as the rest, and is for who wants them all: in 60 drawn channels
-        none of them was the best.
+        Whether to look for other maxima at the ends of `bounds`, for up to `MOST_DENSE`
+        measurements. It takes about half as long as the rest, and is for who wants them all: in 60
+        drawn channels none of them was the best.
     """
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
     likelihood: Likelihood

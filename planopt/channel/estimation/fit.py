@@ -30,7 +30,7 @@ from planopt.channel.estimation.fit_method import (
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
 from planopt.channel.mean_model import PRIOR_N_PL, mean_model
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
@@ -43,7 +43,7 @@ OFFSET_MEASUREMENTS = 50
 
 @one_blas_thread()
 def fit_channel(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     station: Station,
     method: GivenMethod = "reml",
     forgetting_s: float = math.inf,
@@ -82,6 +82,7 @@ def fit_channel(
         See :func:`planopt.channel.estimation.identifiability.examine`; or `forgetting_s` is not
         positive; or there is no such method or loss, or the method has none to choose.
     """
+    measurements = as_measurements(measurements)
     chosen = require_method(method, "method")
     require_loss(loss, chosen, "loss")
     if not forgetting_s > 0.0:

@@ -24,7 +24,7 @@ from planopt.channel.estimation.profile import Profile, ProfiledParameter
 from planopt.channel.estimation.reml import thinned
 from planopt.channel.intervals.censoring import needs_site
 from planopt.channel.mean_model import mean_model
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.errors import InputError
@@ -53,7 +53,7 @@ GROWTH, MAX_STEPS = 1.15, 16
 
 @one_blas_thread()
 def profile_likelihood(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     station: Station,
     parameter: ProfiledParameter,
     values: NDArray[np.float64],
@@ -80,6 +80,7 @@ def profile_likelihood(
         The measurements do not allow the three to be estimated; there is no such parameter; or a
         value is not positive and finite.
     """
+    measurements = as_measurements(measurements)
     if parameter not in get_args(ProfiledParameter):
         raise InputError(
             f"{parameter!r} has no profile",

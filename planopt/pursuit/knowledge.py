@@ -72,21 +72,22 @@ class Snapshot:
         """``(L + 1,)`` distance from what is reported to where the object was."""
         return np.linalg.norm(self.reported_m - self.sampled_m, axis=1)
 
-    def level_at(self, motes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the level that each mote (k, 2), column and row, takes its report from; (k,)."""
-        levels = np.arange(self.service.levels + 1)
-        own = motes[:, None, :] >> levels[:, None]
-        beside = (np.abs(own - self.cells) <= 1).all(axis=-1)
-        return beside.argmax(axis=1)
+    def shown_at(self, mote: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which levels show the object to a mote (2,), column and row; ``(L + 1,)``."""
+        own = mote >> np.arange(self.service.levels + 1)[:, None]
+        return np.asarray((np.abs(own - self.cells) <= 1).all(axis=1), dtype=np.bool_)
 
     def level_map(self) -> NDArray[np.int8]:
-        """Return the level that every mote takes its report from; ``(n, n)``, rows being y."""
+        """Return the level that every mote takes its report from; ``(n, n)``, rows being y.
+
+        It is -1 where no level shows the object, which may be on endless grids alone.
+        """
         side = self.service.motes_per_side
-        found = np.empty((side, side), dtype=np.int8)
+        found = np.full((side, side), -1, dtype=np.int8)
         for level in range(self.service.levels, -1, -1):
             column, row = (int(number) for number in self.cells[level])
             x, y = (
-                slice(max(0, (number - 1) << level), (number + 2) << level)
+                slice(max(0, (number - 1) << level), max(0, (number + 2) << level))
                 for number in (column, row)
             )
             found[y, x] = level
@@ -119,7 +120,8 @@ def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
     """
     sampled_s = service.sample_numbers(time_s) * service.periods_s
     sampled_m = track.at(sampled_s)
-    if not ((sampled_m >= 0.0) & (sampled_m <= service.side_m)).all():
+    on_grid = (sampled_m >= 0.0) & (sampled_m <= service.side_m)
+    if not (service.endless or on_grid.all()):
         raise InputError(
             "the object left the grid of motes",
             key="positions_m",

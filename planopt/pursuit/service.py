@@ -81,6 +81,9 @@ class SnapshotService:
         Frames of a level-0 round. More than the least, 3, leave time to repeat lost hops.
     rate_divisor
         r: a level's rounds start every r rounds' lengths.
+    endless
+        Whether the grid goes on beyond its edges, for pursuits in open space: cells of level L then
+        have neighbours too.
 
     Raises
     ------
@@ -94,6 +97,7 @@ class SnapshotService:
     bits_per_axis: int
     hops_per_round: int = HOPS_PER_ROUND
     rate_divisor: int = 1
+    endless: bool = False
 
     def __post_init__(self) -> None:
         require_count(self.levels, "levels", 1, MAX_LEVELS)
@@ -153,8 +157,10 @@ class SnapshotService:
     def cells(self, positions_m: NDArray[np.float64], level: int) -> NDArray[np.int64]:
         """Return the level-j cell (column, row) of each position (..., 2), as ``(..., 2)``."""
         finest = np.floor(positions_m / self.mote_spacing_m).astype(np.int64)
-        # The far edges belong to the last motes.
-        return np.clip(finest, 0, self.motes_per_side - 1) >> level
+        if not self.endless:
+            # The far edges belong to the last motes.
+            finest = np.clip(finest, 0, self.motes_per_side - 1)
+        return finest >> level
 
     def reported_m(self, positions_m: NDArray[np.float64], level: int) -> NDArray[np.float64]:
         """Return the centre of the sub-cell that a level-j report tells for positions (..., 2)."""

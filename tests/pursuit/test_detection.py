@@ -39,7 +39,7 @@ def test_perfect_detection_tells_the_snapshot(divisor):
         known = snapshot(service, track, time_s)
         for mote in np.random.default_rng(1).integers(0, 32, (40, 2)):
             reports = reports_at(service, found, mote, time_s)
-            level = int(known.level_at(mote[None])[0])
+            level = int(known.shown_at(mote).argmax())
             assert reports.levels[-1] == level
             assert reports.sampled_s[-1] == pytest.approx(known.sampled_s[level])
             np.testing.assert_allclose(reports.reported_m[-1], known.reported_m[level])

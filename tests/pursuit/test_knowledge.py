@@ -44,8 +44,8 @@ def test_against_the_definition(service):
         found = snapshot(service, track, time_s)
         levels = found.level_map()
         motes = generator.integers(0, service.motes_per_side, (150, 2))
-        np.testing.assert_array_equal(found.level_at(motes), levels[motes[:, 1], motes[:, 0]])
         for mote in motes:
+            assert found.shown_at(mote).argmax() == levels[mote[1], mote[0]]
             level, sampled_s, reported_m = definition(service, track, time_s, mote)
             assert levels[mote[1], mote[0]] == level
             assert found.sampled_s[level] == pytest.approx(sampled_s, abs=1e-9)
@@ -121,3 +121,20 @@ def test_object_off_the_grid():
     """An object that left the grid is refused."""
     with pytest.raises(InputError, match="left the grid"):
         snapshot(SERVICES[0], Track(np.zeros(1), np.array([[-0.1, 3.0]])), 1.0)
+
+
+def test_endless_grid():
+    """Beyond the edges levels go on; what is farther than the coarsest level shows is not known."""
+    inside, endless = (SnapshotService(3, 1.0, 0.1, 2, endless=each) for each in (False, True))
+    place = Track(np.zeros(1), np.array([[3.5, 4.5]]))
+    moved = Track(np.zeros(1), np.array([[3.5 - 16.0, 4.5 + 32.0]]))
+    np.testing.assert_array_equal(
+        snapshot(inside, place, 1.0).level_map(), snapshot(endless, place, 1.0).level_map()
+    )
+    assert (snapshot(endless, moved, 1.0).level_map() == -1).all()
+    near = snapshot(endless, moved, 1.0)
+    motes = np.stack(np.meshgrid(np.arange(8), np.arange(8)), axis=-1).reshape(-1, 2)
+    shown = [int(near.shown_at(mote + [-16, 32]).argmax()) for mote in motes]
+    np.testing.assert_array_equal(
+        np.reshape(shown, (8, 8)), snapshot(inside, place, 1.0).level_map()
+    )

@@ -59,7 +59,7 @@ def test_a_directed_pursuer_misses_nothing():
         mote = SERVICE.cells(pursuer.at(np.array(time_s)), 0)
         told = memory(SERVICE, directed, time_s)[:, mote[1], mote[0]]
         found = snapshot(SERVICE, evader, time_s)
-        level = int(found.level_at(mote[None])[0])
+        level = int(found.shown_at(mote).argmax())
         np.testing.assert_array_equal(told[level], found.cells[level])
         assert (told[:level] == -1).all()
     plain = record_floods(SERVICE, evader, duration_s)

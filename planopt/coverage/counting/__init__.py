@@ -1,0 +1,1 @@
+"""How many agents there are, found by the agents themselves over their links."""

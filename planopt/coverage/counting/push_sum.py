@@ -1,0 +1,125 @@
+"""Counting over links that lose messages in one direction without anybody noticing.
+
+Every agent sends the sum of all that it ever gave a neighbour. Whoever hears it again after a loss
+finds what was missing in the difference, so that nothing is lost for good.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.counting.consensus import Count, inverted
+from planopt.coverage.network import Network
+from planopt.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class PushSum:
+    """What agents and links hold.
+
+    Attributes
+    ----------
+    held
+        ``(n, 2)`` value and weight of each agent.
+    given
+        ``(n, 2)`` sums of what each agent ever gave to one neighbour.
+    taken
+        ``(2 e, 2)`` the sums that were last heard over each link in each direction.
+    """
+
+    held: NDArray[np.float64]
+    given: NDArray[np.float64]
+    taken: NDArray[np.float64]
+
+
+def start_push_sum(network: Network, leader: int) -> PushSum:
+    """Return the state in which the leader has the value 1 and every agent the weight 1.
+
+    Raises
+    ------
+    InputError
+        There is no such leader.
+    """
+    if not 0 <= leader < network.count:
+        raise InputError(f"there is no agent {leader}", key="leader")
+    held = np.stack((np.zeros(network.count), np.ones(network.count)), axis=1)
+    held[leader, 0] = 1.0
+    return PushSum(held, np.zeros((network.count, 2)), np.zeros((2 * len(network.links), 2)))
+
+
+def push_sum_round(
+    state: PushSum,
+    network: Network,
+    *,
+    loss: float = 0.0,
+    generator: np.random.Generator | None = None,
+) -> PushSum:
+    """Let every agent share what it holds with its neighbours once.
+
+    Parameters
+    ----------
+    state
+        What agents and links hold.
+    network
+        Who talks to whom; the same in all rounds.
+    loss
+        Probability that a message is lost, in each direction by itself.
+    generator
+        Draws the losses.
+
+    Raises
+    ------
+    InputError
+        The loss is out of range, or there is none to draw it.
+    """
+    sender, receiver = network.directed
+    heard = np.ones(len(sender), dtype=np.bool_)
+    if loss != 0.0:
+        if generator is None or not 0.0 < loss < 1.0:
+            raise InputError(f"a loss of {loss!r} or no generator for it", key="loss")
+        heard = generator.random(len(sender)) >= loss
+    share = state.held / (1.0 + network.degrees)[:, None]
+    given = state.given + share
+    held = share.copy()
+    news = given[sender] - state.taken
+    np.add.at(held, receiver[heard], news[heard])
+    taken = np.where(heard[:, None], given[sender], state.taken)
+    return PushSum(held, given, taken)
+
+
+def count_by_push_sum(
+    network: Network,
+    leader: int,
+    rounds: int,
+    *,
+    loss: float = 0.0,
+    generator: np.random.Generator | None = None,
+) -> Count:
+    """Count agents by push-sum with running sums.
+
+    Parameters
+    ----------
+    network
+        Who talks to whom.
+    leader
+        Number of the agent that starts with the value 1.
+    rounds
+        How often all agents send.
+    loss, generator
+        As for :func:`push_sum_round`.
+
+    Raises
+    ------
+    InputError
+        A number is out of range.
+    """
+    if rounds < 0:
+        raise InputError(f"{rounds} rounds", key="rounds")
+    state = start_push_sum(network, leader)
+    for _ in range(rounds):
+        state = push_sum_round(state, network, loss=loss, generator=generator)
+    estimates = inverted(state.held[:, 0] / state.held[:, 1])
+    return Count(estimates, rounds, 2 * rounds * len(network.links))

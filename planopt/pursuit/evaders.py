@@ -1,0 +1,238 @@
+"""How evaders move: not at all, at random, or away from their pursuers, greedily or ahead in time.
+
+Evaders see their pursuers exactly, and where these drive to. That is more than they would know, so
+that what holds against them holds against others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.pursuit.arena import Arena
+from planopt.pursuit.service import require_count, require_number
+
+HEADINGS = 32
+"""Directions that are compared, beside straight away from a pursuer."""
+
+
+@dataclass(frozen=True, eq=False)
+class EvaderView:
+    """What an evader decides on.
+
+    Attributes
+    ----------
+    place_m, speed_m_s
+        Where it is, ``(2,)``, and how fast it may be.
+    pursuers_m, aims_m
+        ``(p, 2)`` where its pursuers are and where they drive to.
+    pursuer_speed_m_s
+        The fastest one's.
+    step_s
+        Until the next decision.
+    arena
+        Where it may go.
+    """
+
+    place_m: NDArray[np.float64]
+    speed_m_s: float
+    pursuers_m: NDArray[np.float64]
+    aims_m: NDArray[np.float64]
+    pursuer_speed_m_s: float
+    step_s: float
+    arena: Arena
+
+
+Decide = Callable[[EvaderView], NDArray[np.float64]]
+"""Where an evader goes in one step, ``(2,)``."""
+
+
+class Behaviour(Protocol):
+    """A kind of evader."""
+
+    def begin(self, generator: np.random.Generator) -> Decide:
+        """Return what decides in one pursuit, with a memory of its own."""
+        ...
+
+
+@dataclass(frozen=True)
+class Static:
+    """It stays."""
+
+    def begin(self, generator: np.random.Generator) -> Decide:
+        """Return the same place for ever."""
+        return lambda view: view.place_m
+
+
+@dataclass(frozen=True)
+class Wandering:
+    """It drives at full speed on a heading that turns at random.
+
+    Attributes
+    ----------
+    turn_std_rad
+        Standard deviation of its turn over a second.
+    """
+
+    turn_std_rad: float = 0.3
+
+    def __post_init__(self) -> None:
+        require_number(self.turn_std_rad, "turn_std_rad", least=0.0)
+
+    def begin(self, generator: np.random.Generator) -> Decide:
+        """Return a random walk; where it is blocked it turns to the next free heading."""
+        heading = generator.uniform(0.0, 2.0 * np.pi)
+
+        def decide(view: EvaderView) -> NDArray[np.float64]:
+            nonlocal heading
+            heading += generator.normal(0.0, self.turn_std_rad) * np.sqrt(view.step_s)
+            turns = heading + _fan()
+            ends_m = view.arena.moved(view.place_m, view.speed_m_s * view.step_s * _unit(turns))
+            whole_m = 0.999 * view.speed_m_s * view.step_s
+            free = np.linalg.norm(ends_m - view.place_m, axis=1) >= whole_m
+            chosen = int(free.argmax())
+            heading = float(turns[chosen])
+            return ends_m[chosen]
+
+        return decide
+
+
+@dataclass(frozen=True)
+class Fleeing:
+    """It takes the step that leads farthest from the nearest pursuer, round obstacles.
+
+    Attributes
+    ----------
+    from_aims
+        Whether it flees from where its pursuers drive to instead.
+    """
+
+    from_aims: bool = False
+
+    def begin(self, generator: np.random.Generator) -> Decide:
+        """Return the greedy step."""
+
+        def decide(view: EvaderView) -> NDArray[np.float64]:
+            feared_m = view.aims_m if self.from_aims else view.pursuers_m
+            nearest = feared_m[np.linalg.norm(feared_m - view.place_m, axis=1).argmin()]
+            turns = _away_rad(view.place_m, nearest) + _fan()
+            ends_m = view.arena.moved(view.place_m, view.speed_m_s * view.step_s * _unit(turns))
+            left_m = [view.arena.distances_m(each, ends_m) for each in feared_m]
+            return ends_m[int(np.min(left_m, axis=0).argmax())]
+
+        return decide
+
+
+@dataclass(frozen=True)
+class Zigzag:
+    """It flees from where its pursuers drive to, and turns to the other side ever so often.
+
+    Attributes
+    ----------
+    period_s
+        Between turns.
+    angle_rad
+        To either side of straight away.
+    """
+
+    period_s: float
+    angle_rad: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_number(self.period_s, "period_s", above=0.0)
+        require_number(self.angle_rad, "angle_rad", least=0.0)
+
+    def begin(self, generator: np.random.Generator) -> Decide:
+        """Return the zigzag, at a random time of its period."""
+        clock_s = generator.uniform(0.0, 2.0 * self.period_s)
+
+        def decide(view: EvaderView) -> NDArray[np.float64]:
+            nonlocal clock_s
+            clock_s += view.step_s
+            side = 1.0 if clock_s % (2.0 * self.period_s) < self.period_s else -1.0
+            feared_m = view.aims_m[np.linalg.norm(view.aims_m - view.place_m, axis=1).argmin()]
+            turn = _away_rad(view.place_m, feared_m) + side * self.angle_rad
+            move_m = view.speed_m_s * view.step_s * _unit(np.array([turn]))
+            return view.arena.moved(view.place_m, move_m)[0]
+
+        return decide
+
+
+@dataclass(frozen=True)
+class Foresighted:
+    """It plans ahead: two legs that leave it farthest from pursuers that drive straight at it.
+
+    Attributes
+    ----------
+    horizon
+        Steps that it plans.
+    plan_step_s
+        Length of one of them.
+
+    Raises
+    ------
+    InputError
+        A number is out of range.
+    """
+
+    horizon: int
+    plan_step_s: float
+
+    def __post_init__(self) -> None:
+        require_count(self.horizon, "horizon", 1)
+        require_number(self.plan_step_s, "plan_step_s", above=0.0)
+
+    def begin(self, generator: np.random.Generator) -> Decide:
+        """Return the first step of a plan that is made anew every time."""
+
+        def decide(view: EvaderView) -> NDArray[np.float64]:
+            if view.arena.obstacles is not None:
+                raise InputError("foresighted evaders do not plan around obstacles", key="evaders")
+            nearest = np.linalg.norm(view.pursuers_m - view.place_m, axis=1).argmin()
+            headings = _away_rad(view.place_m, view.pursuers_m[nearest]) + _fan()[::2]
+            first, then = (_unit(each.ravel()) for each in np.meshgrid(headings, headings))
+            score = self._score_m(view, first, then)
+            move_m = view.speed_m_s * view.step_s * first[int(score.argmax())]
+            return view.arena.moved(view.place_m, move_m[None])[0]
+
+        return decide
+
+    def _score_m(
+        self, view: EvaderView, first: NDArray[np.float64], then: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Distance from the nearest pursuer at the end of each plan, and on the way a little."""
+        places = np.tile(view.place_m, (len(first), 1))
+        hunters = np.tile(view.pursuers_m[:, None], (1, len(first), 1))
+        step_m = view.speed_m_s * self.plan_step_s
+        chase_m = view.pursuer_speed_m_s * self.plan_step_s
+        total_m = np.zeros(len(first))
+        for number in range(self.horizon):
+            leg = first if 2 * number < self.horizon else then
+            places = view.arena.within(places + step_m * leg)
+            offset = places - hunters
+            away_m = np.linalg.norm(offset, axis=-1, keepdims=True)
+            hunters = hunters + offset * np.minimum(1.0, chase_m / np.maximum(away_m, 1e-12))
+            left_m = np.linalg.norm(places - hunters, axis=-1).min(axis=0)
+            # Being caught late is better than being caught soon: distances on the way count a bit.
+            total_m += left_m * (1.0 if number + 1 == self.horizon else 0.1)
+        return total_m
+
+
+def _fan() -> NDArray[np.float64]:
+    """Turns from a heading, straight on first, then to either side in order."""
+    turns = np.arange(1, HEADINGS // 2 + 1) * (2.0 * np.pi / HEADINGS)
+    return np.append(0.0, np.stack([turns, -turns], axis=1).ravel()[:-1])
+
+
+def _unit(headings_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([np.cos(headings_rad), np.sin(headings_rad)], axis=-1)
+
+
+def _away_rad(place_m: NDArray[np.float64], feared_m: NDArray[np.float64]) -> float:
+    offset = place_m - feared_m
+    return float(np.arctan2(offset[1], offset[0]))

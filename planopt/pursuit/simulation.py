@@ -1,0 +1,402 @@
+"""Pursuits in steps: evaders and pursuers move at once, and capture is looked for all along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import (
+    linear_sum_assignment,  # pyright: ignore[reportUnknownVariableType]
+)
+
+from planopt.errors import InputError
+from planopt.pursuit.arena import Arena
+from planopt.pursuit.evaders import Behaviour, Decide, EvaderView
+from planopt.pursuit.knowledge import Track
+from planopt.pursuit.motion import Motion, StraightMotion
+from planopt.pursuit.pursuers import Driver, Policy, PursuerView, Quest
+from planopt.pursuit.records import Record, RecordSource
+from planopt.pursuit.service import require_count, require_number
+
+STEP_PIECES = 4
+"""Pieces that a pursuer's step is cut into where capture is looked for: each counts as straight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pursuer:
+    """A pursuer.
+
+    Attributes
+    ----------
+    start_m
+        ``(2,)``.
+    motion
+        How it moves.
+    policy
+        How it decides.
+    """
+
+    start_m: NDArray[np.float64]
+    motion: Motion
+    policy: Policy
+
+
+@dataclass(frozen=True, eq=False)
+class Evader:
+    """An evader, a single integrator.
+
+    Attributes
+    ----------
+    start_m
+        ``(2,)``.
+    speed_max_m_s
+        Largest speed.
+    behaviour
+        How it decides.
+    """
+
+    start_m: NDArray[np.float64]
+    speed_max_m_s: float
+    behaviour: Behaviour
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything about a pursuit but its randomness.
+
+    Attributes
+    ----------
+    pursuers, evaders
+        At least one of each.
+    source
+        Where pursuers have their records from.
+    capture_radius_m
+        An evader is caught once a pursuer is so near.
+    step_s
+        Everybody decides so often.
+    max_steps
+        It is given up after so many.
+    arena
+        Where it takes place.
+
+    Raises
+    ------
+    InputError
+        Nobody pursues or flees, or a number is out of range.
+    """
+
+    pursuers: tuple[Pursuer, ...]
+    evaders: tuple[Evader, ...]
+    source: RecordSource
+    capture_radius_m: float
+    step_s: float
+    max_steps: int
+    arena: Arena = field(default_factory=Arena)
+
+    def __post_init__(self) -> None:
+        if not self.pursuers or not self.evaders:
+            raise InputError("a pursuit needs a pursuer and an evader", key="pursuers")
+        require_number(self.capture_radius_m, "capture_radius_m", above=0.0)
+        require_number(self.step_s, "step_s", above=0.0)
+        require_count(self.max_steps, "max_steps", 1)
+        for each in self.evaders:
+            require_number(each.speed_max_m_s, "speed_max_m_s", least=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Use:
+    """A record that a pursuer began to use.
+
+    Attributes
+    ----------
+    pursuer, evader
+        Their numbers.
+    time_s, place_m
+        When and where.
+    record
+        What it was told.
+    sampled_m
+        ``(2,)`` where the evader truly was when it was sampled.
+    """
+
+    pursuer: int
+    evader: int
+    time_s: float
+    place_m: NDArray[np.float64]
+    record: Record
+    sampled_m: NDArray[np.float64]
+
+    @property
+    def age_s(self) -> float:
+        """How old the record was."""
+        return self.time_s - self.record.sampled_s
+
+    @property
+    def distance_m(self) -> float:
+        """d: from the pursuer to where the evader was sampled."""
+        return float(np.linalg.norm(self.place_m - self.sampled_m))
+
+
+@dataclass(frozen=True, eq=False)
+class Pursuit:
+    """What happened.
+
+    Attributes
+    ----------
+    scene
+        Who pursued whom.
+    times_s
+        ``(n + 1,)``.
+    pursuers
+        For each, its states ``(n + 1, s)``.
+    evaders_m
+        ``(e, n + 1, 2)``; they stay where they are caught.
+    chased
+        ``(p, n)`` which evader each pursuer was after; -1 once all are caught.
+    capture_s, captors
+        ``(e,)`` when each evader was caught, infinite if never, and by whom, -1 if by nobody.
+    uses
+        Records in the order in which pursuers began to use them.
+    """
+
+    scene: Scene
+    times_s: NDArray[np.float64]
+    pursuers: tuple[NDArray[np.float64], ...]
+    evaders_m: NDArray[np.float64]
+    chased: NDArray[np.int64]
+    capture_s: NDArray[np.float64]
+    captors: NDArray[np.int64]
+    uses: tuple[Use, ...]
+
+    @property
+    def outcome(self) -> str:
+        """``captured`` if all evaders were, else ``step_limit``."""
+        return "captured" if np.isfinite(self.capture_s).all() else "step_limit"
+
+    def bounds_m(self, pursuer: int, evader: int) -> NDArray[np.float64]:
+        """Return W at the start of each stage of a pursuer after an evader, ``(k,)``."""
+        speed = self.scene.evaders[evader].speed_max_m_s
+        return np.array(
+            [
+                use.distance_m + speed * use.age_s
+                for use in self.uses
+                if (use.pursuer, use.evader) == (pursuer, evader)
+            ]
+        )
+
+    @property
+    def capture_time_s(self) -> float:
+        """When the last evader was caught; infinite if one was not."""
+        return float(self.capture_s.max())
+
+
+def simulate_pursuit(scene: Scene, generator: np.random.Generator) -> Pursuit:
+    """Run a pursuit until all evaders are caught or `max_steps` are over.
+
+    Each pursuer is after one evader until that is caught: first the pairs that are together the
+    least apart by their first records, then whoever is free takes the nearest one that nobody is
+    after, or the nearest at all.
+
+    Parameters
+    ----------
+    scene
+        Who pursues whom, and where.
+    generator
+        Source of all randomness.
+    """
+    return _Run(scene, generator).finish()
+
+
+class _Run:
+    """Positions so far, and who is after whom."""
+
+    def __init__(self, scene: Scene, generator: np.random.Generator) -> None:
+        self._scene, self._generator = scene, generator
+        steps, count = scene.max_steps, len(scene.evaders)
+        self._times_s = np.linspace(0.0, steps * scene.step_s, steps + 1)
+        self._states = [
+            np.tile(each.motion.start(each.start_m), (steps + 1, 1)) for each in scene.pursuers
+        ]
+        self._places = np.empty((count, steps + 1, 2))
+        self._places[:, 0] = [each.start_m for each in scene.evaders]
+        self._decides: list[Decide] = [each.behaviour.begin(generator) for each in scene.evaders]
+        self._drivers: list[Driver | None] = [None] * len(scene.pursuers)
+        self._chased = np.full((len(scene.pursuers), steps), -1)
+        self._after = np.full(len(scene.pursuers), -1)
+        self._capture_s, self._captors = np.full(count, np.inf), np.full(count, -1)
+        self._uses: list[Use] = []
+        self._step = 0
+
+    def finish(self) -> Pursuit:
+        while self._step < self._scene.max_steps and np.isinf(self._capture_s).any():
+            self._assign()
+            self._chased[:, self._step] = self._after
+            aims = [self._aim_m(number) for number in range(len(self._scene.pursuers))]
+            self._move_evaders(np.array(aims))
+            for number, each in enumerate(self._scene.pursuers):
+                states = self._states[number]
+                states[self._step + 1] = each.motion.towards(
+                    states[self._step], aims[number], self._scene.step_s
+                )
+            self._note_captures(aims)
+            self._step += 1
+        end = self._step + 1
+        return Pursuit(
+            self._scene,
+            self._times_s[:end],
+            tuple(states[:end] for states in self._states),
+            self._places[:, :end],
+            self._chased[:, : self._step],
+            self._capture_s,
+            self._captors,
+            tuple(self._uses),
+        )
+
+    def _track(self, evader: int) -> Track:
+        end = self._step + 1
+        return Track(self._times_s[:end], self._places[evader, :end])
+
+    def _place_m(self, pursuer: int) -> NDArray[np.float64]:
+        return self._states[pursuer][self._step, :2]
+
+    def _ask(self, pursuer: int, evader: int, held: Record | None) -> Record | None:
+        return self._scene.source.record(
+            self._track(evader), self._place_m(pursuer), float(self._times_s[self._step]), held
+        )
+
+    def _assign(self) -> None:
+        """Give every pursuer without an evader one."""
+        free = [
+            number
+            for number, evader in enumerate(self._after.tolist())
+            if evader < 0 or np.isfinite(self._capture_s[evader])
+        ]
+        if not free:
+            return
+        left = np.flatnonzero(np.isinf(self._capture_s))
+        chased = set(np.delete(self._after, free).tolist())
+        away_m = np.array(
+            [[self._reported_away_m(number, evader) for evader in left.tolist()] for number in free]
+        )
+        alone = np.array([evader not in chased for evader in left.tolist()])
+        self._after[free] = left[away_m.argmin(axis=1)]
+        if alone.any():
+            rows, columns = _assigned(away_m[:, alone])
+            self._after[np.array(free)[rows]] = left[alone][columns]
+        for number in free:
+            each = self._scene.pursuers[number]
+            quest = Quest(
+                each.motion,
+                max(other.speed_max_m_s for other in self._scene.evaders),
+                self._scene.capture_radius_m,
+                self._scene.arena,
+                self._generator,
+            )
+            self._drivers[number] = each.policy.begin(quest)
+
+    def _reported_away_m(self, pursuer: int, evader: int) -> float:
+        found = self._ask(pursuer, evader, None)
+        if found is None:
+            # Farther than anything that is known, but not infinite: assignments need numbers.
+            return 1e12
+        return float(np.linalg.norm(found.reported_m - self._place_m(pursuer)))
+
+    def _aim_m(self, number: int) -> NDArray[np.float64]:
+        driver, evader = self._drivers[number], int(self._after[number])
+        if driver is None:
+            return self._place_m(number)
+        before = driver.record
+        view = PursuerView(
+            float(self._times_s[self._step]),
+            self._scene.step_s,
+            self._states[number][self._step],
+            lambda held: self._ask(number, evader, held),
+        )
+        aim_m = driver.aim_m(view)
+        if driver.record is not None and driver.record is not before:
+            sampled_m = self._track(evader).at(np.array(driver.record.sampled_s))
+            self._uses.append(
+                Use(number, evader, view.time_s, view.place_m, driver.record, sampled_m)
+            )
+        return aim_m
+
+    def _move_evaders(self, aims_m: NDArray[np.float64]) -> None:
+        pursuers_m = np.array([self._place_m(number) for number in range(len(aims_m))])
+        fastest = max(each.motion.speed_max_m_s for each in self._scene.pursuers)
+        for number, each in enumerate(self._scene.evaders):
+            here = self._places[number, self._step]
+            there = here
+            if np.isinf(self._capture_s[number]) and each.speed_max_m_s > 0.0:
+                view = EvaderView(
+                    here,
+                    each.speed_max_m_s,
+                    pursuers_m,
+                    aims_m,
+                    fastest,
+                    self._scene.step_s,
+                    self._scene.arena,
+                )
+                wanted = self._decides[number](view)
+                there = StraightMotion(each.speed_max_m_s).towards(here, wanted, self._scene.step_s)
+            self._places[number, self._step + 1] = there
+
+    def _note_captures(self, aims: list[NDArray[np.float64]]) -> None:
+        """Look for captures in the step that was just made; whoever is caught stays there."""
+        step_s = self._scene.step_s
+        for evader in np.flatnonzero(np.isinf(self._capture_s)).tolist():
+            here, there = self._places[evader, self._step : self._step + 2]
+            shares = [
+                self._caught_after(number, aim, here, there) for number, aim in enumerate(aims)
+            ]
+            share = min(shares)
+            if np.isfinite(share):
+                self._capture_s[evader] = self._times_s[self._step] + share * step_s
+                self._captors[evader] = int(np.argmin(shares))
+                self._places[evader, self._step + 1] = here + share * (there - here)
+
+    def _caught_after(
+        self,
+        number: int,
+        aim_m: NDArray[np.float64],
+        here_m: NDArray[np.float64],
+        there_m: NDArray[np.float64],
+    ) -> float:
+        """The share of the step after which an evader is within the radius; infinite if never."""
+        motion, radius_m = self._scene.pursuers[number].motion, self._scene.capture_radius_m
+        state, step_s = self._states[number][self._step], self._scene.step_s
+        reach_m = radius_m + motion.speed_max_m_s * step_s + np.linalg.norm(there_m - here_m)
+        if np.linalg.norm(state[:2] - here_m) > reach_m:
+            return np.inf
+        shares = np.linspace(0.0, 1.0, STEP_PIECES + 1)
+        pursuer_m = [motion.towards(state, aim_m, share * step_s)[:2] for share in shares]
+        apart_m = here_m + shares[:, None] * (there_m - here_m) - np.array(pursuer_m)
+        piece = first_within(apart_m[:-1], apart_m[1:], radius_m)
+        when = (np.arange(STEP_PIECES) + piece) / STEP_PIECES
+        return float(when.min())
+
+
+def _assigned(
+    costs: NDArray[np.float64],
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the assignment of least total cost."""
+    return cast("tuple[NDArray[np.intp], NDArray[np.intp]]", linear_sum_assignment(costs))
+
+
+def first_within(
+    starts_m: NDArray[np.float64], ends_m: NDArray[np.float64], radius_m: float
+) -> NDArray[np.float64]:
+    """Return after which share of straight ways (k, 2) the origin is within a radius; ``(k,)``.
+
+    It is the smaller root t of ``|start + t way| = radius``, 0 if the way begins within it, and
+    infinite if it never comes so near.
+    """
+    ways_m = ends_m - starts_m
+    square = (ways_m * ways_m).sum(axis=1)
+    half = (starts_m * ways_m).sum(axis=1)
+    over = (starts_m * starts_m).sum(axis=1) - radius_m * radius_m
+    inside = half * half - square * over
+    share = (-half - np.sqrt(np.maximum(inside, 0.0))) / np.where(square > 0.0, square, 1.0)
+    hits = (inside >= 0.0) & (share >= 0.0) & (share <= 1.0) & (square > 0.0)
+    return np.where(over <= 0.0, 0.0, np.where(hits, share, np.inf))

@@ -1,0 +1,319 @@
+"""Counting against its bounds, its distribution and its limits."""
+
+from __future__ import annotations
+
+import math
+
+import networkx as nx
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import gamma
+
+from planopt.coverage.counting.consensus import (
+    average_round,
+    count_by_averaging,
+    disagreement,
+    elect_leader,
+    rounds_until_exact,
+    second_modulus,
+)
+from planopt.coverage.counting.minima import (
+    count_by_minima,
+    count_interval,
+    draw_minima,
+    minima_estimates,
+    minima_round,
+)
+from planopt.coverage.counting.push_sum import (
+    PushSum,
+    count_by_push_sum,
+    push_sum_round,
+    start_push_sum,
+)
+from planopt.coverage.counting.running import largest_innovation, running_limit, running_round
+from planopt.coverage.network import Network, adjacency, diameter, hops, is_connected
+from planopt.errors import InputError
+
+
+def network_of(graph: nx.Graph) -> Network:
+    """A network with the links of a graph on 0 .. n - 1."""
+    links = np.array(list(graph.edges), dtype=np.intp).reshape(-1, 2)
+    return Network(graph.number_of_nodes(), links)
+
+
+def random_network(seed: int) -> Network:
+    """A connected graph of one of several kinds."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(2, 70))
+    kind = seed % 5
+    if kind == 0:
+        graph = nx.path_graph(n)
+    elif kind == 1:
+        graph = nx.complete_bipartite_graph(max(n // 2, 1), n - max(n // 2, 1))
+    elif kind == 2:
+        graph = nx.random_labeled_tree(n, seed=seed)
+    elif kind == 3:
+        graph = nx.connected_watts_strogatz_graph(max(n, 5), 4, 0.3, seed=seed)
+    else:
+        graph = nx.barbell_graph(max(n // 3, 3), n // 3)
+    return network_of(graph)
+
+
+def metropolis_weights(network: Network) -> NDArray[np.float64]:
+    """The weights written out."""
+    joined = adjacency(network).toarray()
+    larger = np.maximum.outer(network.degrees, network.degrees)
+    weights = joined / (1.0 + larger)
+    return weights + np.diag(1.0 - weights.sum(axis=1))
+
+
+def test_network_against_networkx() -> None:
+    """Distances, diameter and connectedness."""
+    graph = nx.connected_watts_strogatz_graph(30, 4, 0.2, seed=3)
+    network = network_of(graph)
+    lengths = dict(nx.all_pairs_shortest_path_length(graph))
+    assert hops(network).tolist() == [[lengths[a][b] for b in range(30)] for a in range(30)]
+    assert diameter(network) == nx.diameter(graph)
+    assert network.degrees.tolist() == [d for _, d in graph.degree]
+    assert adjacency(network).toarray().tolist() == nx.to_numpy_array(graph).tolist()
+    assert is_connected(network) and not is_connected(Network(3, np.array([[0, 1]])))
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_exact_within_the_bound(block: int) -> None:
+    """In 200 graphs every agent's rounded count is exact after the bound's rounds."""
+    for seed in range(20 * block, 20 * block + 20):
+        network = random_network(seed)
+        n = network.count
+        needed = rounds_until_exact(n, second_modulus(network))
+        leader = elect_leader(network).leader
+        found = count_by_averaging(network, leader, needed)
+        assert (found.rounded == n).all()
+        assert np.abs(1.0 / found.estimates - 1.0 / n).max() < 1.0 / (n * (2 * n + 1))
+        assert found.messages == 2 * needed * len(network.links)
+
+
+def test_the_bound_is_needed() -> None:
+    """A quarter of the rounds is too few on a path, and the signed eigenvalue on K5,5."""
+    path = network_of(nx.path_graph(40))
+    needed = rounds_until_exact(40, second_modulus(path))
+    assert (count_by_averaging(path, 39, needed // 4).rounded != 40).any()
+    bipartite = network_of(nx.complete_bipartite_graph(5, 5))
+    signed = np.linalg.eigvalsh(metropolis_weights(bipartite))[-2]
+    assert signed < second_modulus(bipartite)
+    few = rounds_until_exact(10, max(float(signed), 1e-9))
+    assert (count_by_averaging(bipartite, 0, few).rounded != 10).any()
+
+
+def test_modulus_of_known_graphs() -> None:
+    """Complete graphs average at once; a ring's weights are 1/3; large networks agree."""
+    assert second_modulus(network_of(nx.complete_graph(7))) == pytest.approx(0.0, abs=1e-12)
+    ring = network_of(nx.cycle_graph(9))
+    assert second_modulus(ring) == pytest.approx((1 + 2 * math.cos(2 * math.pi / 9)) / 3)
+    long = network_of(nx.cycle_graph(450))
+    assert second_modulus(long) == pytest.approx((1 + 2 * math.cos(2 * math.pi / 450)) / 3)
+    assert second_modulus(Network(1, np.zeros((0, 2), dtype=np.intp))) == 0.0
+
+
+def test_averaging_is_the_matrix() -> None:
+    """A round multiplies by the weights."""
+    network = random_network(13)
+    weights = metropolis_weights(network)
+    assert np.eye(network.count) - weights == pytest.approx(
+        disagreement(network, np.zeros(network.count)).toarray()
+    )
+    values = np.random.default_rng(0).random((network.count, 3))
+    assert average_round(values, network) == pytest.approx(weights @ values)
+
+
+def test_averaging_with_losses() -> None:
+    """Acknowledged losses keep the sum, so that the count still becomes exact."""
+    network = random_network(8)
+    values = np.random.default_rng(1).random(network.count)
+    generator = np.random.default_rng(2)
+    assert average_round(values, network, loss=0.6, generator=generator).sum() == pytest.approx(
+        values.sum()
+    )
+    found = count_by_averaging(network, 0, 4000, loss=0.6, generator=generator)
+    assert (found.rounded == network.count).all()
+
+
+def test_election() -> None:
+    """The largest identity wins after as many rounds as it is far from anybody."""
+    network = network_of(nx.path_graph(6))
+    found = elect_leader(network, np.array([3, 9, 4, 5, 1, 2]))
+    assert found.leader == 1
+    assert found.rounds == 4
+    with pytest.raises(InputError):
+        elect_leader(network, np.array([1, 1, 2, 3, 4, 5]))
+    with pytest.raises(InputError):
+        elect_leader(Network(3, np.array([[0, 1]])))
+
+
+def test_minima_distribution() -> None:
+    """Unbiased, with variance n^2 / (m - 2); the interval holds n as often as promised."""
+    network, draws, runs = random_network(23), 40, 3000
+    n = network.count
+    generator = np.random.default_rng(3)
+    # What all agents agree on is the minimum over all of them.
+    sums = np.array(
+        [draw_minima(n, draws, generator).values.min(axis=0).sum() for _ in range(runs)]
+    )
+    estimates = (draws - 1) / sums
+    error = estimates.std() / math.sqrt(runs)
+    assert estimates.mean() == pytest.approx(n, abs=4.0 * error)
+    assert estimates.std() == pytest.approx(n / math.sqrt(draws - 2), rel=0.06)
+    low, high = count_interval(estimates, draws, 0.9)
+    held = np.mean((low <= n) & (n <= high))
+    assert held == pytest.approx(0.9, abs=4.0 * math.sqrt(0.09 / runs))
+    assert low[0] / estimates[0] == pytest.approx(gamma(draws).ppf(0.05) / (draws - 1))
+
+
+def test_minima_agree_after_the_diameter() -> None:
+    """All agents hold the same minima after as many rounds as the diameter, and not before."""
+    network = network_of(nx.path_graph(12))
+    minima = draw_minima(12, 50, np.random.default_rng(4))
+    best = minima.values.min(axis=0)
+    for _ in range(10):
+        minima = minima_round(minima, network)
+    assert (minima.values != best).any()
+    assert (minima_round(minima, network).values == best).all()
+    same = count_by_minima(network, 50, 11, np.random.default_rng(4))
+    assert same.estimates == pytest.approx(minima_estimates(minima_round(minima, network)))
+    lossy = count_by_minima(network, 50, 80, np.random.default_rng(4), loss=0.5)
+    assert len(set(lossy.estimates.tolist())) == 1
+
+
+def test_agents_that_join_lower_the_minima() -> None:
+    """Minima follow agents that join without starting anew."""
+    small, large = network_of(nx.cycle_graph(10)), network_of(nx.cycle_graph(40))
+    generator = np.random.default_rng(5)
+    minima = draw_minima(10, 400, generator)
+    for _ in range(diameter(small)):
+        minima = minima_round(minima, small)
+    before = minima_estimates(minima)
+    joined = draw_minima(30, 400, generator)
+    minima = type(minima)(np.concatenate((minima.values, joined.values)))
+    for _ in range(diameter(large)):
+        minima = minima_round(minima, large)
+    assert before == pytest.approx(10.0, rel=0.2)
+    assert minima_estimates(minima) == pytest.approx(40.0, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", [3, 7, 12, 21])
+def test_running_count_comes_to_its_limit(seed: int) -> None:
+    """From anywhere; the leader's limit is n, and small innovations let all round to n."""
+    network = random_network(seed)
+    n = network.count
+    innovation = 0.98 * largest_innovation(network, 0)
+    limit = running_limit(network, 0, innovation)
+    assert limit[0] == pytest.approx(n, rel=1e-9)
+    assert (np.rint(limit) == n).all() and (limit >= n - 1e-9).all()
+    if innovation < 0.5:
+        assert (np.rint(running_limit(network, 0, 1.03 * innovation / 0.98)) != n).any()
+    start = np.random.default_rng(seed).uniform(-50.0, 300.0, n)
+    matrix = metropolis_weights(network)
+    matrix[0, 0] -= innovation
+    one = running_round(start, network, 0, innovation)
+    assert one == pytest.approx(matrix @ start + innovation)
+    # All rounds at once: the distance from the limit shrinks by the matrix in each of them.
+    rounds = int(40 * n / innovation)
+    assert np.linalg.matrix_power(matrix, rounds) @ (start - limit) == pytest.approx(
+        np.zeros(n), abs=1e-3
+    )
+
+
+def test_running_count_follows_the_network() -> None:
+    """Agents join, some leave and the leader with them: the count follows without a restart."""
+    full = network_of(nx.complete_graph(12))
+    values = np.full(12, 3.0)
+    for _ in range(5000):
+        values = running_round(values, full, 11, 0.02)
+    assert (np.rint(values) == 12).all()
+    fewer = network_of(nx.complete_graph(7))
+    values, leader = values[:7], elect_leader(fewer).leader
+    for _ in range(5000):
+        values = running_round(values, fewer, leader, 0.02)
+    assert (np.rint(values) == 7).all()
+    more, joined = network_of(nx.complete_graph(15)), np.zeros(8)
+    values = np.concatenate((values, joined))
+    generator = np.random.default_rng(6)
+    for _ in range(9000):
+        values = running_round(values, more, 14, 0.02, loss=0.2, generator=generator)
+    assert np.abs(values - 15.0).max() < 0.5
+
+
+def test_push_sum_survives_losses() -> None:
+    """Losses in one direction that nobody notices: push-sum is exact, plain averaging is not."""
+    for seed in (8, 13, 23):
+        network = random_network(seed)
+        n = network.count
+        found = count_by_push_sum(network, 0, 6000, loss=0.4, generator=np.random.default_rng(seed))
+        assert (found.rounded == n).all()
+        plain = count_by_push_sum(network, 0, 6000)
+        assert plain.estimates == pytest.approx(n, rel=1e-6)
+
+
+def test_push_sum_loses_nothing() -> None:
+    """What agents hold and what is on its way always sum to what there was."""
+    network = random_network(18)
+    state, generator = start_push_sum(network, 1), np.random.default_rng(7)
+
+    def total(state: PushSum) -> list[float]:
+        sender, _ = network.directed
+        waiting = (state.given[sender] - state.taken).sum(axis=0)
+        return (state.held.sum(axis=0) + waiting).tolist()
+
+    for _ in range(50):
+        state = push_sum_round(state, network, loss=0.5, generator=generator)
+        assert total(state) == pytest.approx([1.0, network.count])
+
+
+def test_unheard_agents() -> None:
+    """Before a value has reached an agent its count is infinite."""
+    path = network_of(nx.path_graph(4))
+    assert count_by_averaging(path, 0, 1).estimates.tolist()[2:] == [math.inf, math.inf]
+    assert count_by_push_sum(path, 0, 1).estimates.tolist()[2:] == [math.inf, math.inf]
+
+
+def test_bad_numbers() -> None:
+    """Numbers out of range are errors of ours."""
+    ring = network_of(nx.cycle_graph(4))
+    generator, values = np.random.default_rng(0), np.ones(4)
+    parted = Network(3, np.array([[0, 1]]))
+    attempts = [
+        lambda: count_by_averaging(ring, 4, 3),
+        lambda: count_by_averaging(ring, 0, -1),
+        lambda: average_round(values, ring, loss=0.5),
+        lambda: average_round(values, ring, loss=1.5, generator=generator),
+        lambda: rounds_until_exact(4, 1.0),
+        lambda: rounds_until_exact(3, second_modulus(parted)),
+        lambda: draw_minima(3, 2, generator),
+        lambda: count_by_minima(ring, 5, -1, generator),
+        lambda: count_by_minima(ring, 5, 2, generator, loss=1.0),
+        lambda: count_interval(values, 5, 1.0),
+        lambda: running_round(values, ring, 0, 0.0),
+        lambda: running_round(values, ring, 0, math.nan),
+        lambda: running_round(values, ring, 9, 0.5),
+        lambda: running_limit(parted, 0, 0.5),
+        lambda: largest_innovation(parted, 0),
+        lambda: start_push_sum(ring, -1),
+        lambda: push_sum_round(start_push_sum(ring, 0), ring, loss=0.5),
+        lambda: push_sum_round(start_push_sum(ring, 0), ring, loss=-0.5, generator=generator),
+        lambda: count_by_push_sum(ring, 0, -1),
+    ]
+    for number, attempt in enumerate(attempts):
+        with pytest.raises(InputError):
+            attempt()
+            pytest.fail(f"attempt {number} went through")
+
+
+def test_one_agent() -> None:
+    """An agent alone counts itself."""
+    alone = Network(1, np.zeros((0, 2), dtype=np.intp))
+    assert elect_leader(alone).leader == 0
+    assert count_by_averaging(alone, 0, rounds_until_exact(1, second_modulus(alone))).rounded == [1]
+    assert count_by_push_sum(alone, 0, 2).rounded == [1]
+    assert running_limit(alone, 0, 0.5) == pytest.approx([1.0])
+    assert largest_innovation(alone, 0) == 1.0

@@ -1,0 +1,288 @@
+"""The loop: closed forms of capture, several pursuers and evaders, unicycles, obstacles."""
+
+from itertools import combinations
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from pursuit_scene import ExactRecords, pursue
+
+from planopt.errors import InputError
+from planopt.pursuit.arena import Arena, arena_of
+from planopt.pursuit.evaders import Fleeing, Static, Wandering
+from planopt.pursuit.motion import StraightMotion, UnicycleMotion
+from planopt.pursuit.pursuers import DriveToReport, fresher
+from planopt.pursuit.records import Record, SnapshotRecords, draw_lost_rounds
+from planopt.pursuit.service import SnapshotService
+from planopt.pursuit.simulation import (
+    Evader,
+    Pursuer,
+    Scene,
+    first_within,
+    simulate_pursuit,
+)
+from planopt.robots.unicycle import Unicycle
+from planopt.world.clearance import clearance_m
+from planopt.world.workspace import Obstacle, Workspace
+
+
+def test_first_within():
+    """Against dense sampling of straight ways."""
+    generator = np.random.default_rng(0)
+    starts, ends = generator.uniform(-3, 3, (2, 300, 2))
+    found = first_within(starts, ends, 1.0)
+    shares = np.linspace(0.0, 1.0, 4001)
+    places = starts[:, None] + shares[:, None] * (ends - starts)[:, None]
+    within = np.linalg.norm(places, axis=-1) <= 1.0
+    sampled = np.where(within.any(axis=1), shares[within.argmax(axis=1)], np.inf)
+    grazes = np.isinf(sampled) & np.isfinite(found)
+    assert grazes.sum() < 3
+    np.testing.assert_allclose(found[~grazes], sampled[~grazes], atol=3e-4)
+    still = first_within(
+        np.array([[0.5, 0.0], [2.0, 0.0]]), np.array([[0.5, 0.0], [2.0, 0.0]]), 1.0
+    )
+    assert still.tolist() == [0.0, np.inf]
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.37, 5.0])
+def test_static_evader(step_s):
+    """Caught after distance less radius over speed, whatever the step."""
+    pursuit = pursue(ExactRecords(), Static(), 0, step_s=step_s)
+    assert pursuit.outcome == "captured" and pursuit.captors.tolist() == [0]
+    assert pursuit.capture_time_s == pytest.approx(57.0 / 2.0, rel=1e-9)
+
+
+def test_fleeing_evader():
+    """A straight chase closes at the difference of speeds."""
+    policy = DriveToReport(retarget=True)
+    pursuit = pursue(ExactRecords(), Fleeing(), 0, step_s=0.05, policy=policy)
+    assert pursuit.capture_time_s == pytest.approx(57.0, rel=1e-3)
+    steps = np.linalg.norm(np.diff(pursuit.evaders_m[0], axis=0), axis=1)
+    np.testing.assert_allclose(steps[:-1], 0.05, rtol=1e-9)
+
+
+def test_evader_within_the_radius_at_the_start():
+    """Caught at once."""
+    assert pursue(ExactRecords(), Fleeing(), 0, distance_m=1.0).capture_time_s == 0.0
+
+
+def test_step_limit():
+    """An evader that is not caught has no capture time and no captor."""
+    pursuit = pursue(ExactRecords(), Fleeing(), 0, max_steps=10)
+    assert pursuit.outcome == "step_limit"
+    assert np.isinf(pursuit.capture_time_s) and pursuit.captors.tolist() == [-1]
+    assert pursuit.times_s.shape == (11,) and pursuit.evaders_m.shape == (1, 11, 2)
+
+
+def test_same_seed_same_pursuit():
+    """A seed fixes everything."""
+    service = SnapshotService(8, 1.0, 0.02, 3, endless=True)
+    first, second = (pursue(SnapshotRecords(service), Wandering(), 5) for _ in range(2))
+    np.testing.assert_array_equal(first.evaders_m, second.evaders_m)
+    assert first.capture_time_s == second.capture_time_s
+
+
+def test_rule_r():
+    """Sample times of records in use never fall, and of equal ones the more exact is taken."""
+    service = SnapshotService(8, 1.0, 0.15, 2, rate_divisor=3, endless=True)
+    for policy in (DriveToReport(), DriveToReport(retarget=True)):
+        pursuit = pursue(SnapshotRecords(service), Wandering(), 1, policy=policy)
+        sampled = [use.record.sampled_s for use in pursuit.uses]
+        assert len(sampled) > 3 and (np.diff(sampled) >= 0.0).all()
+        assert all(use.age_s >= 0.0 for use in pursuit.uses)
+        for use in pursuit.uses:
+            off = np.linalg.norm(use.record.reported_m - use.sampled_m)
+            assert off <= use.record.error_m + 1e-9
+    coarse, fine = Record(1.0, np.zeros(2), 2.0), Record(1.0, np.zeros(2), 1.0)
+    assert fresher(fine, coarse) and not fresher(coarse, fine) and not fresher(fine, fine)
+
+
+def test_lost_rounds():
+    """Lost rounds make records older on average; all lost, nobody knows anything."""
+    service = SnapshotService(8, 1.0, 0.05, 3, endless=True)
+    ages = []
+    for probability in (0.0, 0.5):
+        lost = draw_lost_rounds(service, probability, 64, np.random.default_rng(0))
+        runs = [pursue(SnapshotRecords(service, lost), Fleeing(), seed) for seed in range(5)]
+        assert all(run.outcome == "captured" for run in runs)
+        ages.append(np.mean([use.age_s / use.distance_m for run in runs for use in run.uses]))
+    assert ages[1] > 1.1 * ages[0]
+    nothing = SnapshotRecords(service, np.ones((9, 1), dtype=bool))
+    blind = pursue(nothing, Static(), 0, max_steps=20)
+    assert blind.outcome == "step_limit" and blind.uses == ()
+    with pytest.raises(InputError, match="9 rows"):
+        SnapshotRecords(service, np.ones((3, 4), dtype=bool))
+
+
+def many(pursuers, evaders, behaviour, **options):
+    """Pursuers and evaders at given places."""
+    return simulate_pursuit(
+        Scene(
+            tuple(
+                Pursuer(np.array(place), StraightMotion(2.0), DriveToReport(retarget=True))
+                for place in pursuers
+            ),
+            tuple(Evader(np.array(place), 1.0, behaviour) for place in evaders),
+            ExactRecords(),
+            1.0,
+            0.1,
+            5000,
+            **options,
+        ),
+        np.random.default_rng(0),
+    )
+
+
+def test_pairs_are_least_apart_together():
+    """The nearest evader of one pursuer goes to the other if that is less for both together."""
+    pursuit = many([[0.0, 0.0], [9.0, 0.0]], [[8.0, 0.0], [-30.0, 0.0]], Static())
+    assert pursuit.chased[:, 0].tolist() == [1, 0]
+    assert pursuit.captors.tolist() == [1, 0]
+    np.testing.assert_allclose(pursuit.capture_s, [0.0, 14.5], atol=1e-9)
+
+
+def test_more_evaders_than_pursuers():
+    """One pursuer catches three, one after the other; who is caught stays and is left alone."""
+    pursuit = many([[0.0, 0.0]], [[20.0, 0.0], [-50.0, 10.0], [25.0, 5.0]], Fleeing())
+    assert pursuit.outcome == "captured"
+    assert len(set(pursuit.capture_s.tolist())) == 3
+    for evader, caught_s in enumerate(pursuit.capture_s):
+        later = pursuit.times_s >= caught_s
+        assert (np.ptp(pursuit.evaders_m[evader][later], axis=0) == 0.0).all()
+        begun = pursuit.times_s[:-1] >= caught_s
+        assert not (pursuit.chased[0][begun] == evader).any()
+
+
+def test_more_pursuers_than_evaders():
+    """All of them go after the one, also from both sides."""
+    pursuit = many([[0.0, 0.0], [40.0, 0.0], [10.0, 30.0]], [[15.0, 0.0]], Fleeing())
+    assert (pursuit.chased == 0).all()
+    assert pursuit.capture_time_s < 14.0
+    assert pursuit.capture_time_s < many([[0.0, 0.0]], [[15.0, 0.0]], Fleeing()).capture_time_s
+
+
+def test_bounds_hold_evaders():
+    """An evader cannot leave the arena, and is caught sooner in it."""
+    arena = Arena((-20.0, -20.0, 30.0, 20.0))
+    pursuit = many([[0.0, 0.0]], [[15.0, 3.0]], Fleeing(), arena=arena)
+    assert (pursuit.evaders_m >= [-20, -20]).all() and (pursuit.evaders_m <= [30, 20]).all()
+    wandering = many([[0.0, 0.0]], [[15.0, 3.0]], Wandering(2.0), arena=arena)
+    steps = np.linalg.norm(np.diff(wandering.evaders_m[0], axis=0), axis=1)
+    np.testing.assert_allclose(steps[:-1], 0.1, rtol=2e-3)
+
+
+UNICYCLE = UnicycleMotion(Unicycle(2.0, 0.8))
+
+
+def test_unicycle_keeps_its_limits():
+    """Speed and turn rate of every step, and the exact arcs between."""
+    service = SnapshotService(8, 1.0, 0.02, 3, endless=True)
+    pursuit = pursue(SnapshotRecords(service), Wandering(), 2, motion=UNICYCLE, step_s=0.2)
+    assert pursuit.outcome == "captured"
+    states = pursuit.pursuers[0]
+    assert states.shape[1] == 3
+    moved = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1)
+    assert (moved <= 2.0 * 0.2 * (1 + 1e-9)).all()
+    assert (np.abs(np.diff(states[:, 2])) <= 0.8 * 0.2 * (1 + 1e-9)).all()
+
+
+def test_unicycle_arrives_in_time():
+    """Any point is reached after half a turn and a straight line, in steps of any length."""
+    generator = np.random.default_rng(3)
+    states = np.column_stack([generator.uniform(-5, 5, (200, 2)), generator.uniform(-9, 9, 200)])
+    aims = generator.uniform(-15, 15, (200, 2))
+    away = np.linalg.norm(aims - states[:, :2], axis=1)
+    limit_s = away / 2.0 + UNICYCLE.turning_s
+    for step_s in (0.05, 0.7):
+        here, late = states, np.zeros(200, dtype=int)
+        for _ in range(int(limit_s.max() / step_s) + 2):
+            late += np.linalg.norm(here[:, :2] - aims, axis=1) > 1e-6
+            here = UNICYCLE.towards(here, aims, step_s)
+        assert np.linalg.norm(here[:, :2] - aims, axis=1).max() < 1e-6
+        assert (late * step_s <= limit_s + step_s).all()
+    np.testing.assert_allclose(UNICYCLE.towards(here, aims, 1.0)[:, :2], aims, atol=1e-6)
+
+
+ROOM = arena_of(
+    Workspace(
+        (0.0, 0.0, 60.0, 40.0),
+        (
+            Obstacle("wall", shapely.box(28, 0, 32, 30)),
+            Obstacle("block", shapely.box(8, 10, 16, 18)),
+        ),
+    ),
+    0.5,
+)
+
+
+def room(behaviour, evader_m=(45.0, 8.0), **options):
+    """A pursuer left of the wall, an evader right of it."""
+    scene = Scene(
+        (Pursuer(np.array([5.0, 5.0]), StraightMotion(2.0), DriveToReport(retarget=True)),),
+        (Evader(np.array(evader_m), 1.0, behaviour),),
+        ExactRecords(),
+        1.0,
+        0.4,
+        2000,
+        ROOM,
+    )
+    return simulate_pursuit(scene, np.random.default_rng(0))
+
+
+def test_geodesic_pursuit():
+    """The pursuer takes the shortest path round the wall, and keeps its clearance."""
+    pursuit = room(Static())
+    assert pursuit.outcome == "captured"
+    driven = np.linalg.norm(np.diff(pursuit.pursuers[0], axis=0), axis=1).sum()
+    # From corner to corner of the obstacles themselves it is a little shorter.
+    corners = [(5, 5), (45, 8), (28, 30), (32, 30)]
+    corners += [(x, y) for x in (8, 16) for y in (10, 18)]
+    graph = nx.Graph()
+    inside = shapely.union_all(shapely.buffer(ROOM.obstacles.polygons, -1e-6))
+    for first, second in combinations(corners, 2):
+        line = shapely.LineString([first, second])
+        if not line.crosses(inside):
+            graph.add_edge(first, second, weight=line.length)
+    shortest = nx.shortest_path_length(graph, (5, 5), (45, 8), weight="weight")
+    assert shortest < driven + 1.0 < shortest + 2.0
+    assert clearance_m(ROOM.obstacles, pursuit.pursuers[0]).min() >= 0.5 - 1e-9
+
+
+def test_fleeing_round_obstacles():
+    """An evader flees by the length of the pursuer's path, keeps its clearance, and is caught."""
+    pursuit = room(Fleeing(), evader_m=(35.0, 5.0))
+    assert pursuit.outcome == "captured"
+    assert clearance_m(ROOM.obstacles, pursuit.evaders_m[0]).min() >= 0.499
+    assert clearance_m(ROOM.obstacles, pursuit.pursuers[0]).min() >= 0.5 - 1e-9
+    # By the air line it would run away from the wall at once, by the path it has time.
+    assert pursuit.capture_time_s > room(Static(), evader_m=(35.0, 5.0)).capture_time_s
+
+
+def test_report_inside_an_obstacle():
+    """The nearest free place stands for it."""
+    found = ROOM.free_m(np.array([29.0, 15.0]))
+    assert clearance_m(ROOM.obstacles, found[None])[0] == pytest.approx(0.5, rel=0.12)
+    assert found[0] < 28.0 and found[1] == pytest.approx(15.0)
+    np.testing.assert_array_equal(ROOM.free_m(np.array([-3.0, 5.0])), [0.0, 5.0])
+
+
+def test_no_path():
+    """A room without a door is named."""
+    closed = arena_of(
+        Workspace((0, 0, 20, 10), (Obstacle("wall", shapely.box(9, -1, 11, 11)),)), 0.5
+    )
+    with pytest.raises(InputError, match="no path leads from"):
+        closed.route_m(np.array([2.0, 2.0]), np.array([15.0, 5.0]))
+
+
+def test_bad_scenes():
+    """Nobody to pursue, and numbers out of range."""
+    with pytest.raises(InputError, match="needs a pursuer and an evader"):
+        Scene((), (), ExactRecords(), 1.0, 0.1, 10)
+    with pytest.raises(InputError, match="capture_radius_m"):
+        pursue(ExactRecords(), Static(), 0, radius_m=0.0, step_s=0.1)
+    with pytest.raises(InputError, match="needs bounds"):
+        Arena(None, ROOM.obstacles, 1.0)
+    with pytest.raises(InputError, match="clearance_m"):
+        Arena(ROOM.bounds_m, ROOM.obstacles)

@@ -14,6 +14,8 @@ from typing import Any
 
 import typer
 
+from planopt.files.result_folder import ResultFiles, added_results
+
 NO_PLAN = 4
 """Exit code where there is no plan, or a run did not arrive (design, section 3)."""
 
@@ -119,6 +121,28 @@ def _interruptible() -> Generator[Callable[[], None]]:
         yield stop_if_interrupted
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def drawing(folder: Path | None, files: ResultFiles, *, wanted: bool) -> Generator[Path | None]:
+    """Give a folder for the pictures of results that are saved; None where none are wanted.
+
+    Pictures come after the results: whatever happens to them, the numbers are there.
+
+    Parameters
+    ----------
+    folder
+        Where the results are, or None.
+    files
+        What they consist of.
+    wanted
+        Whether there are to be pictures.
+    """
+    if folder is None or not wanted:
+        yield None
+        return
+    with progress("drawing"), added_results(folder, files) as new:
+        yield new
 
 
 @contextlib.contextmanager

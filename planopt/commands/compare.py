@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from planopt.studies.comparison import Comparison
 
 COMPARISON_FILE = "comparison.json"
+FINISHED_FOLDER = "finished_runs"
+"""Where finished runs are kept, so that a comparison that was stopped goes on."""
+
 COMPARISON = ResultFiles("comparison", (COMPARISON_FILE, "comparison.png", "reliability.png"))
 """The files of a comparison with its pictures."""
 
@@ -88,6 +91,7 @@ def compare(
                     workers=workers,
                     backend=backend,
                     on_run=lambda _: advance(),
+                    finished=None if folder is None else folder / FINISHED_FOLDER,
                 )
         except NoPlanError as error:
             data = comparison_json(asked, None, str(error))
@@ -137,6 +141,7 @@ def comparison_json(
             "reliability": {"all": [], "settings": []},
             "runs": [],
             "wall_s": None,
+            "resumed": 0,
             "message": message,
         }
     rows = [
@@ -164,6 +169,7 @@ def comparison_json(
             for run in comparison.runs
         ],
         "wall_s": finite(comparison.wall_s),
+        "resumed": comparison.resumed,
         "message": message,
     }
 

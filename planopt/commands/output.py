@@ -6,14 +6,13 @@ Errors are raised; :func:`planopt.cli.main` prints them.
 from __future__ import annotations
 
 import contextlib
-import signal
 from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import typer
 
+from planopt.commands.interrupts import interruptible
 from planopt.files.result_folder import ResultFiles, added_results
 
 NO_PLAN = 4
@@ -90,7 +89,7 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
         TimeElapsedColumn(),
     )
     with (
-        _interruptible() as stop_if_interrupted,
+        interruptible() as stop_if_interrupted,
         Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
     ):
         task = bar.add_task(description, total=total)
@@ -101,26 +100,6 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
 
         yield advance
         stop_if_interrupted()
-
-
-@contextlib.contextmanager
-def _interruptible() -> Generator[Callable[[], None]]:
-    """Let nothing swallow an interrupt: CasADi answers one by ending the solve it is in."""
-    seen: list[int] = []
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
-        raise KeyboardInterrupt
-
-    def stop_if_interrupted() -> None:
-        if seen:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, handle)
-    try:
-        yield stop_if_interrupted
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextlib.contextmanager

@@ -44,6 +44,11 @@ from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
+MOST_JOINT_SITES = 300
+"""Beyond so many censored or coarsely rounded measurements their sites are matched window by window
+(:mod:`planopt.channel.nearest.neighbour_sites`): jointly a sweep costs the cube of their number, at
+750 ten times as much."""
+
 ThetaRule = Literal["estimated", "known", "least_squares"]
 
 EXACT_LIMIT = 5_000
@@ -209,8 +214,8 @@ def condition(
     exact_limit
         Beyond so many measurements predictions are from the nearest
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
-        (:data:`planopt.channel.estimation.vecchia.EARLIER_NEIGHBOURS` has the accuracies), and so
-        are sites.
+        (:data:`planopt.channel.nearest.windows.BESIDE` has the accuracies), and
+        sites are matched by neighbours.
 
     Raises
     ------
@@ -219,7 +224,8 @@ def condition(
     """
     measurements = as_measurements(measurements)
     exact = len(measurements) <= exact_limit
-    sites = (gaussian_sites if exact else neighbour_sites)(parameters, measurements)
+    joint = int(needs_site(measurements, parameters.multipath_std_db**2).sum()) <= MOST_JOINT_SITES
+    sites = (gaussian_sites if exact and joint else neighbour_sites)(parameters, measurements)
     nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
     empty = ChannelPosterior(
         parameters,

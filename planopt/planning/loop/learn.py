@@ -19,7 +19,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
     Where the problem asks for it, the law of connection is calibrated.
     """
     site = problem.stations[station].site
-    fit = fit_channel(measurements, site, problem.channel.fit_method)
+    fit = fit_channel(measurements, site, problem.channel.fit_method, intervals=False)
     posterior = condition(fit.parameters, measurements)
     if problem.channel.calibration == "platt":
         posterior = calibrate_posterior(posterior, problem.stations[station].threshold_dbm)

@@ -30,6 +30,7 @@ from planopt.commands.log_fit import (
     StationMethodOption,
     StationOption,
     TimeOption,
+    WhereOption,
     read_and_fit,
 )
 from planopt.commands.options import JsonOption, OutOption
@@ -65,6 +66,7 @@ def fit(
     time: TimeOption = None,
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
+    where: WhereOption = None,
     loss: LossOption = "squares",
     hold_out: HoldOutOption = None,
     threshold: ThresholdOption = None,
@@ -74,7 +76,7 @@ def fit(
     """Fit path loss, shadowing and multipath."""
     require_hold_out(threshold, hold_out)
     options = LogOptions(
-        columns, censored, floor, resolution, position_error, time, forgetting, receiver
+        columns, censored, floor, resolution, position_error, time, forgetting, receiver, where
     )
     with results_folder(out) as folder:
         with progress("fitting"):

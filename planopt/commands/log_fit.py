@@ -75,6 +75,15 @@ ReceiverOption = Annotated[
     ),
 ]
 
+WhereOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--where",
+        metavar="COLUMN=VALUE",
+        help="Only rows with this value, such as those of one transmitter; may be repeated.",
+    ),
+]
+
 
 @dataclass(frozen=True)
 class LogOptions:
@@ -88,6 +97,7 @@ class LogOptions:
     time: str | None
     forgetting: float | None
     receiver: str | None
+    where: list[str] | None
 
 
 @dataclass(frozen=True)
@@ -104,12 +114,15 @@ class LogFit:
         Labels by the receivers' numbers; empty without ``--receiver``.
     fit
         Fits any measurements as these were fitted.
+    log_format
+        How the log was read.
     """
 
     measurements: Measurements
     found: ChannelFit
     receivers: tuple[str, ...]
     fit: Callable[[Measurements], ChannelFit]
+    log_format: LogFormat
 
 
 def read_and_fit(
@@ -138,7 +151,8 @@ def read_and_fit(
     site = parse_station(station)
     way = _station_method(station_method, station_is_given=site is not None)
     forgetting_s = _forgetting_s(options)
-    read = read_power_log(log, _log_format(options))
+    log_format = _log_format(options)
+    read = read_power_log(log, log_format)
 
     def fit(measurements: Measurements) -> ChannelFit:
         if site is None:
@@ -150,8 +164,8 @@ def read_and_fit(
     try:
         found = fit(read.measurements)
     except InputError as error:
-        raise at_file_line(error, log) from None
-    return LogFit(read.measurements, found, read.receivers, fit)
+        raise at_file_line(error, log, log_format) from None
+    return LogFit(read.measurements, found, read.receivers, fit, log_format)
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
@@ -190,7 +204,12 @@ def _log_format(options: LogOptions) -> LogFormat:
     InputError
         An option cannot be used.
     """
-    from planopt.channel.logs.log_format import DEFAULT_COLUMNS, LogFormat, parse_columns
+    from planopt.channel.logs.log_format import (
+        DEFAULT_COLUMNS,
+        LogFormat,
+        parse_columns,
+        parse_rows,
+    )
 
     for value, key in (
         (options.resolution, "--resolution"),
@@ -208,6 +227,7 @@ def _log_format(options: LogOptions) -> LogFormat:
         options.receiver,
         options.resolution,
         options.position_error,
+        parse_rows(options.where or ()),
     )
 
 

@@ -26,6 +26,7 @@ from planopt.commands.log_fit import (
     StationMethodOption,
     StationOption,
     TimeOption,
+    WhereOption,
     read_and_fit,
 )
 from planopt.commands.options import JsonOption
@@ -75,6 +76,7 @@ def map_log(
     time: TimeOption = None,
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
+    where: WhereOption = None,
     loss: LossOption = "squares",
     picture: Annotated[
         Path | None,
@@ -92,7 +94,7 @@ def map_log(
     from planopt.world.raster_files import check_raster_output, write_rasters
 
     options = LogOptions(
-        columns, censored, floor, resolution, position_error, time, forgetting, receiver
+        columns, censored, floor, resolution, position_error, time, forgetting, receiver, where
     )
     check_raster_output(out)
     box = None if bounds is None else parse_bounds(bounds)

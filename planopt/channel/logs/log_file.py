@@ -81,7 +81,7 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
     wanted = [*numbered, log_format.censored_column, log_format.receiver_column]
     where = {name: _column(names, name, file, header_line) for name in wanted if name is not None}
     table = _Table([], [], [], [])
-    for line, cells in _full(rows, names, file):
+    for line, cells in _chosen(rows, names, file, header_line, log_format):
         table.lines.append(line)
         table.numbers.append(
             [read_number(cells[where[name]], file, line, name) for name in numbered]
@@ -91,7 +91,7 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
         if (label := log_format.receiver_column) is not None:
             table.labels.append(read_label(cells[where[label]], file, line, label))
     if not table.numbers:
-        raise InputError("the file has a header but no rows", file=file)
+        raise _no_rows(file, log_format)
     return _power_log(table, log_format, file)
 
 
@@ -141,7 +141,9 @@ def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
     return PowerLog(measurements, receivers)
 
 
-def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
+def read_columns(
+    path: Path | str, columns: Sequence[str], log_format: LogFormat = DEFAULT_FORMAT
+) -> list[tuple[int, list[str]]]:
     """Cells of any columns of a log, row by row, each with its line.
 
     Parameters
@@ -150,6 +152,8 @@ def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, li
         The CSV file.
     columns
         Names of the columns.
+    log_format
+        Says which rows count.
 
     Raises
     ------
@@ -161,10 +165,13 @@ def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, li
     rows = _rows(file)
     header_line, names = _header(rows, file)
     where = [_column(names, name, file, header_line) for name in columns]
-    return [(line, [cells[at] for at in where]) for line, cells in _full(rows, names, file)]
+    chosen = _chosen(rows, names, file, header_line, log_format)
+    return [(line, [cells[at] for at in where]) for line, cells in chosen]
 
 
-def at_file_line(error: InputError, path: Path | str) -> InputError:
+def at_file_line(
+    error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
+) -> InputError:
     """Turn an error about a measurement of a log into one about the log's line.
 
     Parameters
@@ -174,11 +181,12 @@ def at_file_line(error: InputError, path: Path | str) -> InputError:
         any, is the index of a measurement, counted from 0.
     path
         The log that the measurements were read from.
+    log_format
+        As they were read.
     """
     line = error.row
     if line is not None:
-        # The first row is the header, so index 0 is the second one.
-        line = [number for number, _ in _rows(Path(path))][line + 1]
+        line = read_columns(path, (), log_format)[line][0]
     return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
 
 
@@ -212,16 +220,38 @@ def _header(rows: Iterator[tuple[int, list[str]]], file: Path) -> tuple[int, lis
     return line, [name.strip() for name in header]
 
 
-def _full(
-    rows: Iterator[tuple[int, list[str]]], names: list[str], file: Path
+def _chosen(
+    rows: Iterator[tuple[int, list[str]]],
+    names: list[str],
+    file: Path,
+    header_line: int,
+    log_format: LogFormat,
 ) -> Iterator[tuple[int, list[str]]]:
-    """The rows, each of which must have a cell for every column."""
+    """The rows that count, each of which must have a cell for every column."""
+    asked = [(_column(names, name, file, header_line), text) for name, text in log_format.rows]
     for line, cells in rows:
         if len(cells) != len(names):
             raise InputError(
                 f"{len(cells)} cells where the header has {len(names)}", file=file, row=line
             )
-        yield line, cells
+        if all(cells[at].strip() == text for at, text in asked):
+            yield line, cells
+
+
+def _no_rows(file: Path, log_format: LogFormat) -> InputError:
+    """Return the error of a log without rows that count."""
+    if not log_format.rows:
+        return InputError("the file has a header but no rows", file=file)
+    columns = [name for name, _ in log_format.rows]
+    found = read_columns(file, columns)
+    texts = [
+        listed(sorted({cells[at].strip() for _, cells in found})) for at in range(len(columns))
+    ]
+    return InputError(
+        "no row has " + " and ".join(f"{name}={text}" for name, text in log_format.rows),
+        file=file,
+        remedy="; ".join(f"{name} has {has}" for name, has in zip(columns, texts, strict=True)),
+    )
 
 
 def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:

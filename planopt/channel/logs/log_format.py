@@ -1,7 +1,8 @@
-"""What the columns of a power log are called, and what holds for all of its rows."""
+"""What the columns of a power log are called, which rows count, and what holds for all of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from planopt.errors import InputError
@@ -34,6 +35,9 @@ class LogFormat:
         Step that all powers are rounded to; 0 for none.
     position_std_m
         Deviation of the error of either coordinate, of all positions.
+    rows
+        Pairs of a column and a text: only rows that have all these texts count, such as those of
+        one of several transmitters.
     """
 
     columns: tuple[str, str, str] = DEFAULT_COLUMNS
@@ -43,6 +47,7 @@ class LogFormat:
     receiver_column: str | None = None
     resolution_db: float = 0.0
     position_std_m: float = 0.0
+    rows: tuple[tuple[str, str], ...] = ()
 
 
 def parse_columns(text: str) -> tuple[str, str, str]:
@@ -61,3 +66,20 @@ def parse_columns(text: str) -> tuple[str, str, str]:
             raise InputError(f"cannot read {part!r}", key="columns", remedy=remedy)
         names[what] = name
     return names["x"], names["y"], names["power"]
+
+
+def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Read ``COLUMN=TEXT`` of each, into what :class:`LogFormat` calls `rows`.
+
+    Raises
+    ------
+    InputError
+        One is not of that form.
+    """
+    pairs: list[tuple[str, str]] = []
+    for text in texts:
+        column, equals, value = (piece.strip() for piece in text.partition("="))
+        if not column or not equals or not value:
+            raise InputError(f"cannot read {text!r}", key="--where", remedy="write COLUMN=VALUE")
+        pairs.append((column, value))
+    return tuple(pairs)

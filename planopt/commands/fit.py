@@ -24,6 +24,7 @@ from planopt.commands.log_fit import (
     LogOptions,
     LossOption,
     MethodOption,
+    OriginOption,
     PositionErrorOption,
     ReceiverOption,
     ResolutionOption,
@@ -67,6 +68,7 @@ def fit(
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
     where: WhereOption = None,
+    origin: OriginOption = None,
     loss: LossOption = "squares",
     hold_out: HoldOutOption = None,
     threshold: ThresholdOption = None,
@@ -76,7 +78,16 @@ def fit(
     """Fit path loss, shadowing and multipath."""
     require_hold_out(threshold, hold_out)
     options = LogOptions(
-        columns, censored, floor, resolution, position_error, time, forgetting, receiver, where
+        columns,
+        censored,
+        floor,
+        resolution,
+        position_error,
+        time,
+        forgetting,
+        receiver,
+        where,
+        origin,
     )
     with results_folder(out) as folder:
         with progress("fitting"):

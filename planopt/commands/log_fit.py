@@ -84,6 +84,15 @@ WhereOption = Annotated[
     ),
 ]
 
+OriginOption = Annotated[
+    str | None,
+    typer.Option(
+        "--origin",
+        metavar="LAT,LON",
+        help="x and y of the log are longitude and latitude; here is (0, 0), in degrees.",
+    ),
+]
+
 
 @dataclass(frozen=True)
 class LogOptions:
@@ -98,6 +107,7 @@ class LogOptions:
     forgetting: float | None
     receiver: str | None
     where: list[str] | None
+    origin: str | None
 
 
 @dataclass(frozen=True)
@@ -208,6 +218,7 @@ def _log_format(options: LogOptions) -> LogFormat:
         DEFAULT_COLUMNS,
         LogFormat,
         parse_columns,
+        parse_origin,
         parse_rows,
     )
 
@@ -228,6 +239,7 @@ def _log_format(options: LogOptions) -> LogFormat:
         options.resolution,
         options.position_error,
         parse_rows(options.where or ()),
+        None if options.origin is None else parse_origin(options.origin),
     )
 
 

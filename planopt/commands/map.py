@@ -20,6 +20,7 @@ from planopt.commands.log_fit import (
     LogOptions,
     LossOption,
     MethodOption,
+    OriginOption,
     PositionErrorOption,
     ReceiverOption,
     ResolutionOption,
@@ -77,6 +78,7 @@ def map_log(
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
     where: WhereOption = None,
+    origin: OriginOption = None,
     loss: LossOption = "squares",
     picture: Annotated[
         Path | None,
@@ -94,7 +96,16 @@ def map_log(
     from planopt.world.raster_files import check_raster_output, write_rasters
 
     options = LogOptions(
-        columns, censored, floor, resolution, position_error, time, forgetting, receiver, where
+        columns,
+        censored,
+        floor,
+        resolution,
+        position_error,
+        time,
+        forgetting,
+        receiver,
+        where,
+        origin,
     )
     check_raster_output(out)
     box = None if bounds is None else parse_bounds(bounds)

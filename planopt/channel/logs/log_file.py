@@ -15,8 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
+from planopt.channel.logs.local_plane import FARTHEST_M, east_north_m
 from planopt.channel.logs.log_cells import read_flag, read_label, read_number
-from planopt.channel.logs.log_format import LARGEST_POWER_DBM, LEAST_POWER_DBM, LogFormat
+from planopt.channel.logs.log_format import (
+    LARGEST_LATITUDE_DEG,
+    LARGEST_LONGITUDE_DEG,
+    LARGEST_POWER_DBM,
+    LEAST_POWER_DBM,
+    LogFormat,
+)
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
@@ -25,12 +32,16 @@ from planopt.world.footprints import LARGEST_COORDINATE_M
 
 DEFAULT_FORMAT = LogFormat()
 
-RANGES = (
-    (-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),
-    (-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),
-    (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm"),
+RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
+"""Least and largest x and y in metres."""
+
+RANGES_DEG = (
+    (-LARGEST_LONGITUDE_DEG, LARGEST_LONGITUDE_DEG, "degrees"),
+    (-LARGEST_LATITUDE_DEG, LARGEST_LATITUDE_DEG, "degrees"),
 )
-"""Least and largest x, y and power, with their units."""
+"""Least and largest longitude and latitude."""
+
+POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
 
 
 @dataclass(frozen=True)
@@ -114,8 +125,10 @@ def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
     if log_format.floor_dbm is not None:
         censored |= power <= log_format.floor_dbm
         power = np.maximum(power, log_format.floor_dbm)
+    degrees = log_format.origin_deg is not None
+    ranges = (*(RANGES_DEG if degrees else RANGES_M), POWER_RANGE)
     for name, values, (least, largest, unit) in zip(
-        log_format.columns, (numbers[:, 0], numbers[:, 1], power), RANGES, strict=True
+        log_format.columns, (numbers[:, 0], numbers[:, 1], power), ranges, strict=True
     ):
         outside = np.flatnonzero((values < least) | (values > largest)).tolist()
         if outside:
@@ -126,11 +139,22 @@ def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
                 row=table.lines[outside[0]],
                 remedy=f"from {least:g} to {largest:g} {unit}; correct or remove the row",
             )
+    positions_m = numbers[:, :2].copy()
+    if log_format.origin_deg is not None:
+        positions_m = east_north_m(numbers[:, 0], numbers[:, 1], log_format.origin_deg)
+        afar = np.flatnonzero(np.isnan(positions_m[:, 0])).tolist()
+        if afar:
+            raise InputError(
+                f"is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
+                file=file,
+                row=table.lines[afar[0]],
+                remedy="give an origin near the log; x is the longitude, y the latitude",
+            )
     # In the order of first appearance.
     receivers = tuple(dict.fromkeys(table.labels))
     number = {label: index for index, label in enumerate(receivers)}
     measurements = Measurements(
-        numbers[:, :2].copy(),
+        positions_m,
         power,
         censored,
         resolution_db=np.full(count, log_format.resolution_db),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,8 @@ DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
 LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
 """Range of powers that a receiver can report: below the least lies no noise floor of any bandwidth,
 and 100 dBm are ten megawatts."""
+
+LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,9 @@ class LogFormat:
     rows
         Pairs of a column and a text: only rows that have all these texts count, such as those of
         one of several transmitters.
+    origin_deg
+        Latitude and longitude of the place (0, 0). Where it is given, the columns for x and y have
+        longitudes and latitudes in degrees (WGS 84), which become metres to the east and north.
     """
 
     columns: tuple[str, str, str] = DEFAULT_COLUMNS
@@ -48,6 +54,7 @@ class LogFormat:
     resolution_db: float = 0.0
     position_std_m: float = 0.0
     rows: tuple[tuple[str, str], ...] = ()
+    origin_deg: tuple[float, float] | None = None
 
 
 def parse_columns(text: str) -> tuple[str, str, str]:
@@ -83,3 +90,24 @@ def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
             raise InputError(f"cannot read {text!r}", key="--where", remedy="write COLUMN=VALUE")
         pairs.append((column, value))
     return tuple(pairs)
+
+
+def parse_origin(text: str) -> tuple[float, float]:
+    """Read ``LAT,LON`` in degrees.
+
+    Raises
+    ------
+    InputError
+        Not of that form, or no place on earth.
+    """
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        latitude = longitude = math.nan
+    if not (abs(latitude) < LARGEST_LATITUDE_DEG and abs(longitude) <= LARGEST_LONGITUDE_DEG):
+        raise InputError(
+            f"cannot read {text!r}",
+            key="--origin",
+            remedy="write LAT,LON in degrees, south and west negative",
+        )
+    return latitude, longitude

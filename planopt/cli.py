@@ -20,6 +20,7 @@ from planopt.commands.fit import fit
 from planopt.commands.interrupts import stopping
 from planopt.commands.library import list_problems, schema
 from planopt.commands.map import map_log
+from planopt.commands.problem_files import init, show_problem, validate
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
 from planopt.errors import InputError, PlanoptError, require_text
@@ -43,6 +44,9 @@ app.command()(fit)
 app.command("map")(map_log)
 app.command()(check)
 app.command()(schema)
+app.command()(init)
+app.command("show")(show_problem)
+app.command()(validate)
 
 
 def _print_version(wanted: bool) -> None:

@@ -21,10 +21,8 @@ from planopt.files.regular import read_bytes, read_text
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text
 from planopt.problems.problem import Problem
+from planopt.problems.read_toml import FILE_KEYS
 from planopt.problems.save import problem_to_dict
-
-FILE_KEYS = ("file", "gain_file", "log_file")
-"""Keys of a problem whose files decide the result as their content does."""
 
 LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
 """Packages whose version may change a result."""
@@ -89,7 +87,7 @@ def run_key(problem: Problem, seed: int) -> dict[str, Any]:
 
 
 def _with_contents(value: Any, name: str = "") -> Any:
-    """`value` with digests in place of the names of files."""
+    """`value` with digests in place of the names of files, whose contents decide the result."""
     if isinstance(value, Mapping):
         table = cast("Mapping[str, Any]", value)
         return {key: _with_contents(part, key) for key, part in table.items()}

@@ -115,8 +115,8 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
     InputError
         Anything was raised within; an InputError passes as it is.
     """
-    unraisable = sys.unraisablehook
-    sys.unraisablehook = lambda _: None
+    hooks = sys.excepthook, sys.unraisablehook
+    sys.excepthook, sys.unraisablehook = lambda *_: None, lambda _: None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -127,7 +127,7 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
         reason = str(error) or type(error).__name__
         raise InputError(f"not {kind} that can be read: {reason}", file=path) from error
     finally:
-        sys.unraisablehook = unraisable
+        sys.excepthook, sys.unraisablehook = hooks
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:

@@ -116,7 +116,7 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
         Anything was raised within; an InputError passes as it is.
     """
     hooks = sys.excepthook, sys.unraisablehook
-    sys.excepthook, sys.unraisablehook = lambda *_: None, lambda _: None
+    sys.excepthook, sys.unraisablehook = _unseen, _unseen
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -128,6 +128,10 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
         raise InputError(f"not {kind} that can be read: {reason}", file=path) from error
     finally:
         sys.excepthook, sys.unraisablehook = hooks
+
+
+def _unseen(*_: object) -> None:
+    """Print nothing."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:

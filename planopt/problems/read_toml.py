@@ -48,8 +48,10 @@ def named_files(value: object) -> tuple[str, ...]:
     found: list[str] = []
     if isinstance(value, Mapping):
         for key, part in cast("Mapping[str, object]", value).items():
-            named = key in FILE_KEYS and isinstance(part, str)
-            found += [part] if named else named_files(part)
+            if key in FILE_KEYS and isinstance(part, str):
+                found.append(part)
+            else:
+                found += named_files(part)
     elif isinstance(value, list):
         for part in cast("list[object]", value):
             found += named_files(part)

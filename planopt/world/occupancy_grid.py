@@ -169,12 +169,18 @@ def _components(closed: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return which component each cell belongs to, from 1 on; 0 for open cells."""
     ny, nx = closed.shape
     # An open line between all squares, for the time of labelling.
-    row, column = (np.arange(size) + np.arange(size) // TILE_CELLS for size in (ny, nx))
+    row, column = _spread(ny), _spread(nx)
     apart = np.zeros((row[-1] + 1, column[-1] + 1), dtype=np.bool_)
     apart[np.ix_(row, column)] = closed
     labels = np.zeros(apart.shape, dtype=np.intp)
     ndimage.label(apart, output=labels)  # pyright: ignore[reportUnknownMemberType]
     return labels[np.ix_(row, column)]
+
+
+def _spread(size: int) -> NDArray[np.intp]:
+    """Return where each of so many lines comes to lie, with an empty one between squares."""
+    line = np.arange(size, dtype=np.intp)
+    return line + line // TILE_CELLS
 
 
 def _polygons(

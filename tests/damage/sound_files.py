@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from planopt.cli import main
+from planopt.problems.library import library_folder
 from planopt.world.occupancy_files import CSV_HEADER
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters
@@ -124,10 +125,22 @@ def sound_files(root: Path) -> list[Sound]:
     for method in ("lemma1", "convex", "reml"):
         folder = add(f"log_{method}", "", ["log.csv"], (*fit, "--method", method))
         (folder / "log.csv").write_text(_log())
+    columns = ("--censored", "cut", "--time", "t_s", "--receiver", "who", "--where", "day=1")
+    places = ("--origin", "48.1,11.5", "--columns", "x=lon,y=lat,power=rssi")
+    folder = add("log_columns", "", ["log.csv"], (*fit, *columns, *places))
+    (folder / "log.csv").write_text(_log_with_columns())
     problem = PROBLEM.format(obstacles="", truth=MODEL)
-    for command, *more in (("solve", "--horizon", "3"), ("simulate",)):
-        folder = add(f"saved_{command}", problem, [], ("check", "{folder}/saved"))
-        written(folder, (command, *more), found)
+    folder = add("log_measured", problem.replace("count = 12", 'file = "log.csv"'), ["log.csv"])
+    (folder / "log.csv").write_text(_log(scale=0.4))
+    for name, text, *command in (
+        ("saved_plan", problem, "solve", "--horizon", "3"),
+        ("saved_run", problem, "simulate"),
+        ("saved_reach", _short("open_field", "max_steps = 200"), "simulate", "--horizon", "2"),
+        ("saved_team", _short("harbour_track", "max_steps = 45"), "simulate", "--horizon", "2"),
+        ("saved_stations", _short("two_station_courier", ""), "solve", "--horizon", "3"),
+    ):
+        folder = add(name, text, [], ("check", "{folder}/saved"))
+        written(folder, command, found)
     again = ("compare", "{folder}/p.toml", "--horizons", "1", "--seeds", "1")
     folder = add("finished_runs", problem, [], (*again, "--out", "{folder}/saved"))
     written(folder, again, found)
@@ -141,7 +154,7 @@ def written(folder: Path, command: Sequence[str], found: list[Sound]) -> None:
     arguments = [argument.format(folder=folder) for argument in more]
     problem = [] if name == "compare" else [str(folder / "p.toml")]
     code = main([name, *problem, *arguments, "--out", str(out), "--json"])
-    assert code in (0, 3), code
+    assert code in (0, 3, 4), code
     paths = sorted(path for path in out.rglob("*") if path.is_file())
     names = tuple(str(path.relative_to(folder)) for path in paths)
     found[-1] = replace(found[-1], damaged=names)
@@ -200,10 +213,34 @@ def _shades() -> np.ndarray:
     return shades
 
 
-def _log() -> str:
-    lines = ["x_m,y_m,power_dbm"]
+def _short(name: str, max_steps: str) -> str:
+    """A problem of the library whose runs have three steps, without pictures."""
+    text = (library_folder() / f"{name}.toml").read_text()
+    assert max_steps in text
+    text = text.replace(max_steps, "max_steps = 3") if max_steps else text
+    head = text.partition("[report]")[0]
+    return f"{head}\n[report]\nfigures = false\n"
+
+
+def _measured() -> list[tuple[float, float, float]]:
+    """Places and powers."""
+    found: list[tuple[float, float, float]] = []
     for i in range(40):
         x, y = 3.0 + (7 * i) % 40, 2.0 + (11 * i) % 37
         power = -30.0 - 25.0 * math.log10(math.hypot(x, y)) + 4.0 * math.sin(i)
-        lines.append(f"{x:.2f},{y:.2f},{power:.3f}")
-    return "\n".join(lines) + "\n"
+        found.append((x, y, power))
+    return found
+
+
+def _log(scale: float = 1.0) -> str:
+    rows = [f"{scale * x:.2f},{scale * y:.2f},{power:.3f}" for x, y, power in _measured()]
+    return "\n".join(["x_m,y_m,power_dbm", *rows]) + "\n"
+
+
+def _log_with_columns() -> str:
+    rows = [
+        f"{48.1 + 1e-5 * y:.6f},{11.5 + 1e-5 * x:.6f},{power:.1f},{i % 7 == 0:d},{i},{'ab'[i % 2]},"
+        f"{i // 30 + 1}"
+        for i, (x, y, power) in enumerate(_measured())
+    ]
+    return "\n".join(["lat,lon,rssi,cut,t_s,who,day", *rows]) + "\n"

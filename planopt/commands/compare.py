@@ -135,7 +135,7 @@ def exit_code(comparison: Comparison) -> int:
 def comparison_json(
     problem: Problem, comparison: Comparison | None, message: str
 ) -> dict[str, Any]:
-    """The JSON keys of ``compare`` (design, section 3); no rows if there provably is no plan."""
+    """The JSON keys of ``compare``; no rows if there provably is no plan."""
     from planopt.planning.files.run_json import reliability_json, run_summary
     from planopt.planning.files.solution_json import finite
     from planopt.planning.files.team_run_json import team_summary_json

@@ -118,7 +118,7 @@ def fit(
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
-    """The JSON keys of ``fit`` (design, section 3); standard errors that are unknown are null.
+    """The JSON keys of ``fit``; standard errors that are unknown are null.
 
     So is ``forgetting_s`` where the channel does not drift, and ``reference_receiver`` where the
     log has no receivers.

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from planopt.channel.measurements import Measurements
 
 UNITS = {"mean_db": "dBm", "deviation_db": "dB", "connectivity": "1"}
-"""The variables of a map (design, section 3)."""
+"""The variables of a map."""
 
 
 def map_log(

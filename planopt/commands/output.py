@@ -16,7 +16,7 @@ from planopt.commands.interrupts import interruptible
 from planopt.files.result_folder import ResultFiles, added_results
 
 NO_PLAN = 4
-"""Exit code where there is no plan, or a run did not arrive (design, section 3)."""
+"""Exit code where there is no plan, or a run did not arrive."""
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:

@@ -22,6 +22,10 @@ from planopt.channel.posterior import ChannelPosterior
 SAME_PLACE_M = 1e-6
 """Places nearer than this are one place, whatever the spacing."""
 
+SPACING_TOLERANCE_M = 1e-5
+"""Two steps that are together as long as the spacing lead to a new place, though planners plan them
+a little shorter."""
+
 OPEN_SPACINGS = 1.25
 """The smooth gate is fully open from so many spacings on."""
 
@@ -36,6 +40,11 @@ FEW_PAIRS = 20_000
 """Up to so many pairs of places and measurements are compared one by one; beyond, in a tree."""
 
 
+def closing_m(spacing_m: float) -> float:
+    """A place nearer than this to an earlier measurement brings none, for spacing `spacing_m`."""
+    return max(spacing_m - SPACING_TOLERANCE_M, SAME_PLACE_M)
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
     """Where measurements are taken, given those there are.
@@ -43,7 +52,7 @@ class MeasuringRule:
     Attributes
     ----------
     spacing_m
-        A place nearer than this to an earlier measurement brings none.
+        A place nearer than this to an earlier measurement brings none; :func:`closing_m`.
     known_m
         ``(n, 2)`` places measured before, of each station. A place counts as measured once all
         stations were measured near it.
@@ -60,7 +69,7 @@ class MeasuringRule:
             places = posterior.measurements.positions_m
             if not any(np.array_equal(places, other) for other in known):
                 known.append(places)
-        return MeasuringRule(max(spacing_m, SAME_PLACE_M), tuple(known))
+        return MeasuringRule(closing_m(spacing_m), tuple(known))
 
     @property
     def open_m(self) -> float:

@@ -18,6 +18,7 @@ from planopt.objectives.measuring import (
     FEW_PAIRS,
     OPEN_SPACINGS,
     SAME_PLACE_M,
+    SPACING_TOLERANCE_M,
     Gates,
     MeasuringRule,
 )
@@ -88,6 +89,7 @@ def test_without_spacing_a_place_is_still_measured_once():
     """Standing still tells nothing new, whatever the spacing."""
     rule = MeasuringRule.of([POSTERIOR], 0.0)
     assert rule.spacing_m == SAME_PLACE_M
+    assert MeasuringRule.of([POSTERIOR], 2.0).spacing_m == 2.0 - SPACING_TOLERANCE_M
     here = POSTERIOR.measurements.positions_m[:1]
     assert not rule.is_open(here)[0]
     assert rule.is_open(here + 1e-3)[0]

@@ -27,7 +27,9 @@ POSSIBLE = {
     "longest_outage_s": (0.0, np.inf),
     "data_mbit": (0.0, np.inf),
 }
-"""Least and largest value that a metric can have; one that is not here can have any."""
+"""Least and largest value that a metric can have; one that is not here can have `ANY`."""
+
+ANY = (-np.inf, np.inf)
 
 
 def metrics_of(

@@ -108,8 +108,9 @@ class HorizonPlanner:
         """The plan of a start as it is; None if it is not verified."""
         if self.problem.robots[0].dynamics is not None:
             start = driven_starts(judge, situation, [start], warm)[0]
+        rung = Rung.PLAN if self.ladder.polish is None else Rung.LATTICE
         found = judge.judged(
-            judge.candidate(start.path_m, Rung.PLAN, Termination.LATTICE_ONLY, start.drive)
+            judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY, start.drive)
         )
         if found.verdict is not Verdict.VERIFIED:
             return None

@@ -95,6 +95,14 @@ class Measurements:
         """Those of `rows`: indices, a mask or a slice."""
         return Measurements(*(getattr(self, part.name)[rows] for part in fields(self)))
 
+    def by_place(self) -> Measurements:
+        """The same in an order that depends on what they are, not on that of the rows.
+
+        By x, then y; where they agree by power and the rest.
+        """
+        others = (getattr(self, part.name) for part in reversed(fields(self)[1:]))
+        return self.take(np.lexsort((*others, self.positions_m[:, 1], self.positions_m[:, 0])))
+
 
 def join(first: Measurements, second: Measurements) -> Measurements:
     """Both sets, `first` before `second`."""

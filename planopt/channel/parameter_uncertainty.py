@@ -24,7 +24,8 @@ from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.covariance_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
-from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
+from planopt.channel.estimation.likelihood_starts import thinned
+from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.restricted_likelihood import profiled_log_likelihood
 from planopt.channel.intervals.sites import rounded_variance_db2
 from planopt.channel.mean_model import mean_model
@@ -114,7 +115,7 @@ def marginalise(
     measurements
         What it was estimated from. Censored ones count in every component's prediction but not in
         the weights; where there are some, alpha is taken in proportion to the estimate's. Of more
-        than `MAX_MEASUREMENTS` a fixed draw gives the weights.
+        than `MOST_DENSE` a fixed draw gives the weights.
     exact_limit
         Beyond so many measurements every component predicts from the nearest, as in
         :func:`planopt.channel.posterior.condition`: there are some 20, and each costs a factor.
@@ -174,9 +175,10 @@ def marginalise(
 def _exact_data(
     measurements: Measurements, parameters: ChannelParameters, n_pl_identifiable: bool
 ) -> LikelihoodData:
-    """The uncensored measurements, at most `MAX_MEASUREMENTS`, as the likelihood needs them."""
+    """The uncensored measurements, at most `MOST_DENSE`, as the likelihood needs them."""
+    measurements = measurements.by_place()
     rows = np.flatnonzero(~measurements.censored)
-    rows = rows[thinned(len(rows), MAX_MEASUREMENTS)]
+    rows = rows[thinned(len(rows), MOST_DENSE)]
     exact = measurements.take(rows)
     model = mean_model(exact.positions_m, ~exact.censored, parameters.station, n_pl_identifiable)
     return likelihood_data(model, exact, parameters)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.conditioning import with_rows, without_factor
+from planopt.channel.connection.connection_outcomes import ConnectionOutcomes, add_outcomes
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.factor import FactorBuffer, spacious
 from planopt.channel.intervals.censoring import (
@@ -42,6 +43,11 @@ from planopt.channel.places import require_finite
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
+
+MOST_JOINT_SITES = 300
+"""Beyond so many censored or coarsely rounded measurements their sites are matched window by window
+(:mod:`planopt.channel.nearest.neighbour_sites`): jointly a sweep costs the cube of their number, at
+750 ten times as much."""
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
 
@@ -93,6 +99,10 @@ class ChannelPosterior:
         Where there is none: factors of measurements near the places last asked for, shared with
         the posteriors that extend this one. One that extends nothing has none, so that what is
         predicted from it does not depend on what was asked before.
+    outcomes
+        What predictions of connection came true, for a calibrated law of connection
+        (:func:`planopt.channel.connection.connection_outcomes.calibrate_posterior`); None where the
+        normal law stands. Mean and deviation are the same with either.
     """
 
     parameters: ChannelParameters
@@ -110,6 +120,7 @@ class ChannelPosterior:
     buffer: FactorBuffer | None = field(default=None, repr=False)
     information: NeighbourInformation | None = field(default=None, repr=False)
     near: NearFactors | None = field(default=None, repr=False)
+    outcomes: ConnectionOutcomes | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
@@ -205,8 +216,8 @@ def condition(
     exact_limit
         Beyond so many measurements predictions are from the nearest
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
-        (:data:`planopt.channel.estimation.vecchia.EARLIER_NEIGHBOURS` has the accuracies), and so
-        are sites.
+        (:data:`planopt.channel.nearest.windows.BESIDE` has the accuracies), and
+        sites are matched by neighbours.
 
     Raises
     ------
@@ -214,7 +225,8 @@ def condition(
         Theta by least squares, from more than `exact_limit` measurements.
     """
     exact = len(measurements) <= exact_limit
-    sites = (gaussian_sites if exact else neighbour_sites)(parameters, measurements)
+    joint = int(needs_site(measurements, parameters.multipath_std_db**2).sum()) <= MOST_JOINT_SITES
+    sites = (gaussian_sites if exact and joint else neighbour_sites)(parameters, measurements)
     nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
     empty = ChannelPosterior(
         parameters,
@@ -244,6 +256,11 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
     its own prediction, truncated to where it is known to lie, and stays that site. `posterior`
     remains valid.
     """
+    if posterior.outcomes is not None:
+        latent = predict_noiseless(posterior, more)
+        deviation = np.hypot(latent.deviation_db, posterior.parameters.multipath_std_db)
+        ahead = Prediction(latent.mean_db, deviation)
+        posterior = replace(posterior, outcomes=add_outcomes(posterior.outcomes, ahead, more))
     alone = needs_site(more, posterior.parameters.multipath_std_db**2)
     start = 0
     while start < len(more):

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from planopt.commands.options import PLANNERS, JsonOption, OutOption, ProblemArgument
+from planopt.commands.options import (
+    PLANNERS,
+    CalibrationOption,
+    JsonOption,
+    OutOption,
+    ProblemArgument,
+)
 from planopt.commands.output import NO_PLAN, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
 
@@ -41,6 +47,7 @@ def compare(
             help="geodesic, connected (both); task reach.",
         ),
     ] = None,
+    calibration: CalibrationOption = None,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds, from 0 on.")] = 30,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes.")] = 1,
     backend: Annotated[
@@ -59,6 +66,8 @@ def compare(
             f"{backend!r} is not there", key="--backend", remedy=f"use {', '.join(BACKENDS)}"
         )
     asked = load(problem)
+    if calibration is not None:
+        asked = with_overrides(asked, calibration=calibration)
     steps = listed(horizons, "--horizons", int)
     names = (asked.planner.name,) if planners is None else listed(planners, "--planners", str)
     ways = None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str)

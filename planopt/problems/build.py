@@ -127,6 +127,7 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
         measurements=_measurements(table.measurements, folder),
         fit_method=table.fit.method,
         measure_spacing_m=table.measurements.spacing_m,
+        calibration=table.calibration,
     )
 
 

@@ -17,7 +17,8 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.fit_method import GivenMethod, Loss
 from planopt.channel.estimation.identifiability import require_usable
-from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
+from planopt.channel.estimation.likelihood_starts import thinned
+from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.station.station_position import StationMethod, locate
@@ -41,6 +42,7 @@ def fit_channel_and_station(
     *,
     station_method: StationMethod = "joint",
     loss: Loss = "squares",
+    intervals: bool = True,
 ) -> ChannelFit:
     """Estimate the station's position with the channel.
 
@@ -57,9 +59,9 @@ def fit_channel_and_station(
         As in :func:`planopt.channel.estimation.fit.fit_channel`.
     station_method
         ``joint``: maximum likelihood over position, theta and covariance. ``line``: the position
-        from which the path loss line fits best. Of more than `MAX_MEASUREMENTS` a fixed draw
+        from which the path loss line fits best. Of more than `MOST_DENSE` a fixed draw
         serves for the position.
-    loss
+    loss, intervals
         Of the final fit, as in :func:`planopt.channel.estimation.fit.fit_channel`.
 
     Returns
@@ -84,10 +86,11 @@ def fit_channel_and_station(
             remedy=f"use {', '.join(get_args(StationMethod))}",
         )
     require_usable(measurements, None)
+    measurements = measurements.by_place()
     _require_locating(measurements)
     station = locate(measurements, station_method, height_m, forgetting_s)
-    found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
-    sample = measurements.take(thinned(len(measurements), MAX_MEASUREMENTS))
+    found = fit_channel(measurements, station, method, forgetting_s, loss=loss, intervals=intervals)
+    sample = measurements.take(thinned(len(measurements), MOST_DENSE))
     doubt = line_covariance_m2 if station_method == "line" else joint_covariance_m2
     covariance = doubt(sample, found.parameters)
     x, y = station.position_m

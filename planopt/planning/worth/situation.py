@@ -120,7 +120,7 @@ class Situation:
 
     def powers(self, places_m: NDArray[np.float64]) -> list[Prediction]:
         """Predictions of each station's power at `places_m` (n, 2), as searches look at them."""
-        if len(self.stations) == 1:
+        if not isinstance(self.circumstances.broad, Serving):
             return [self.power(places_m)]
         return [search_prediction(station, places_m) for station in self.stations]
 

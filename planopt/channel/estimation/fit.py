@@ -42,7 +42,7 @@ from planopt.channel.estimation.plausibility import implausible_values, suspecte
 from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.ridge import AXES
 from planopt.channel.mean_model import PRIOR_N_PL, mean_model
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
@@ -52,7 +52,7 @@ from planopt.errors import InputError
 
 @one_blas_thread()
 def fit_channel(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     station: Station,
     method: GivenMethod = "reml",
     forgetting_s: float = math.inf,
@@ -85,10 +85,10 @@ def fit_channel(
     loss
         What ``convex`` makes of the scatter about its line
         (:func:`planopt.channel.estimation.convex_fit.convex_fit`); others have squares.
-
     intervals
-        Whether to compute intervals of what is hardly determined, for ``reml``. Each end costs some
-        ten to thirty evaluations of the likelihood.
+        Whether to look into what is in doubt, for ``reml``: intervals of what is hardly determined,
+        each end of which costs some ten to thirty evaluations of the likelihood, and other maxima
+        at the ends of the parameters' ranges. The estimate is the same without.
 
     Raises
     ------
@@ -96,6 +96,7 @@ def fit_channel(
         See :func:`planopt.channel.estimation.identifiability.examine`; or `forgetting_s` is not
         positive; or there is no such method or loss, or the method has none to choose.
     """
+    measurements = as_measurements(measurements)
     chosen = require_method(method, "method")
     require_loss(loss, chosen, "loss")
     if not forgetting_s > 0.0:
@@ -115,7 +116,7 @@ def fit_channel(
     elif allows.covariance_reason is not None:
         estimate = by_assumption(given, allows.covariance_reason)
     elif chosen == "reml":
-        estimate = by_likelihood(given)
+        estimate = by_likelihood(given, ends=intervals)
     else:
         estimate = by_correlation(given, chosen, loss)
     return _dressed(estimate, given, chosen, intervals)

@@ -624,7 +624,7 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "outage always priced": (STEPS, "if is_priced(problem):", "if True:"),
     "any price will do": (
         STEPS,
-        "reasons=tuple(_too_dear(problem, priced, best_margin_db)),",
+        "reasons=tuple(_too_dear(problem, under.history, priced, best_margin_db)),",
         "reasons=(),",
     ),
     "nowhere turned round": (
@@ -647,12 +647,12 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "waste turned round": (STEPS, "if spent > allowed:", "if spent < allowed:"),
     "excess without the step": (
         PATHS,
-        "excess = step + rest_m(1) - best if",
-        "excess = rest_m(1) - best if",
+        "excess = step + rest_m(min(1, len(lengths))) - best if",
+        "excess = rest_m(min(1, len(lengths))) - best if",
     ),
     "excess of no rest": (
         PATHS,
-        "excess = step + rest_m(1) - best if",
+        "excess = step + rest_m(min(1, len(lengths))) - best if",
         "excess = step + rest_m(0) - best if",
     ),
     "cost turned round": (STEPS, "if priced.cost_m <= (1.0", "if priced.cost_m > (1.0"),
@@ -694,8 +694,8 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     ),
     "best from the end": (
         PATHS,
-        "1), rest_m(0))",
-        "1), rest_m(len(positions_m) - 1))",
+        "    best = rest_m(0)\n",
+        "    best = rest_m(len(positions_m) - 1)\n",
     ),
     "joined through walls": (PATHS, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > -1.0]"),
     "joined to nothing": (PATHS, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > np.inf]"),

@@ -99,10 +99,11 @@ def fit(
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
-    """The JSON keys of ``fit`` (design, section 3); standard errors that are unknown are null.
+    """Return the JSON keys of ``fit``; standard errors that are unknown are null.
 
-    So is ``forgetting_s`` where the channel does not drift, and ``reference_receiver`` where the
-    log has no receivers.
+    So is ``forgetting_s`` where the channel does not drift, ``reference_receiver`` where the log
+    has no receivers, and an end that an interval does not have. ``intervals_95`` has what is hardly
+    or not determined, ``other_modes`` what is nearly as likely.
     """
     from planopt.planning.files.solution_json import finite
 
@@ -116,6 +117,16 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
         "station_height_m": parameters.station.height_m,
         "station_standard_errors_m": _station_errors_m(found),
         "standard_errors": {name: finite(found.standard_errors[name]) for name in UNITS},
+        "intervals_95": {
+            name: [finite(low), finite(high)] for name, (low, high) in found.intervals_95.items()
+        },
+        "other_modes": [
+            {
+                **{name: getattr(mode.parameters, name) for name in UNITS},
+                "log_likelihood": mode.log_likelihood,
+            }
+            for mode in found.other_modes
+        ],
         "measurements": found.measurements,
         "censored": found.censored,
         "log_likelihood": finite(found.log_likelihood),

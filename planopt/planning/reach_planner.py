@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.errors import NoPlanError
-from planopt.planning.budget import Budget, budget_from
+from planopt.planning.budget import Budget, budget_from, solve_limit_s
 from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
@@ -68,7 +68,7 @@ class ReachPlanner:
                 problem.planner.horizon,
                 lines,
                 METHODS[problem.planner.name],
-                problem.planner.budget_s,
+                solve_limit_s(problem),
             )
 
     def plan(

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.budget import Budget
+from planopt.planning.budget import Budget, solve_limit_s
 from planopt.planning.candidate import Candidate
 from planopt.planning.driven import motion_shape, motion_task, polished_drive
 from planopt.planning.ground import Ground
@@ -77,7 +77,7 @@ class StartPolish:
                 charged=self._problem.task == "reach",
             )
             self._built[lines] = build_path_nlp(
-                shape, METHODS[settings.name], settings.budget_s, until_settled=True
+                shape, METHODS[settings.name], solve_limit_s(self._problem), until_settled=True
             )
         return self._built[lines]
 

@@ -34,8 +34,8 @@ class PlannerSettings:
     max_steps
         A closed loop that has not arrived by then ends.
     budget_s
-        Seconds after which no new polish of a plan begins, and after which one that was begun
-        ends; None for no limit.
+        Seconds that a plan should take: the last polish begins, and ends, early enough for its
+        proof; None for no limit.
     """
 
     name: PlannerName

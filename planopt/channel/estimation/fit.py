@@ -85,10 +85,10 @@ def fit_channel(
     loss
         What ``convex`` makes of the scatter about its line
         (:func:`planopt.channel.estimation.convex_fit.convex_fit`); others have squares.
-
     intervals
-        Whether to compute intervals of what is hardly determined, for ``reml``. Each end costs some
-        ten to thirty evaluations of the likelihood.
+        Whether to look into what is in doubt, for ``reml``: intervals of what is hardly determined,
+        each end of which costs some ten to thirty evaluations of the likelihood, and other maxima
+        at the ends of the parameters' ranges. The estimate is the same without.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def fit_channel(
     elif allows.covariance_reason is not None:
         estimate = by_assumption(given, allows.covariance_reason)
     elif chosen == "reml":
-        estimate = by_likelihood(given)
+        estimate = by_likelihood(given, ends=intervals)
     else:
         estimate = by_correlation(given, chosen, loss)
     return _dressed(estimate, given, chosen, intervals)

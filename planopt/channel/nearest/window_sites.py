@@ -29,6 +29,10 @@ from planopt.channel.parameters import ChannelParameters
 
 MAX_SWEEPS = 60
 
+AT_REST = 0.25
+"""A block is passed over while nothing in its window moved by more than this share of the tolerance
+when it was last looked at: after three sweeps that is true of half of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class IntervalRows:
@@ -127,11 +131,15 @@ def window_sites(
     covariances = [
         own_covariance_db2(origins.at(one.rows), parameters) for one in intervals.windows
     ]
+    # How far each has moved, and the logarithm of the factor and its slope by windows.
+    moves, parts = np.zeros(len(mean_db)), np.zeros((len(covariances), 2))
+    moves[rows] = np.inf
     step, last = 1.0, np.inf
-    log_factor = slope = 0.0
     for _ in range(MAX_SWEEPS):
-        log_factor = slope = error = 0.0
-        for window, latent in zip(intervals.windows, covariances, strict=True):
+        error = 0.0
+        for part, window, latent in zip(parts, intervals.windows, covariances, strict=True):
+            if moves[window.rows].max() < AT_REST * tolerance:
+                continue
             inside = np.flatnonzero(place_of[window.own] >= 0)
             numbers = window.own[inside]
             some = place_of[numbers]
@@ -146,19 +154,19 @@ def window_sites(
             found = _floored(found)
             # What is known of each power from the others and its own site.
             posterior = cavity / (1.0 + cavity * precision[some])
-            error = max(
-                error,
-                float(np.abs((found - precision[some]) * posterior).max()),
-                float(np.abs((moved - shift[some]) * np.sqrt(posterior)).max()),
+            moves[numbers] = np.maximum(
+                np.abs((found - precision[some]) * posterior),
+                np.abs((moved - shift[some]) * np.sqrt(posterior)),
             )
+            error = max(error, float(moves[numbers].max()))
             shrink = np.maximum(1.0 - given.variance, 0.0)
-            slope += 0.5 * float(((given.mean**2 - shrink) / (omega2 + cavity)).sum())
+            part[1] = 0.5 * float(((given.mean**2 - shrink) / (omega2 + cavity)).sum())
             precision[some] += step * (found - precision[some])
             shift[some] += step * (moved - shift[some])
             # With the sites as they are now: what changes the cavities later is of second order.
             total = cavity + 1.0 / precision[some]
             apart = shift[some] / precision[some] - cavity_mean
-            log_factor += float(
+            part[0] = float(
                 given.log_probability.sum()
                 + 0.5 * (np.log(2.0 * np.pi * total) + apart**2 / total).sum()
             )
@@ -169,6 +177,7 @@ def window_sites(
         # Sites that swing between sweeps are damped harder, for good.
         step = step if error < last else max(0.7 * step, 0.05)
         last = error
+    log_factor, slope = (float(total) for total in parts.sum(axis=0))
     return WindowSites(mean, precision, shift, log_factor, slope)
 
 

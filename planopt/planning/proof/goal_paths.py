@@ -218,6 +218,6 @@ def price_path(
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     driven = float(lengths.sum()) + price * charged_length_m(lengths, share)
     best = rest_m(0)
-    step = float(lengths[0]) + price * charged_length_m(lengths[:1], share[:2])
-    excess = step + rest_m(1) - best
+    step = float(lengths[:1].sum()) + price * charged_length_m(lengths[:1], share[:2])
+    excess = step + rest_m(min(1, len(lengths))) - best
     return PricedPath(driven + rest_m(len(positions_m) - 1), best, step, excess)

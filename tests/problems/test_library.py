@@ -97,8 +97,9 @@ def test_munich_files_agree_with_their_map(name: str) -> None:
     assert station.site.position_m == pytest.approx(mast[:2])
     assert station.site.height_m == pytest.approx(mast[2] - receiver_height)
     for place in (problem.robots[0].start_m, problem.robots[0].goal_m):
-        cell = gain[np.abs(y - place[1]).argmin(), np.abs(x - place[0]).argmin()]
-        power = station.transmit_power_dbm + (truth.floor_db if np.isnan(cell) else cell)
+        # A place on the border of cells touches several, and weak ones are noisy.
+        cells = gain[np.ix_(np.abs(y - place[1]) <= half, np.abs(x - place[0]) <= half)]
+        power = station.transmit_power_dbm + np.nan_to_num(cells, nan=truth.floor_db).max()
         if name == "munich_shadow_goal" and place == problem.robots[0].goal_m:
             assert power < station.threshold_dbm - 10
         else:
@@ -139,7 +140,7 @@ def test_connected_path_is_there_or_not(name: str, *, is_joined: bool) -> None:
 def test_courtyard_has_no_free_path(capsys: pytest.CaptureFixture[str]) -> None:
     """Planning ends with exit code 4 and says that obstacles are the reason."""
     assert main(["solve", "munich_courtyard"]) == 4
-    assert "obstacles cut off robots[0].goal_m [177.0, 29.0]" in capsys.readouterr().err
+    assert "obstacles cut off robots[0].goal_m [177.0, 29.0]" in capsys.readouterr().out
 
 
 def test_open_field_has_inline_obstacles_and_places_out_of_reach() -> None:

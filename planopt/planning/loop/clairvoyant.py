@@ -94,7 +94,7 @@ def clairvoyant_path(
     joining = 0.5 * lengths * (here + metre_cost[nodes])
     first = int(nodes[np.argmin(joining + ways.cost_m[nodes])])
     places = np.vstack([start, road_map.nodes_m[way_from(road_map, ways, first, np.inf)]])
-    # A move of the lattice is a step. Straight stretches are shorter, but end their steps elsewhere.
+    # A move of the lattice is a step; straight stretches are shorter, but end steps elsewhere.
     straight = _in_steps(problem, _straightened(problem, index, truths, places))
     return min((places, straight), key=lambda path: _cost_of_steps_m(problem, truths, path))
 

@@ -25,7 +25,12 @@ def strip(folder: Path, gain_db: np.ndarray) -> Problem:
         "problem": {"schema": 1, "name": "strip", "task": "reach"},
         "world": {"bounds_m": [0.0, 0.0, 60.0, 20.0]},
         "channel": {
-            "truth": {"kind": "raster", "file": "strip.npz", "variable": "path_gain_db"},
+            "truth": {
+                "kind": "raster",
+                "file": "strip.npz",
+                "variable": "path_gain_db",
+                "floor_db": -130.0,
+            },
             "measurements": {"count": 60},
         },
         "robots": [{"start_m": [5.0, 10.0], "goal_m": [55.0, 10.0], "speed_max_m_s": STEP_M}],

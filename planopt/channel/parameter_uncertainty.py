@@ -29,7 +29,7 @@ from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.restricted_likelihood import profiled_log_likelihood
 from planopt.channel.intervals.sites import rounded_variance_db2
 from planopt.channel.mean_model import mean_model
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
@@ -100,7 +100,9 @@ def mixture(weights: NDArray[np.float64], parts: Sequence[Prediction]) -> Predic
 
 @one_blas_thread()
 def marginalise(
-    parameters: ChannelParameters, measurements: Measurements, exact_limit: int = EXACT_LIMIT
+    parameters: ChannelParameters,
+    measurements: Measurements | Table,
+    exact_limit: int = EXACT_LIMIT,
 ) -> MarginalPosterior:
     """Condition on measurements with xi, beta and omega uncertain.
 
@@ -131,6 +133,7 @@ def marginalise(
     InputError
         See :func:`planopt.channel.estimation.identifiability.examine`.
     """
+    measurements = as_measurements(measurements)
     allows = examine(measurements, parameters.station)
     if allows.covariance_reason is not None:
         return MarginalPosterior(

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.conditioning import with_rows, without_factor
 from planopt.channel.connection.connection_outcomes import ConnectionOutcomes, add_outcomes
@@ -33,7 +33,7 @@ from planopt.channel.measurement_covariance import (
     measured_origins,
     measured_path_loss_variance_db2,
 )
-from planopt.channel.measurements import Measurements, join
+from planopt.channel.measurements import Measurements, Table, as_measurements, join
 from planopt.channel.nearest.near_factors import NearFactors
 from planopt.channel.nearest.neighbour_information import NeighbourInformation
 from planopt.channel.nearest.neighbour_sites import neighbour_sites
@@ -175,17 +175,15 @@ class ChannelPosterior:
             and np.array_equal(one.receiver[:count], other.receiver)
         )
 
-    def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
+    def predict(self, positions_m: ArrayLike) -> Prediction:
         """See :func:`planopt.channel.kriging.predict`."""
         return predict(self, positions_m)
 
-    def extend(self, more: Measurements) -> ChannelPosterior:
-        """See :func:`extend`."""
-        return extend(self, more)
+    def extend(self, more: Measurements | Table) -> ChannelPosterior:
+        """See :func:`extend`; tables are taken as well."""
+        return extend(self, as_measurements(more))
 
-    def connectivity(
-        self, positions_m: NDArray[np.float64], threshold_dbm: float
-    ) -> NDArray[np.float64]:
+    def connectivity(self, positions_m: ArrayLike, threshold_dbm: float) -> NDArray[np.float64]:
         """P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
         threshold = require_finite(threshold_dbm, "threshold_dbm")
         prediction = predict(self, positions_m)
@@ -194,7 +192,7 @@ class ChannelPosterior:
 
 def condition(
     parameters: ChannelParameters,
-    measurements: Measurements,
+    measurements: Measurements | Table,
     *,
     theta: ThetaRule = "estimated",
     exact_limit: int = EXACT_LIMIT,
@@ -224,6 +222,7 @@ def condition(
     InputError
         Theta by least squares, from more than `exact_limit` measurements.
     """
+    measurements = as_measurements(measurements)
     exact = len(measurements) <= exact_limit
     joint = int(needs_site(measurements, parameters.multipath_std_db**2).sum()) <= MOST_JOINT_SITES
     sites = (gaussian_sites if exact and joint else neighbour_sites)(parameters, measurements)

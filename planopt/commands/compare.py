@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
@@ -16,14 +15,20 @@ from planopt.commands.options import (
     OutOption,
     ProblemArgument,
 )
-from planopt.commands.output import NO_PLAN, progress, results_folder, show
+from planopt.commands.output import NO_PLAN, drawing, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
+from planopt.files.result_folder import ResultFiles, replaced_results
 
 if TYPE_CHECKING:
     from planopt.problems.problem import Problem
     from planopt.studies.comparison import Comparison
 
 COMPARISON_FILE = "comparison.json"
+FINISHED_FOLDER = "finished_runs"
+"""Where finished runs are kept, so that a comparison that was stopped goes on."""
+
+COMPARISON = ResultFiles("comparison", (COMPARISON_FILE, "comparison.png", "reliability.png"))
+"""The files of a comparison with its pictures."""
 
 Value = TypeVar("Value")
 
@@ -57,8 +62,10 @@ def compare(
     json: JsonOption = False,
 ) -> int:
     """Compare settings. Exit code 0 verified throughout, 3 not throughout, 4 a run not ended."""
+    from planopt.planning.files.saved import write_record
     from planopt.problems.load import load
     from planopt.problems.overrides import with_overrides
+    from planopt.report.tables import comparison_text
     from planopt.studies.compare import BACKENDS, compare_horizons, default_costs_to_go
 
     if backend not in BACKENDS:
@@ -78,6 +85,7 @@ def compare(
         with_overrides(asked, planner=name)
     for way in ways or ():
         with_overrides(asked, cost_to_go=way)
+    figures = asked.report.figures
     with results_folder(out) as folder:
         try:
             costs = default_costs_to_go(asked) if ways is None else ways
@@ -92,20 +100,26 @@ def compare(
                     workers=workers,
                     backend=backend,
                     on_run=lambda _: advance(),
+                    finished=None if folder is None else folder / FINISHED_FOLDER,
                 )
         except NoPlanError as error:
             data = comparison_json(asked, None, str(error))
+            if folder is not None:
+                with replaced_results(folder, COMPARISON) as new:
+                    write_record(data, asked, new / COMPARISON_FILE)
             show(json, data, f"{asked.name}: no plan: {error}")
             return NO_PLAN
         data = comparison_json(asked, comparison, "")
         if folder is not None:
-            _save(comparison, data, folder)
-    if json:
-        show(True, data, "")
-    else:
-        from planopt.report.tables import comparison_text
+            with replaced_results(folder, COMPARISON, pictures_follow=figures) as new:
+                write_record(data, asked, new / COMPARISON_FILE)
+        text = "" if json else comparison_text(comparison)
+        show(json, data, text)
+        with drawing(folder, COMPARISON, wanted=figures) as new:
+            if new is not None:
+                from planopt.commands.pictures import picture_comparison
 
-        show(False, data, comparison_text(comparison))
+                picture_comparison(comparison, new)
     return exit_code(comparison)
 
 
@@ -121,7 +135,7 @@ def exit_code(comparison: Comparison) -> int:
 def comparison_json(
     problem: Problem, comparison: Comparison | None, message: str
 ) -> dict[str, Any]:
-    """The JSON keys of ``compare`` (design, section 3); no rows if there provably is no plan."""
+    """The JSON keys of ``compare``; no rows if there provably is no plan."""
     from planopt.planning.files.run_json import reliability_json, run_summary
     from planopt.planning.files.solution_json import finite
     from planopt.planning.files.team_run_json import team_summary_json
@@ -136,6 +150,7 @@ def comparison_json(
             "reliability": {"all": [], "settings": []},
             "runs": [],
             "wall_s": None,
+            "resumed": 0,
             "message": message,
         }
     rows = [
@@ -163,6 +178,7 @@ def comparison_json(
             for run in comparison.runs
         ],
         "wall_s": finite(comparison.wall_s),
+        "resumed": comparison.resumed,
         "message": message,
     }
 
@@ -183,15 +199,3 @@ def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value,
     if not values or "" in parts:
         raise InputError(f"cannot read {text!r}", key=option, remedy="separate values by commas")
     return tuple(dict.fromkeys(values))
-
-
-def _save(comparison: Comparison, data: dict[str, Any], folder: Path) -> None:
-    """Pictures first, the JSON last."""
-    from planopt.planning.files.saved import save_record
-
-    if comparison.problem.report.figures:
-        from planopt.commands.pictures import picture_comparison
-
-        with progress("drawing"):
-            picture_comparison(comparison, folder)
-    save_record(data, comparison.problem, folder / COMPARISON_FILE)

@@ -24,21 +24,27 @@ from planopt.commands.log_fit import (
     LogOptions,
     LossOption,
     MethodOption,
+    OriginOption,
     PositionErrorOption,
     ReceiverOption,
     ResolutionOption,
     StationMethodOption,
     StationOption,
     TimeOption,
+    WhereOption,
     read_and_fit,
 )
 from planopt.commands.options import JsonOption, OutOption
-from planopt.commands.output import progress, results_folder, show, shown_number
+from planopt.commands.output import drawing, progress, results_folder, show, shown_number
+from planopt.files.result_folder import ResultFiles
 
 if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit
 
 FIT_FILE = "fit.json"
+FIT = ResultFiles("fit", (FIT_FILE, "fit.png", "held_out.png", "reliability.png"))
+"""The files of a fit with its pictures."""
+
 UNITS = {
     "k_pl_db": "dBm",
     "n_pl": "",
@@ -61,6 +67,8 @@ def fit(
     time: TimeOption = None,
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
+    where: WhereOption = None,
+    origin: OriginOption = None,
     loss: LossOption = "squares",
     hold_out: HoldOutOption = None,
     threshold: ThresholdOption = None,
@@ -70,7 +78,16 @@ def fit(
     """Fit path loss, shadowing and multipath."""
     require_hold_out(threshold, hold_out)
     options = LogOptions(
-        columns, censored, floor, resolution, position_error, time, forgetting, receiver
+        columns,
+        censored,
+        floor,
+        resolution,
+        position_error,
+        time,
+        forgetting,
+        receiver,
+        where,
+        origin,
     )
     with results_folder(out) as folder:
         with progress("fitting"):
@@ -82,19 +99,21 @@ def fit(
                 report = held_out(log, fitted, hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
+            from planopt.files.result_folder import replaced_results
             from planopt.files.whole import strict_text, write_text
 
-            write_text(folder / FIT_FILE, strict_text(data))
+            with replaced_results(folder, FIT, pictures_follow=True) as new:
+                write_text(new / FIT_FILE, strict_text(data))
         # Results come before pictures: whatever happens to these, the numbers are there.
         lines = [_in_words(data), *([] if report is None else held_out_reliability_words(report))]
         show(json, data, "\n".join(lines))
-        if folder is not None:
-            from planopt.commands.pictures import picture_fit, picture_held_out
+        with drawing(folder, FIT, wanted=True) as new:
+            if new is not None:
+                from planopt.commands.pictures import picture_fit, picture_held_out
 
-            with progress("drawing"):
-                picture_fit(fitted.measurements, fitted.found, folder)
+                picture_fit(fitted.measurements, fitted.found, new)
                 if report is not None:
-                    picture_held_out(report, folder)
+                    picture_held_out(report, new)
     return 0
 
 

@@ -78,7 +78,7 @@ def held_out(
     from planopt.channel.validation.held_out import deal
     from planopt.channel.validation.held_out_report import held_out_report, predictors_of
 
-    groups = read_groups(log, parse_groups(text))
+    groups = read_groups(log, parse_groups(text), fitted.log_format)
     count = len(np.unique(groups))
     if count < 2:
         raise InputError(

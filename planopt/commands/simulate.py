@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from planopt.commands.output import NO_PLAN, progress, results_folder, say, show, shown_number
+from planopt.commands.output import (
+    NO_PLAN,
+    drawing,
+    progress,
+    results_folder,
+    say,
+    show,
+    shown_number,
+)
 from planopt.commands.planning import Asked, planning_command
 from planopt.commands.team import simulate_asked
 
@@ -18,7 +26,7 @@ def simulate(asked: Asked) -> int:
     """Drive in the true channel. Exit code 0 all verified, 3 not all, 4 goal not reached."""
     from planopt.errors import NoPlanError
     from planopt.planning.files.run_json import no_run_json, simulation_json
-    from planopt.planning.files.saved import RUN_FILE, save_record, save_simulation, withdraw
+    from planopt.planning.files.saved import PLAN_OR_RUN, RUN_FILE, save_no_plan, save_simulation
     from planopt.planning.loop.closed_loop import simulate as drive
     from planopt.planning.loop.simulation import exit_code
 
@@ -37,19 +45,17 @@ def simulate(asked: Asked) -> int:
         except NoPlanError as error:
             data = no_run_json(problem, seed, str(error))
             if folder is not None:
-                withdraw(folder)
-                save_record({**data, "plans": []}, problem, folder / RUN_FILE)
+                save_no_plan({**data, "plans": []}, problem, folder, RUN_FILE)
             show(asked.json, data, f"{problem.name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            withdraw(folder)
-            if problem.report.figures:
+            save_simulation(simulation, folder, pictures_follow=problem.report.figures)
+        show(asked.json, simulation_json(simulation), _in_words(simulation))
+        with drawing(folder, PLAN_OR_RUN, wanted=problem.report.figures) as new:
+            if new is not None:
                 from planopt.commands.pictures import picture_simulation
 
-                with progress("drawing"):
-                    picture_simulation(simulation, folder)
-            save_simulation(simulation, folder)
-    show(asked.json, simulation_json(simulation), _in_words(simulation))
+                picture_simulation(simulation, new)
     return exit_code(simulation)
 
 

@@ -126,7 +126,7 @@ class ReachPlanner:
             chosen, pivot = self._without_start(judge, warm), None
         else:
             ahead = Ahead(problem, scene, start, margin_db)
-            cost = replace(cost, ahead=ahead)
+            cost = replace(cost, ahead=ahead, priced=not start.is_direct)
             judge = replace(judge, objective=cost)
             chosen = self._climb(judge, cost, start, ahead, warm, budget, rows_of)
             pivot = cost.pivot_of(chosen.path_m)
@@ -165,7 +165,10 @@ class ReachPlanner:
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
         if start.is_direct:
             direct = judge.judged(replace(lattice, rung=Rung.DIRECT))
-            return direct if direct.sound else self._without_start(judge, warm)
+            if direct.sound:
+                return direct
+            judge = replace(judge, objective=replace(cost, priced=True))
+            return self._without_start(judge, warm)
         tried: list[Candidate] = []
         refiner = None
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):

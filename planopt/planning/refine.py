@@ -252,7 +252,7 @@ class Refiner:
     def _outage(self, path_m: NDArray[np.float64]) -> OutagePrice:
         """What being out of contact costs along a path."""
         before, charged = self._cost.outage_charges(path_m)
-        price = self._cost.rate_s_m * self._judge.problem.reach.outage_price
+        price = self._cost.rate_s_m * self._cost.outage_price
         return OutagePrice(price, before, charged)
 
     def _margins_about(self, path_m: NDArray[np.float64]) -> MarginFunction:

@@ -106,7 +106,7 @@ def _obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle
     name = f"obstacle {index}" if table.name is None else table.name
     try:
         if table.file is not None:
-            return read_obstacles(folder / table.file)
+            return read_obstacles(folder / table.file, table.unknown)
         if table.wkt is not None:
             return (obstacle_from_wkt(name, table.wkt),)
         return (footprint(name, table.polygon, table.holes),)

@@ -63,6 +63,8 @@ def comparison_text(comparison: Comparison) -> str:
         f"{comparison.problem.name}: {len(comparison.runs)} runs in {comparison.wall_s:.1f} s; "
         f"means over runs, {interval_words(comparison)}"
     )
+    if comparison.resumed:
+        title += f"; {comparison.resumed} runs were finished before"
     if to_goal:
         title += "; time to goal and cost ratio (to the clairvoyant) over the runs that arrived"
     table = [*textwrap.wrap(title, WIDTH), "", *_in_blocks([header, *lines], len(words))]

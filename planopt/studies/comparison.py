@@ -82,12 +82,15 @@ class Comparison:
         The table.
     wall_s
         Time it took.
+    resumed
+        How many of the runs were finished by an earlier comparison.
     """
 
     problem: Problem
     runs: tuple[Driven, ...]
     rows: tuple[Row, ...]
     wall_s: float
+    resumed: int = 0
 
     __repr__ = short_repr
 

@@ -42,7 +42,7 @@ from planopt.channel.estimation.plausibility import implausible_values, suspecte
 from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.ridge import AXES
 from planopt.channel.mean_model import PRIOR_N_PL, mean_model
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
@@ -52,7 +52,7 @@ from planopt.errors import InputError
 
 @one_blas_thread()
 def fit_channel(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     station: Station,
     method: GivenMethod = "reml",
     forgetting_s: float = math.inf,
@@ -96,6 +96,7 @@ def fit_channel(
         See :func:`planopt.channel.estimation.identifiability.examine`; or `forgetting_s` is not
         positive; or there is no such method or loss, or the method has none to choose.
     """
+    measurements = as_measurements(measurements)
     chosen = require_method(method, "method")
     require_loss(loss, chosen, "loss")
     if not forgetting_s > 0.0:

@@ -17,7 +17,7 @@ from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.profile import Profile, ProfiledParameter
 from planopt.channel.estimation.ridge import Ridge
 from planopt.channel.mean_model import mean_model
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
@@ -37,7 +37,7 @@ GROWTH, MAX_STEPS = 1.2, 12
 
 @one_blas_thread()
 def profile_likelihood(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     station: Station,
     parameter: ProfiledParameter,
     values: NDArray[np.float64],
@@ -64,6 +64,7 @@ def profile_likelihood(
         The measurements do not allow the three to be estimated; there is no such parameter; or a
         value is not positive and finite.
     """
+    measurements = as_measurements(measurements)
     if parameter not in get_args(ProfiledParameter):
         raise InputError(
             f"{parameter!r} has no profile",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.fields.field import shadow_field_db
 from planopt.channel.measurements import Measurements
@@ -13,6 +13,7 @@ from planopt.channel.multipath.multipath_field import multipath_field_db
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
+from planopt.channel.places import require_places
 from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m, nearest_cells
 
@@ -112,19 +113,19 @@ def model_truth(
     return Truth(Raster(x, y, faded), floor_dbm, power)
 
 
-def true_power_dbm(truth: Truth, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
     """Received power at `positions_m` (n, 2), in dBm, at least the floor; ``(n,)``."""
-    iy, ix = nearest_cells(truth.raster, positions_m)
+    iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.raster.values[iy, ix]
 
 
-def mean_power_dbm(truth: Truth, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
     """Received power without small-scale fading at `positions_m` (n, 2), in dBm; ``(n,)``."""
-    iy, ix = nearest_cells(truth.raster, positions_m)
+    iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.mean_dbm[iy, ix]
 
 
-def measure(truth: Truth, positions_m: NDArray[np.float64]) -> Measurements:
+def measure(truth: Truth, positions_m: ArrayLike) -> Measurements:
     """Measure the true power at `positions_m` (n, 2); values at the floor are censored."""
     power = true_power_dbm(truth, positions_m)
     censored = np.zeros(len(power), dtype=bool)

@@ -19,7 +19,7 @@ from planopt.channel.estimation.fit_method import GivenMethod, Loss
 from planopt.channel.estimation.identifiability import require_usable
 from planopt.channel.estimation.likelihood_starts import thinned
 from planopt.channel.estimation.reml import MOST_DENSE
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.station.station_position import StationMethod, locate
 from planopt.channel.station.station_uncertainty import (
@@ -35,7 +35,7 @@ MIN_UNCENSORED = 8
 
 @one_blas_thread()
 def fit_channel_and_station(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     method: GivenMethod = "reml",
     height_m: float = 0.0,
     forgetting_s: float = math.inf,
@@ -79,6 +79,7 @@ def fit_channel_and_station(
         The measurements cannot tell where the station is; or the power grows with the distance
         from every position tried; or there is no such way.
     """
+    measurements = as_measurements(measurements)
     if station_method not in get_args(StationMethod):
         raise InputError(
             f"{station_method!r} is no way to find the station",

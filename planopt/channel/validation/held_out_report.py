@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.prediction import Prediction
 from planopt.channel.validation.calibration import LEVELS, Calibration, calibrate
 from planopt.channel.validation.grouped_ratio import GroupedRatio, grouped_ratio
@@ -115,7 +115,7 @@ def predictors_of(
 
 
 def held_out_report(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     groups: NDArray[np.intp],
     fold_of: NDArray[np.intp],
     learn: Callable[[Measurements], Mapping[str, Predictor]],
@@ -143,6 +143,7 @@ def held_out_report(
         Measurements, groups and folds do not belong together; a fit of a part of the measurements
         is impossible; or there are upper limits only.
     """
+    measurements = as_measurements(measurements)
     if groups.shape != (len(measurements),):
         raise InputError("there is not one group label a measurement", key="groups")
     predictions = held_out_predictions(measurements, fold_of, learn)

@@ -14,7 +14,13 @@ from planopt.problems.problem import Problem
 from planopt.problems.settings import BASELINES
 
 UNSOLVED = {
-    Termination.LATTICE_ONLY: (Rung.PLAN, Rung.LATTICE, Rung.COLD_RETRY, Rung.RELAXED),
+    Termination.LATTICE_ONLY: (
+        Rung.PLAN,
+        Rung.LATTICE,
+        Rung.COLD_RETRY,
+        Rung.RELAXED,
+        Rung.DIRECT,
+    ),
     Termination.STOPPED: (Rung.SHIFTED, Rung.RESERVED),
     Termination.NO_PATH: (Rung.STOP,),
 }
@@ -132,7 +138,8 @@ def _termination_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
         return [("termination", fault)]
     if residual is None:
         return []
-    if rung not in POLISHED:
+    # The shortest path is only polished for a robot that cannot turn or stop at will.
+    if rung not in POLISHED and not (rung is Rung.DIRECT and plan.drive is not None):
         return [("kkt_residual", f"{residual:g}, but no solver found a path of rung {rung.value}")]
     most = SOLVED_RESIDUAL if termination in SOLVED else LARGEST_RESIDUAL
     if residual > most * max(1.0, abs(plan.objective)):

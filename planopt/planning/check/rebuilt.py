@@ -67,7 +67,9 @@ def rebuilt_reach_plan(
         place = np.array([record.pivot.x_m, record.pivot.y_m])
         pivot = Pivot(place, record.pivot.cost_m, record.pivot.metre_cost)
     ahead = None if pivot is None else partial(_pivot_itself, pivot)
-    cost_s = ReachCost(problem, path_m[0], _certified(judgement), ahead)(path_m[1:], drive)
+    priced = record.rung != Rung.DIRECT.value
+    cost = ReachCost(problem, path_m[0], _certified(judgement), ahead, priced)
+    cost_s = cost(path_m[1:], drive)
     return rebuilt_plan(problem, path_m, judgement, record, effort, cost_s, pivot, drive)
 
 

@@ -31,12 +31,21 @@ class ReachCost:
     ahead
         From where a path ends (2,) to the rest of the way as one point of it; None where nothing
         is charged for it.
+    priced
+        Whether being out of contact is charged; not to a robot that has wandered and is to drive
+        the shortest path.
     """
 
     problem: Problem
     position_m: NDArray[np.float64]
     power: Callable[[NDArray[np.float64]], Prediction]
     ahead: Callable[[NDArray[np.float64]], Pivot] | None = None
+    priced: bool = True
+
+    @property
+    def outage_price(self) -> float:
+        """What a metre out of contact costs besides."""
+        return self.problem.reach.outage_price if self.priced else 0.0
 
     @property
     def rate_s_m(self) -> float:
@@ -67,7 +76,8 @@ class ReachCost:
             problem.reach.effort_weight_s2_m2,
             resting,
         )
-        cost += self.rate_s_m * problem.reach.outage_price * self._charged_m(places)
+        if self.priced:
+            cost += self.rate_s_m * self.outage_price * self._charged_m(places)
         if self.ahead is None:
             return cost
         end = path_m[-1] if resting is None else resting[-1]
@@ -103,7 +113,7 @@ class ReachCost:
     def metre_costs(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """What a metre counts where the robot is and along a path (N, 2), in metres; (N + 1,)."""
         places = np.vstack([self.position_m, path_m])
-        return 1.0 + self.problem.reach.outage_price * self._outage_share(places)
+        return 1.0 + self.outage_price * self._outage_share(places)
 
     def outage_charges(self, path_m: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """What of a metre is charged where the robot is, and what would be along a path (N, 2).

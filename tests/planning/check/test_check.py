@@ -14,7 +14,7 @@ from planopt import load
 from planopt.errors import InputError
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.check import CheckResult, check
-from planopt.planning.files.saved import save_record, save_simulation, save_solution
+from planopt.planning.files.saved import save_simulation, save_solution, write_record
 from planopt.planning.files.solution_json import no_plan_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.simulation import Simulation
@@ -209,7 +209,7 @@ def test_a_plan_that_was_not_verified_stays_so(tmp_path: Path) -> None:
 def test_no_plan_is_nothing_to_judge(tmp_path: Path, solution: Solution) -> None:
     """The record of a search that found nothing gets verdict none and says why."""
     data = no_plan_json(solution.problem, 0, "cut off")
-    save_record(data, solution.problem, tmp_path / "plan.json")
+    write_record(data, solution.problem, tmp_path / "plan.json")
     result = check(tmp_path)
     assert result.verdict is Verdict.NONE and result.certificate is None
     assert "cut off" in result.reasons[0]
@@ -423,7 +423,7 @@ def test_solving_takes_a_part_of_planning(plan_folder: Path, times: dict, words:
 def test_a_record_of_no_plan_must_be_one(tmp_path: Path, solution: Solution) -> None:
     """It has no objective."""
     data = no_plan_json(solution.problem, 0, "cut off")
-    save_record({**data, "objective": 3.0}, solution.problem, tmp_path / "plan.json")
+    write_record({**data, "objective": 3.0}, solution.problem, tmp_path / "plan.json")
     assert "plan.json, key objective: 3, found null" in check(tmp_path).reasons
 
 

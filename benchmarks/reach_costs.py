@@ -107,16 +107,22 @@ def read_log(log: Path) -> list[Record]:
 
 
 def line_of(label: str, records: Sequence[Record]) -> str:
-    """A line of the table over some runs; an interval of the mean from five runs that arrived."""
+    """A line of the table over some runs.
+
+    Runs of one seed belong together: the interval of the mean is over seeds, from five on.
+    """
     arrived = [each for each in records if each.outcome == "reached"]
     ratios = np.array([each.cost_ratio for each in arrived])
     lengths = np.array([each.driven_m / each.clairvoyant_m for each in arrived])
     steps = sum(each.steps for each in records)
     mean = worst = length = "-"
     if len(arrived):
-        low, high = mean_interval(ratios)
+        seeds = np.array([each.seed for each in arrived])
+        low, high = mean_interval(
+            np.array([ratios[seeds == seed].mean() for seed in np.unique(seeds)])
+        )
         within = "" if low is None or high is None else f" ({low:.3f} to {high:.3f})"
-        mean, worst, length = f"{ratios.mean():.3f}{within}", f"{ratios.max():.3f}", ""
+        mean, worst = f"{ratios.mean():.3f}{within}", f"{ratios.max():.3f}"
         length = f"{lengths.mean():.3f}"
     p50 = float(np.median([each.step_p50_s for each in records]))
     return (

@@ -53,7 +53,8 @@ def compare(
         ),
     ] = None,
     calibration: CalibrationOption = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds, from 0 on.")] = 30,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds.")] = 30,
+    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="The first of them.")] = 0,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes.")] = 1,
     backend: Annotated[
         str, typer.Option("--backend", metavar="NAME", help="Where processes run: loky.")
@@ -96,7 +97,7 @@ def compare(
                     steps,
                     planners=names,
                     costs_to_go=ways,
-                    seeds=seeds,
+                    seeds=range(first_seed, first_seed + seeds),
                     workers=workers,
                     backend=backend,
                     on_run=lambda _: advance(),

@@ -39,7 +39,8 @@ ALLOCATIONS = 6
 """How often the risk of all steps together is shared out again, each with a polish."""
 
 VALUE_IN_SOLVER = 10.0
-"""What the start's worth counts in the solver, whatever its unit: its tolerances are absolute."""
+"""What the start's worth counts in the solver, whatever its unit: its tolerances are absolute. A
+start that is worth nothing says nothing of the unit."""
 
 RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 """Where another solve may go on from the point; what a failed one leaves may be anywhere."""
@@ -121,7 +122,7 @@ class StartPolish:
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
             evaluate=evaluate,
-            scale=VALUE_IN_SOLVER / max(abs(_counted(problem, start)), 1e-9),
+            scale=VALUE_IN_SOLVER / (abs(_counted(problem, start)) or VALUE_IN_SOLVER),
         )
         if nlp.shape.motion is not None and start.drive is not None:
             motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive, lines.still)

@@ -165,6 +165,8 @@ def tabulate(setting: Setting, runs: Sequence[Driven], reference: Sequence[Drive
         values, others = _values(runs, metric), _values(reference, metric)
         there = values[np.isfinite(values)]
         low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
+        differences = (values - others)[np.isfinite(values) & np.isfinite(others)]
+        difference_low, difference_high = mean_interval(differences)
         rows.append(
             Row(
                 horizon=setting.horizon,
@@ -181,6 +183,9 @@ def tabulate(setting: Setting, runs: Sequence[Driven], reference: Sequence[Drive
                 verified_rate=float(verified / steps.size) if steps.size else 1.0,
                 p50_step_s=float(np.median(steps)) if steps.size else 0.0,
                 p95_step_s=float(np.quantile(steps, 0.95)) if steps.size else 0.0,
+                paired_difference=float(differences.mean()) if differences.size else None,
+                difference_low=difference_low,
+                difference_high=difference_high,
             )
         )
     return rows

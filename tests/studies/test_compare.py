@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -134,6 +135,27 @@ def test_ratios_are_paired_with_the_first_setting(comparison):
             assert row.paired_ratio is None
     first = rows_of(comparison, HORIZONS[0], COSTS[0])
     assert first["path_m"].paired_ratio == 1.0
+
+
+def test_differences_are_paired_with_the_first_setting(comparison):
+    """Seed by seed; with an interval from five seeds on, as of a paired t test."""
+    rng = np.random.default_rng(0)
+    runs = comparison.runs[:1] * 6
+    setting = SimpleNamespace(horizon=1, planner="auto", cost_to_go=None)
+
+    def with_paths(lengths):
+        metrics = [replace(run.metrics, path_m=v) for run, v in zip(runs, lengths, strict=True)]
+        return [replace(run, metrics=m) for run, m in zip(runs, metrics, strict=True)]
+
+    mine, its = rng.normal(50.0, 5.0, (2, 6))
+    row = {r.metric: r for r in tabulate(setting, with_paths(mine), with_paths(its))}["path_m"]
+    test = scipy.stats.ttest_rel(mine, its)
+    assert row.paired_difference == pytest.approx((mine - its).mean())
+    assert (row.difference_low, row.difference_high) == pytest.approx(
+        tuple(test.confidence_interval(0.95))
+    )
+    few = tabulate(setting, with_paths(mine)[:3], with_paths(its)[:3])
+    assert {r.metric: r for r in few}["path_m"].difference_low is None
 
 
 def test_run_is_that_of_simulate(comparison, problem):

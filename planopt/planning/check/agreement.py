@@ -30,6 +30,7 @@ PREDICTED_NAMES = frozenset(
         "connectivity",
         "deviation_db",
         "predicted_connectivity",
+        "log_det_m",
         "min_connectivity",
         "predicted_db",
         "predicted_min_connectivity",

@@ -17,7 +17,7 @@ from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
-from planopt.objectives.measuring import SAME_PLACE_M
+from planopt.objectives.measuring import closing_m
 from planopt.planning.check.agreement import Disagreement, disagreements, in_words
 from planopt.planning.files.belief_file import (
     CALIBRATED_AT,
@@ -90,7 +90,7 @@ def taken_on_the_way(
 ) -> Taken:
     """Where a run along `track_m` (steps + 1, 2) measures: not near an earlier measurement."""
     known = [[*own.measurements.positions_m[: own.first]] for own in belief.stations]
-    spacing = max(problem.channel.measure_spacing_m, SAME_PLACE_M)
+    spacing = closing_m(problem.channel.measure_spacing_m)
     said = np.diff([*belief.known_before_step, len(belief.measurements)]) > 0
     counts: list[int] = []
     steps: list[int] = []

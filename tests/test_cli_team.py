@@ -115,7 +115,7 @@ def test_a_run_that_never_connects_is_exit_code_4(tmp_path: Path, capsys) -> Non
     file = tmp_path / "connect.toml"
     for threshold, code, words in (
         ("-200.0", 0, "completed (connected after step 1)"),
-        ("20.0", 4, "stalled (standing still with nothing new to learn"),
+        ("20.0", 4, "step_limit (not connected after planner.max_steps 3)"),
     ):
         file.write_text(re.sub(r"threshold_dbm = \S+", f"threshold_dbm = {threshold}", text))
         assert main(["simulate", str(file), "--horizon", "2"]) == code

@@ -133,8 +133,8 @@ class UntilConnectedTerm:
     weight
         In the sum of terms, per metre; the distance is subtracted.
     beyond_m
-        What a plan is charged besides that ends without connection; None: the diagonal of the
-        workspace.
+        Metres that the search is expected to go on for where the place that the robot is steered
+        to is not connected; None: estimated from what is believed.
     """
 
     weight: float
@@ -191,6 +191,12 @@ Term = (
     | TransmissionEnergyTerm
     | CasadiTerm
 )
+
+
+def steers(term: Term) -> bool:
+    """Whether a term steers along a way, whose end is found before a plan is made."""
+    two_layer = isinstance(term, MappingTerm) and term.form == "two_layer"
+    return two_layer or isinstance(term, UntilConnectedTerm)
 
 
 @dataclass(frozen=True)

@@ -73,8 +73,16 @@ def _terms_fault(tables: ProblemFile) -> str | None:
             return f"objective.{key} is for task reach, not for {task}"
     if "goal_radius_m" in tables.constraints.model_fields_set:
         return f"constraints.goal_radius_m is for task reach, not for {task}"
-    if sum(getattr(term, "form", None) == "two_layer" for term in terms) > 1:
-        return "two of objective.terms steer: only one may have the form two_layer"
+    steering = [
+        term
+        for term in terms
+        if isinstance(term, UntilConnectedTable) or getattr(term, "form", None) == "two_layer"
+    ]
+    if len(steering) > 1:
+        return (
+            "two of objective.terms steer: only one may have the form two_layer or the kind "
+            "until_connected"
+        )
     tracked = any(isinstance(term, TrackingTable) for term in terms)
     if tracked != bool(tables.targets):
         return "a term of kind tracking and an entry of targets go together"

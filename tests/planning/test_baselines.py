@@ -10,7 +10,7 @@ import pytest
 from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner, lane_rows, lawn_tour
-from planopt.planning.baselines.one_step import OneStepPlanner
+from planopt.planning.baselines.one_step import RINGS, OneStepPlanner
 from planopt.planning.baselines.random_walk import RandomPlanner
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.planners import planner_for
@@ -64,7 +64,9 @@ def test_one_step_ahead_is_the_dense_search(terms):
     dense = OneStepPlanner(problem, ground).plan(situation, judge).objective
     auto = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, judge).objective
     assert auto >= dense - 1e-4 * abs(dense)
-    assert auto <= dense + 0.02 * abs(dense)
+    # A search for connection pays for its way, and the places of the dense one are rings apart.
+    ring_m = problem.step_length_m / RINGS if terms == (CONNECT,) else 0.0
+    assert auto <= dense + 0.02 * abs(dense) + ring_m
 
 
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,), (PATH,)])

@@ -20,6 +20,8 @@ from planopt.problems.load import load
 from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [
+    "connect_rooftop",
+    "connect_street",
     "crowded_track",
     "harbour_reach",
     "harbour_track",
@@ -141,6 +143,23 @@ def test_courtyard_has_no_free_path(capsys: pytest.CaptureFixture[str]) -> None:
     """Planning ends with exit code 4 and says that obstacles are the reason."""
     assert main(["solve", "munich_courtyard"]) == 4
     assert "obstacles cut off robots[0].goal_m [177.0, 29.0]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["connect_rooftop", "connect_street"])
+def test_searches_for_connection_start_out_of_contact(name: str) -> None:
+    """The station is where the map's transmitter is, and the start is in a hole of its coverage."""
+    problem = load(name)
+    truth, station = problem.channel.truth, problem.stations[0]
+    assert isinstance(truth, RasterTruth)
+    with np.load(truth.file, allow_pickle=False) as data:
+        x, y, gain = data["x"], data["y"], data[truth.variable]
+        transmitter, receiver_height = data["tx"], float(data["rx_z"])
+    assert station.site.position_m == pytest.approx(transmitter[:2])
+    assert station.site.height_m == pytest.approx(transmitter[2] - receiver_height)
+    start = problem.robots[0].start_m
+    away = np.hypot(x - start[0], (y - start[1])[:, None])
+    connected = station.transmit_power_dbm + np.nan_to_num(gain, nan=-np.inf)
+    assert away[connected >= station.threshold_dbm].min() > 10.0
 
 
 def test_open_field_has_inline_obstacles_and_places_out_of_reach() -> None:

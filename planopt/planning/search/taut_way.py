@@ -29,6 +29,8 @@ class WaysFrom:
         Its geometry.
     position_m
         ``(2,)`` where the ways begin.
+    limit_m
+        Nodes farther than this count as those that no way leads to.
 
     Attributes
     ----------
@@ -36,7 +38,13 @@ class WaysFrom:
         ``(n,)`` to each node; infinite where there is no way.
     """
 
-    def __init__(self, problem: Problem, ground: Ground, position_m: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        ground: Ground,
+        position_m: NDArray[np.float64],
+        limit_m: float = math.inf,
+    ) -> None:
         self._ground, self._position_m = ground, position_m
         self._wanted_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
         nodes, lengths = first_moves(ground, problem, position_m)
@@ -44,7 +52,7 @@ class WaysFrom:
         self._ways: Ways | None = None
         if len(nodes):
             nearest = int(np.argmin(lengths))
-            self._ways = shortest_ways(ground.road_map, int(nodes[nearest]))
+            self._ways = shortest_ways(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
             self.length_m = self._ways.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:

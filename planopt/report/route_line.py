@@ -46,12 +46,12 @@ def draw_route(panel: Panel, plan: Plan) -> list[Artist]:
         if number == 0:
             artists.append(line)
         middle = len(x) // 2
-        panel.annotate(
+        panel.text(
+            x[middle],
+            y[middle],
             f"{hole.length_m:.0f} m",
-            (x[middle], y[middle]),
-            xytext=(6, 6),
-            textcoords="offset points",
             zorder=PATH_Z + 0.5,
+            clip_on=True,
             bbox={"boxstyle": "round,pad=0.15", "fc": WHITE, "ec": "none", "alpha": 0.8},
         )
     return artists

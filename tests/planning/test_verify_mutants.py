@@ -36,13 +36,16 @@ from scenes import (
 )
 from unpriced import unpriced
 
+from planopt.planning.history import BEGINNING, History
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
 CLEARANCE, BOUNDS, SPEED = "clearance_m", "bounds_m", "speed_max_m_s"
 BELOW, NOWHERE = "dB to spare is within reach", "is met at none"
 DEAR, NO_PLACE, STANDS = "m was found", "is met nowhere", "stands still"
-KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, DEAR, NO_PLACE, STANDS, "not finite")
+WASTED = "of the run so far"
+KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, DEAR, NO_PLACE, STANDS, WASTED, "not finite")
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Case:
     """Cost of the path and of the cheapest one found, to a metre."""
     clearance_m: float = math.inf
     defect_m: float | None = None
+    history: History = BEGINNING
     has_goal: bool = True
     """Whether the robot is to reach a goal; else outage has no price."""
 
@@ -279,6 +283,32 @@ CASES: dict[str, Case] = {
     "hole with no way round": Case(
         CROSSING, power_at=WIDE, relaxed=INSIDE, cost_m=105.1, best_m=105.1
     ),
+    "hole on a run that has wasted much": Case(
+        CROSSING,
+        {WASTED},
+        power_at=WIDE,
+        relaxed=INSIDE,
+        cost_m=105.1,
+        best_m=105.1,
+        history=History(crossing_cost_m=50.0, crossing_excess_m=47.0),
+    ),
+    "hole on a long run that has wasted as much": Case(
+        CROSSING,
+        power_at=WIDE,
+        relaxed=INSIDE,
+        cost_m=105.1,
+        best_m=105.1,
+        history=History(crossing_cost_m=80.0, crossing_excess_m=47.0),
+    ),
+    "first step back on a run that has wasted some": Case(
+        along(14, 12, 14, 16, 18, 20, 22, 24, 26, 28),
+        {WASTED},
+        power_at=WIDE,
+        relaxed=(3, 4, 5, 6, 7),
+        cost_m=105.1,
+        best_m=101.1,
+        history=History(crossing_cost_m=20.0, crossing_excess_m=43.0),
+    ),
     "hole with a way round": Case(
         CROSSING, {DEAR}, power_at=OPEN_WIDE, relaxed=INSIDE, cost_m=105.4, best_m=29.6
     ),
@@ -446,6 +476,7 @@ def said(verifier: Callable[..., tuple], case: Case) -> Said:
         start,
         path,
         0.125,
+        Circumstances(history=case.history),
     )
     shown = [[key for key in KEYS if key in reason] for reason in certificate.reasons]
     return Said(
@@ -602,6 +633,28 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "if best_margin_db > MARGIN_TOLERANCE_DB:",
     ),
     "nowhere is somewhere": (STEPS, "if best_margin_db < -MARGIN_TOLERANCE_DB:", "if False:"),
+    "a run's waste forgotten": (STEPS, "spent = history.crossing_excess_m +", "spent ="),
+    "this step's waste forgotten": (
+        STEPS,
+        "spent = history.crossing_excess_m + priced.excess_m",
+        "spent = history.crossing_excess_m",
+    ),
+    "a long run allowed no more": (
+        STEPS,
+        "COST_TOLERANCE * (history.crossing_cost_m + priced.step_m)",
+        "COST_TOLERANCE * priced.step_m",
+    ),
+    "waste turned round": (STEPS, "if spent > allowed:", "if spent < allowed:"),
+    "excess without the step": (
+        PATHS,
+        "excess = step + rest_m(min(1, len(lengths))) - best if",
+        "excess = rest_m(min(1, len(lengths))) - best if",
+    ),
+    "excess of no rest": (
+        PATHS,
+        "excess = step + rest_m(min(1, len(lengths))) - best if",
+        "excess = step + rest_m(0) - best if",
+    ),
     "cost turned round": (STEPS, "if priced.cost_m <= (1.0", "if priced.cost_m > (1.0"),
     "cost below the best": (STEPS, "(1.0 + COST_TOLERANCE)", "(0.5 + COST_TOLERANCE)"),
     "no tolerance": (STEPS, "(1.0 + COST_TOLERANCE)", "(1.0 + 0.0 * COST_TOLERANCE)"),

@@ -219,5 +219,6 @@ def price_path(
     driven = float(lengths.sum()) + price * charged_length_m(lengths, share)
     best = rest_m(0)
     step = float(lengths[:1].sum()) + price * charged_length_m(lengths[:1], share[:2])
-    excess = step + rest_m(min(1, len(lengths))) - best
+    # Where no path leads to the goal none is cheaper.
+    excess = step + rest_m(min(1, len(lengths))) - best if best < np.inf else 0.0
     return PricedPath(driven + rest_m(len(positions_m) - 1), best, step, excess)

@@ -51,7 +51,9 @@ def priced(problem, share_at, price, path_m):
     """What a path costs and the cheapest that is found."""
     grid, index = grid_with(problem)
     costs = goal_costs(grid, contact(share_at), price)
-    path = np.asarray(path_m, dtype=float)
+    path = np.atleast_2d(np.asarray(path_m, dtype=float))
+    if len(path) == 1:
+        path = np.repeat(path, 2, axis=0)
     return price_path(grid, index, costs, price, path, share_at(path))
 
 
@@ -218,6 +220,10 @@ def test_a_path_along_the_cheapest_costs_what_the_cheapest_does():
     strayed = price_path(grid, index, costs, 10.0, aside, share)
     assert strayed.cost_m == pytest.approx(found.cost_m + 4.0)
     assert strayed.best_m == found.best_m
+    # Of that the first step is half, and comes to where the rest is dearer by as much.
+    assert strayed.step_m == pytest.approx(2.0)
+    assert found.excess_m == pytest.approx(0.0, abs=1e-9)
+    assert 0.0 < strayed.excess_m <= 4.0 + 1e-9
 
 
 def test_a_path_is_charged_by_the_mean_of_each_steps_ends():
@@ -230,6 +236,9 @@ def test_a_path_is_charged_by_the_mean_of_each_steps_ends():
     # The rest begins with a share of 1/2 at its first place, none at the nodes.
     assert found.cost_m == pytest.approx(3.0 + 4.0 * (0.5 * 1.0 + 0.75 * 2.0) + 2.0, abs=1.01)
     assert found.best_m == pytest.approx(5.0)
+    assert found.step_m == pytest.approx(1.0 + 4.0 * 0.5)
+    # A metre of the first step and four of the rest; the share at 31 m is charged half-way on.
+    assert found.excess_m == pytest.approx(found.step_m + 4.0 - 5.0, abs=2.01)
 
 
 def test_a_place_is_joined_to_what_it_sees():
@@ -248,6 +257,7 @@ def test_no_path_at_all_is_infinite():
     problem = small_problem(RING)
     found = priced(problem, nowhere_charged, 10.0, [(20.0, 15.0), (21.0, 15.0)])
     assert found.best_m == found.cost_m == np.inf
+    assert (found.step_m, found.excess_m) == (1.0, 0.0)
 
 
 def boxes(rng, count):

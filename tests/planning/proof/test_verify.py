@@ -36,7 +36,9 @@ from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.planning.certificate import Certificate
+from planopt.planning.history import History
 from planopt.planning.plan import Verdict
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.verify import STANDING, judge, verify
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
@@ -423,6 +425,38 @@ def test_the_leeway_is_of_steps_out_of_contact(monkeypatch, beyond_m):
     monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", (over - beyond_m) / step)
     _, verdict = judged(small_problem(), CROSSING, WIDE)
     assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
+
+
+@pytest.mark.parametrize("beyond_m", [-0.01, 0.01])
+def test_a_run_may_not_waste_more_than_one_plan(beyond_m):
+    """What steps below the bound have cost beyond the cheapest paths counts for all of the run."""
+    problem = small_problem()
+    certificate = assert_verified(judged(problem, CROSSING, WIDE))
+    leeway = single_steps.COST_LEEWAY_STEPS * problem.step_length_m * 11.0
+    driven = 70.0 + certificate.step_cost_m
+    left = single_steps.COST_TOLERANCE * driven + leeway - certificate.step_excess_m
+    history = History(crossing_cost_m=70.0, crossing_excess_m=left + beyond_m)
+    index, belief = index_obstacles(problem.workspace), belief_of(problem, WIDE)
+    judgement = judge(
+        problem,
+        index,
+        belief.posterior,
+        CROSSING[0],
+        CROSSING,
+        circumstances=Circumstances(history=history),
+    )
+    assert (judgement.verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
+    assert all("of the run so far" in reason for reason in judgement.certificate.reasons)
+    # A plan that keeps the bound is not held to account for what has been.
+    free = judge(
+        problem,
+        index,
+        belief_of(problem).posterior,
+        CROSSING[0],
+        CROSSING,
+        circumstances=Circumstances(history=history),
+    )
+    assert free.verdict is Verdict.VERIFIED
 
 
 def test_into_a_hole_and_back_is_not_excused():

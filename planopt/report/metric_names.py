@@ -32,6 +32,9 @@ class MetricName:
 METRIC_NAMES = {
     "goal_time_s": MetricName("time to goal", "s", 1.0, 1),
     "path_m": MetricName("driven length", "m", 1.0, 1),
+    "realised_cost_m": MetricName("realised cost", "m", 1.0, 1),
+    "clairvoyant_cost_m": MetricName("clairvoyant cost", "m", 1.0, 1),
+    "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", 1.0, 3),
     "true_connected_share": MetricName("connected in truth", "%", 100.0, 1),
     "longest_outage_m": MetricName("longest outage", "m", 1.0, 1),
     "longest_outage_s": MetricName("longest outage", "s", 1.0, 1),

@@ -2,7 +2,8 @@
 
 A step costs its length, and the outage price for its length besides where its end is truly out of
 contact. The clairvoyant drives the cheapest path on the true power without small-scale fading, and
-is charged by the same fading as the robot: nobody can know that beforehand.
+is charged by the same fading as the robot: nobody can know that beforehand. It knows as well that
+only the ends of steps are charged, so that it may step from island to island.
 """
 
 from __future__ import annotations
@@ -93,17 +94,31 @@ def clairvoyant_path(
     joining = 0.5 * lengths * (here + metre_cost[nodes])
     first = int(nodes[np.argmin(joining + ways.cost_m[nodes])])
     places = np.vstack([start, road_map.nodes_m[way_from(road_map, ways, first, np.inf)]])
-    turns = _straightened(problem, index, truths, places)
-    legs = np.linalg.norm(np.diff(turns, axis=0), axis=1)
+    # A move of the lattice is a step; straight stretches are shorter, but end steps elsewhere.
+    straight = _in_steps(problem, _straightened(problem, index, truths, places))
+    return min((places, straight), key=lambda path: _cost_of_steps_m(problem, truths, path))
+
+
+def _in_steps(problem: Problem, turns_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places (n + 1, 2) after each of the longest steps along a path of turns (k, 2)."""
+    legs = np.linalg.norm(np.diff(turns_m, axis=0), axis=1)
     driven = np.concatenate([[0.0], legs.cumsum()])
     stops = np.append(np.arange(0.0, driven[-1], problem.step_length_m), driven[-1])
-    return np.stack([np.interp(stops, driven, turns[:, axis]) for axis in (0, 1)], axis=1)
+    return np.stack([np.interp(stops, driven, turns_m[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _cost_of_steps_m(
+    problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
+) -> float:
+    """Cost of steps (n + 1, 2) without fading, each charged by its end."""
+    lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+    return float(lengths @ _metre_cost(problem, truths, places_m[1:]))
 
 
 def _metre_cost(
     problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """What a metre truly costs at places (n, 2) on average over the fading."""
+    """What a metre truly costs at places (n, 2) without fading."""
     powers = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
     thresholds = [radio.threshold_dbm for radio in problem.stations]
     outside = serving_power_dbm(powers, thresholds) < thresholds[0]

@@ -29,7 +29,8 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
     elif certificate.relaxed_steps and not parts:
         worst = max(certificate.relaxation_db)
         steps = ", ".join(map(str, certificate.relaxed_steps))
-        if certificate.best_cost_m is None or certificate.path_cost_m is None:
+        path_m, best_m = certificate.path_cost_m, certificate.best_cost_m
+        if path_m is None or best_m is None:
             parts.append(
                 f"the connectivity bound cannot be met from here at steps {steps}; "
                 f"it is missed by up to {worst:.2f} dB"
@@ -37,8 +38,8 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
         else:
             parts.append(
                 f"steps {steps} miss the connectivity bound by up to {worst:.2f} dB: with them the "
-                f"way to the goal costs {certificate.path_cost_m:.1f} m, metres out of contact at "
-                f"their price, the cheapest found {certificate.best_cost_m:.1f} m"
+                f"way to the goal costs {path_m:.1f} m, metres out of contact at their price, the "
+                f"cheapest found {best_m:.1f} m"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")

@@ -33,7 +33,7 @@ from planopt.robots.drive import Drive
 from planopt.world.moving_discs import MovingDiscs
 
 LINES_PER_SEGMENT = 2
-"""Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
+"""Nearest convex pieces that each segment is kept from; the verifier looks at all."""
 
 ALLOCATIONS = 6
 """How often the risk of all steps together is shared out again, each with a polish."""

@@ -30,7 +30,7 @@ class PlannerSettings:
     step_s
         Duration of a step in seconds.
     neighbours
-        Measurements that the solver conditions each stage on (design: 32 to 64).
+        Measurements that the solver conditions each stage on.
     max_steps
         A closed loop that has not arrived by then ends.
     budget_s

@@ -74,7 +74,7 @@ class RunRecord(Record):
 
 
 def simulation_json(simulation: Simulation) -> dict[str, Any]:
-    """The JSON keys of ``simulate`` (design, section 3)."""
+    """The JSON keys of ``simulate``."""
     return run_json(simulation.problem, simulation.run)
 
 

@@ -110,7 +110,7 @@ def finite_list(values: Iterable[float]) -> list[float | None]:
 
 
 def solution_json(solution: Solution) -> dict[str, Any]:
-    """The JSON keys of ``solve`` (design, section 3).
+    """The JSON keys of ``solve``.
 
     ``bound`` and ``gap`` are null: no lower bound is proven.
     """

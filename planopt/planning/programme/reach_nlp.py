@@ -14,7 +14,7 @@ with step lengths ``l_k = |q_k - q_{k-1}|``, rounded at zero, and the share of a
 outage price is charged on, ``c_k = charged_k (1 - Phi(score_k(q_k)))``.
 
 callbacks (five times faster than their symbolic form); everything else is symbolic. The
-callbacks (five times faster than their symbolic form: fast.md); everything else is symbolic. The
+callbacks (five times faster than their symbolic form); everything else is symbolic. The
 solver is built once per structure and reused; a failed solve leaves nothing behind, because every
 call sets start, bounds and parameters anew and passes no multipliers on.
 """

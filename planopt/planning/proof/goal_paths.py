@@ -2,8 +2,10 @@
 
 A plan may leave contact where that is cheaper than going round. Whether it is, is not the planner's
 to say: Dijkstra's algorithm runs here on a grid of the verifier's own, over the whole workspace.
-What it finds can be driven: nodes and moves keep the clearance. So an objection names a path
-that there is, while a cheaper one that fits between the nodes may stay unseen.
+What it finds can be driven: nodes and moves keep the clearance, while a path that fits between the
+nodes may stay unseen. Its cost is sampled, too: probabilities are exact at every other node and
+interpolated between, and a move is charged by its ends, so that holes narrower than a step may cost
+too little. The leeway of :mod:`planopt.planning.proof.rules.single_steps` is for that.
 """
 
 from __future__ import annotations
@@ -102,6 +104,11 @@ class PricedPath:
     best_m: float
     step_m: float
     excess_m: float
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether the grid has paths from where the path begins and from where it ends."""
+        return max(self.cost_m, self.best_m) < np.inf
 
 
 def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
@@ -219,6 +226,7 @@ def price_path(
     driven = float(lengths.sum()) + price * charged_length_m(lengths, share)
     best = rest_m(0)
     step = float(lengths[:1].sum()) + price * charged_length_m(lengths[:1], share[:2])
-    # Where no path leads to the goal none is cheaper.
-    excess = step + rest_m(min(1, len(lengths))) - best if best < np.inf else 0.0
+    after = rest_m(min(1, len(lengths)))
+    # Where the grid has no path, there is nothing to exceed.
+    excess = step + after - best if max(best, after) < np.inf else 0.0
     return PricedPath(driven + rest_m(len(positions_m) - 1), best, step, excess)

@@ -2,10 +2,10 @@
 
 Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
 keeps the clearance, the workspace and its distance from all that moves, every step keeps the speed,
-and the rule of connectivity holds by the exact posterior and today's deviation (theory 4.1). At
-single steps it may be missed where nothing keeps it
-(:mod:`planopt.planning.proof.rules.single_steps`), but the bound must be met at one step of the
-plan at least: a threshold that cannot be met is an answer, not a plan.
+and the rule of connectivity holds by the exact posterior and today's deviation. Single steps may
+miss it where nothing keeps it, on the way to a goal where no path is cheaper at the outage price
+(:mod:`planopt.planning.proof.rules.single_steps`). A threshold that is met nowhere is an answer,
+not a plan.
 """
 
 from __future__ import annotations
@@ -34,6 +34,10 @@ from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
 
+UNCOMPARED = (
+    "steps are below constraints.p_min, and the verifier's grid, half a step wide, has no path "
+    "from here to the goal to compare the plan with"
+)
 STANDING = "the plan stands still short of the goal, and nothing that moves is in its way"
 
 
@@ -153,8 +157,12 @@ def judge(
         rule=result,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-    if not reasons and _gets_nowhere(problem, under, positions_m, drive):
-        certificate = replace(certificate, reasons=(STANDING,))
+    missing = [
+        *([UNCOMPARED] if steps is not None and not steps.is_compared else []),
+        *([STANDING] if _gets_nowhere(problem, under, positions_m, drive) else []),
+    ]
+    if missing and not reasons:
+        certificate = replace(certificate, reasons=tuple(missing))
         verdict = Verdict.FEASIBLE_UNVERIFIED
     sound = not motion.reasons and not apart.reasons
     return Judgement(certificate, verdict, power, sound)

@@ -38,7 +38,7 @@ THOROUGH_ENDS = 3
 """Ends of lattice paths that are then followed, the best of each part of the reachable places."""
 
 ENDS_APART_STEPS = 2.0
-"""How far apart such ends are along an axis, in longest steps (fast.md: 4 m)."""
+"""How far apart such ends are along an axis, in longest steps."""
 
 COUPLED_STARTS = 3
 """The same where terms couple places, and values have more maxima: of these more are followed."""

@@ -124,7 +124,7 @@ class TeamRun:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """What the run is judged by, of all robots together (design, section 3)."""
+        """What the run is judged by, of all robots together."""
         return team_metrics(self.problem, self.runs, self.target, self.channel)
 
     @property
@@ -136,7 +136,7 @@ class TeamRun:
 def team_metrics(
     problem: Problem, runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
 ) -> dict[str, float]:
-    """What a run is judged by, of all robots together, by name (design, section 3)."""
+    """What a run is judged by, of all robots together, by name."""
     found: dict[str, float] = {}
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())

@@ -59,7 +59,7 @@ from planopt.problems.problem import Problem
 from planopt.targets.rounding import Derivatives, rounded_length
 
 JOINT_NEIGHBOURS = 128
-"""Measurements shared by the places of a path in terms that couple them (fast.md: 100 to 200)."""
+"""Measurements shared by the places of a path in terms that couple them."""
 
 LENGTH_ROUNDING_SHARE = 0.01
 """Width of the rounding of a length at zero, as a share of the longest step."""

@@ -39,7 +39,7 @@ from planopt.planning.certificate import Certificate
 from planopt.planning.history import History
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.verify import STANDING, judge, verify
+from planopt.planning.proof.verify import STANDING, UNCOMPARED, judge, verify
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -621,3 +621,19 @@ def test_moving_the_scene_changes_no_judgement(seed):
     assert flipped.min_clearance_m == pytest.approx(certificate.min_clearance_m, abs=1e-9)
     assert flipped.min_connectivity == pytest.approx(certificate.min_connectivity, abs=1e-9)
     assert flipped.relaxed_steps == certificate.relaxed_steps
+
+
+@pytest.mark.parametrize("start_x_m", [8.0, 12.0])
+def test_nothing_to_compare_with_is_neither_refused_nor_verified(start_x_m):
+    """In a corridor that no place of the verifier's grid is in: begun before it, and within."""
+    walls = shapely.box(10, 16.1, 30, 27), shapely.box(10, -1, 30, 14.9)
+    problem = small_problem(*walls, start_m=(start_x_m, 15.5))
+    path = np.column_stack([start_x_m + 1.9 * np.arange(5), np.full(5, 15.5)])
+    hole = belief_of(problem, bad_disc(start_x_m + 3.0, 15.5, 2.0))
+    index = index_obstacles(problem.workspace)
+    certificate, verdict = verify(problem, index, hole.posterior, path[0], path)
+    assert certificate.relaxed_steps
+    assert verdict is Verdict.FEASIBLE_UNVERIFIED
+    assert certificate.reasons == (UNCOMPARED,)
+    clear = belief_of(problem)
+    assert verify(problem, index, clear.posterior, path[0], path)[1] is Verdict.VERIFIED

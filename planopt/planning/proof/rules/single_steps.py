@@ -59,6 +59,8 @@ class StepsFinding:
         As in :class:`planopt.planning.certificate.Certificate`.
     result
         None for the plain rule: at each step where possible.
+    is_compared
+        Whether what it costs to miss the bound could be compared with anything.
     """
 
     relaxed_steps: tuple[int, ...] = ()
@@ -70,6 +72,7 @@ class StepsFinding:
     step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
     result: RuleResult | None = None
+    is_compared: bool = True
 
 
 def judge_single_steps(
@@ -120,6 +123,7 @@ def judge_single_steps(
             step_cost_m=priced.step_m,
             step_excess_m=priced.excess_m,
             reasons=tuple(_too_dear(problem, under.history, priced, best_margin_db)),
+            is_compared=priced.is_compared,
             result=result,
         )
     best = best_margins_by_step(
@@ -232,7 +236,9 @@ def _too_dear(
             f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
             f"{price:g}, {allowed:.1f} m are allowed"
         ]
-    if priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway:
+    # Where the grid has no path to compare with, nothing is objected to, and nothing proven.
+    within = priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway
+    if within or not priced.is_compared:
         return []
     return [
         f"steps are below constraints.p_min {p_min:g}, and the plan costs {priced.cost_m:.1f} m to "

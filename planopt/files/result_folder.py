@@ -86,14 +86,14 @@ def replaced_results(
         yield staging
         names = _written(staging, files)
         with _uninterrupted():
-            write_text(folder / files.marker, MIXED)
+            _mark(folder, staging, files, MIXED)
             for name in names:
                 (staging / name).replace(folder / name)
             for old in list(folder.iterdir()):
                 if files.includes(old.name) and old.name not in names:
                     old.unlink()
             if pictures_follow:
-                write_text(folder / files.marker, UNDRAWN)
+                _mark(folder, staging, files, UNDRAWN)
             else:
                 (folder / files.marker).unlink()
 
@@ -134,6 +134,12 @@ def require_one_result(folder: Path, files: ResultFiles) -> None:
             file=folder,
             remedy="run the command again",
         )
+
+
+def _mark(folder: Path, staging: Path, files: ResultFiles, text: str) -> None:
+    """Write the marker within `staging`, where nothing of it outlives a kill, and move it out."""
+    write_text(staging / files.marker, text)
+    (staging / files.marker).replace(folder / files.marker)
 
 
 def _written(staging: Path, files: ResultFiles) -> list[str]:

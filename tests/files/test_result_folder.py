@@ -150,12 +150,7 @@ def killed(folder: Path, after_s: float, number: signal.Signals) -> None:
 
 def is_whole(folder: Path) -> bool:
     """Whether the files are of one result, or a marker says that they are not."""
-    # What a marker is written to before it has its name is hidden, and no result.
-    files = {
-        path.name: path.read_text()
-        for path in folder.iterdir()
-        if path.is_file() and not path.name.startswith(".INCOMPLETE")
-    }
+    files = {path.name: path.read_text() for path in folder.iterdir() if path.is_file()}
     marker = files.pop("INCOMPLETE_test.txt", "")
     pictures = files.pop("a.png", None)
     if marker == MIXED:

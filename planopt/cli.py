@@ -19,7 +19,7 @@ from planopt.commands.library import list_problems, schema
 from planopt.commands.map import map_log
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
-from planopt.errors import InputError, PlanoptError
+from planopt.errors import InputError, PlanoptError, require_text
 from planopt.files.whole import strict_text
 
 BAD_INPUT = 2
@@ -75,7 +75,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
+    given = sys.argv[1:] if arguments is None else arguments
     try:
+        for argument in given:
+            require_text(argument, "the argument")
         return int(app(arguments, prog_name="planopt", standalone_mode=False))
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -88,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         message, found = f"{str(format_message()).rstrip('.')} (see planopt --help)", error
     message = " ".join(message.split())
-    if "--json" in (sys.argv[1:] if arguments is None else arguments):
+    if "--json" in given:
         print(strict_text(error_json(message, found)), end="")
     print(f"planopt: {message}", file=sys.stderr)
     return BAD_INPUT

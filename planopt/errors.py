@@ -42,13 +42,33 @@ def printable(text: str) -> str:
     'obstacle \\ud800 of line 2'
     """
     words = (_cut(word, LONGEST_WORD) for word in text.split())
-    line = _cut(" ".join(words), LONGEST_MESSAGE)
+    return escaped(_cut(" ".join(words), LONGEST_MESSAGE))
+
+
+def escaped(line: str) -> str:
+    """Return `line` with an escape for every character that cannot be printed."""
     if line.isprintable():
         return line
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii")
         for letter in line
     )
+
+
+def require_text(text: str, what: str) -> None:
+    """Refuse text that no UTF-8 file can hold, such as a file name that is not UTF-8.
+
+    Raises
+    ------
+    InputError
+        It has half of a surrogate pair; `what` says whose text it is.
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            f"{what} {text!a} is not UTF-8", remedy="rename it to what UTF-8 can hold"
+        ) from None
 
 
 def listed(names: Iterable[str]) -> str:

@@ -65,7 +65,9 @@ def test_text_says_verdict_and_outcome(short: Path, capsys) -> None:
     assert main(["solve", str(short), "--horizon", "2"]) == 0
     assert capsys.readouterr().out.startswith(f"{short.stem}: verified, horizon 2")
     assert main(["simulate", str(short), "--horizon", "2", "--planner", "random"]) == 0
-    assert "completed (all 3 steps driven), horizon 2" in capsys.readouterr().out
+    printed_words = capsys.readouterr().out
+    assert "completed (all 3 steps driven), horizon 2" in printed_words
+    assert re.search(r"measured at \d of \d steps", printed_words)
 
 
 def test_what_is_not_verified_is_exit_code_3(short: Path, capsys) -> None:
@@ -74,8 +76,11 @@ def test_what_is_not_verified_is_exit_code_3(short: Path, capsys) -> None:
     short.write_text(text.replace("[constraints]", "[constraints]\np_min = 0.9"))
     assert main(["solve", str(short), "--horizon", "2"]) == 3
     assert "is met at none of the" in capsys.readouterr().out
-    assert main(["simulate", str(short), "--horizon", "2", "--json"]) == 3
-    assert printed(capsys)["verified_rate"] < 1.0
+    # One that is to map stands in the best place, and has stalled.
+    code, outcome = (4, "stalled") if short.stem == "outdoor_map" else (3, "completed")
+    assert main(["simulate", str(short), "--horizon", "2", "--json"]) == code
+    data = printed(capsys)
+    assert data["verified_rate"] < 1.0 and data["outcome"] == outcome
 
 
 def test_compare(short: Path, tmp_path: Path, capsys) -> None:
@@ -110,7 +115,7 @@ def test_a_run_that_never_connects_is_exit_code_4(tmp_path: Path, capsys) -> Non
     file = tmp_path / "connect.toml"
     for threshold, code, words in (
         ("-200.0", 0, "completed (connected after step 1)"),
-        ("20.0", 4, "step_limit (not connected after planner.max_steps 3)"),
+        ("20.0", 4, "stalled (standing still with nothing new to learn"),
     ):
         file.write_text(re.sub(r"threshold_dbm = \S+", f"threshold_dbm = {threshold}", text))
         assert main(["simulate", str(file), "--horizon", "2"]) == code

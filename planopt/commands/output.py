@@ -25,7 +25,10 @@ def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
 
         typer.echo(strict_text(data), nl=False)
     else:
-        typer.echo(text)
+        from planopt.errors import escaped
+
+        # Names and messages may come from any file, and a terminal obeys what it is sent.
+        typer.echo("\n".join(escaped(line) for line in text.split("\n")))
 
 
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:

@@ -59,7 +59,8 @@ def _in_words(simulation: Simulation) -> str:
             f"{simulation.problem.name}: {run.outcome.value} ({run.reason}), "
             f"horizon {run.horizon}, cost to go {run.cost_to_go}, seed {run.seed}",
             f"  {len(run.log.t_s) - 1} steps, {metrics.path_m:.1f} m, "
-            f"{run.verified_rate:.1%} of the steps verified ({rungs or 'none'})",
+            f"{run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
+            f"{metrics.measured_steps}",
             f"  truly connected {metrics.true_connected_share:.1%} of the steps, longest outage "
             f"{metrics.longest_outage_m:.1f} m, least P(connected) of the driven steps "
             f"{shown_number(metrics.predicted_min_connectivity)}",

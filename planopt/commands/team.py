@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from planopt.planning.team.team_run import TeamRun
     from planopt.planning.team.team_solution import TeamSolution
 
-NOT_VERIFIED, NOT_CONNECTED = 3, 4
+NOT_VERIFIED, NOT_DONE = 3, 4
 
 
 def solve_asked(asked: Asked) -> int:
@@ -59,7 +59,7 @@ def solve_asked(asked: Asked) -> int:
 
 
 def simulate_asked(asked: Asked) -> int:
-    """Drive all robots. Exit code 0 verified throughout, 3 not, 4 never connected (connect)."""
+    """Drive all robots. Exit code 0 verified throughout, 3 not, 4 stalled or never connected."""
     from planopt.planning.files.saved import withdraw
     from planopt.planning.files.team_run_json import team_run_json
     from planopt.planning.files.team_saved import save_team_run
@@ -78,8 +78,8 @@ def simulate_asked(asked: Asked) -> int:
                     picture_team_run(run, folder)
             save_team_run(run, folder)
     show(asked.json, team_run_json(run), _run_in_words(run))
-    if run.runs[0].outcome is Outcome.STEP_LIMIT:
-        return NOT_CONNECTED
+    if run.runs[0].outcome is not Outcome.COMPLETED:
+        return NOT_DONE
     return 0 if run.verified_rate == 1.0 else NOT_VERIFIED
 
 
@@ -131,12 +131,15 @@ def _run_in_words(run: TeamRun) -> str:
     first = run.runs[0]
     robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
     shown = ", ".join(f"{name} {shown_number(value)}" for name, value in run.metrics.items())
+    steps = sum(len(one.log.t_s) - 1 for one in run.runs)
+    measured = sum(one.metrics.measured_steps for one in run.runs)
     return "\n".join(
         [
             f"{run.problem.name}: {first.outcome.value} ({first.reason}), horizon "
             f"{planner.horizon}, planner {planner.name}, seed {run.seed}",
             f"  {robots}, {run.verified_rate:.1%} of the steps verified "
             f"({', '.join(f'{name} {count}' for name, count in rungs.items())})",
+            f"  measured at {measured} of {steps} steps",
             f"  {shown}",
             *(f"  {line}" for line in reliability_lines(run_reliability(run.runs), "steps")),
         ]

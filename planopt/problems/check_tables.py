@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pydantic import ValidationError
 
-from planopt.errors import InputError
+from planopt.errors import InputError, require_text
 from planopt.problems.messages import input_error
 from planopt.problems.objective import TermsObjective
 from planopt.problems.problem import Problem
@@ -15,6 +15,7 @@ from planopt.problems.save import problem_to_dict
 from planopt.problems.schema import ProblemFile
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.unicycle import Unicycle
+from planopt.world.footprints import check_name
 
 
 def check_tables(problem: Problem) -> None:
@@ -28,6 +29,7 @@ def check_tables(problem: Problem) -> None:
     if isinstance(problem.objective, TermsObjective) and not problem.objective.terms:
         raise InputError("has no terms", key="objective.terms", remedy="one at least")
     for obstacle in problem.workspace.obstacles:
+        check_name(obstacle.name)
         if not obstacle.polygon.is_valid or obstacle.polygon.area == 0.0:
             raise InputError(
                 f"{obstacle.name} crosses itself or has no area",
@@ -37,12 +39,12 @@ def check_tables(problem: Problem) -> None:
     # Looked at above, and long.
     workspace = replace(problem.workspace, obstacles=())
     robots = tuple(_in_files(robot) for robot in problem.robots)
+    tables = problem_to_dict(replace(problem, workspace=workspace, robots=robots))
     try:
-        ProblemFile.model_validate(
-            problem_to_dict(replace(problem, workspace=workspace, robots=robots))
-        )
+        ProblemFile.model_validate(tables)
     except ValidationError as error:
         raise input_error(error, ProblemFile, file=problem.file) from None
+    require_text(problem.description, "the description")
 
 
 def _in_files(robot: Robot) -> Robot:

@@ -12,6 +12,7 @@ from planopt.problems.check_channel import check_channel
 from planopt.problems.check_expression import check_expression
 from planopt.problems.check_motion import check_stopping
 from planopt.problems.check_place import check_bounds, check_place
+from planopt.problems.check_size import check_size
 from planopt.problems.check_stations import check_stations
 from planopt.problems.objective import CasadiTerm
 from planopt.problems.problem import Problem
@@ -30,8 +31,8 @@ def check(problem: Problem) -> None:
     InputError
         Bounds are reversed, a start or goal is out of bounds or too near to an obstacle, a robot
         cannot stop in time from its start or moves less than a millimetre in a step, the channel's
-        tables do not fit each other, the truth would be too large, or something is asked of several
-        stations that is there for one only.
+        tables do not fit each other, the truth or the lattice would be too large, or something is
+        asked of several stations that is there for one only.
     """
     check_bounds(problem)
     index = index_obstacles(problem.workspace)
@@ -45,6 +46,7 @@ def check(problem: Problem) -> None:
     check_channel(problem)
     check_stations(problem)
     check_rule(problem)
+    check_size(problem)
     for number, term in enumerate(problem.terms):
         if isinstance(term, CasadiTerm):
             check_expression(problem, term, f"objective.terms[{number}]")

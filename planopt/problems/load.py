@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from planopt.errors import InputError
+from planopt.errors import InputError, require_text
 from planopt.problems.build import build
 from planopt.problems.check_files import check_files
 from planopt.problems.checks import check
@@ -38,6 +38,7 @@ def load(path_or_name: Path | str) -> Problem:
         not free.
     """
     path = find_problem(path_or_name)
+    require_text(str(path.absolute()), "the path")
     problem = problem_from_tables(read_toml(path), folder=path.absolute().parent, file=path)
     check_files(problem)
     return problem

@@ -23,6 +23,9 @@ from planopt.errors import InputError
 LIKE_WORDS = 0.9
 """Keys of words so alike, in whatever order, are taken for each other."""
 
+LONGEST_KEY = 100
+"""Keys and names are compared with known ones up to this length."""
+
 KeyPath = tuple[str | int, ...]
 
 _ALLOWED = {
@@ -117,6 +120,8 @@ def shown(value: object) -> str:
 
 def nearest(word: str, known: Sequence[str]) -> str:
     """What to write instead of the unknown `word`."""
+    # The comparison takes time that grows with the square of the length.
+    word = word[:LONGEST_KEY]
     # max_speed_m_s is speed_max_m_s with its words in another order.
     by_words = {_sorted_words(key): key for key in known}
     same = difflib.get_close_matches(_sorted_words(word), list(by_words), n=1, cutoff=LIKE_WORDS)

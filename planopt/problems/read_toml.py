@@ -13,7 +13,7 @@ from planopt.files.regular import read_text
 LARGEST_TOML_BYTES = 2 * 2**20
 """Size limit of problem files; obstacles and maps have files of their own."""
 
-DEEP_KEY = re.compile(r"(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
+DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
 """A dotted key of so many parts, which the parser takes quadratic time for."""
 
 

@@ -44,6 +44,7 @@ METRIC_NAMES = {
     "delivered": MetricName("delivered", "%", 100.0, 1),
     "rms_db": MetricName("RMS error", "dB", 1.0, 2),
     "anmse_db": MetricName("ANMSE", "dB", 1.0, 2),
+    "measured_steps": MetricName("steps that measured", "1", 1.0, 1),
     "trace_m_db": MetricName("tr M", "dB", 1.0, 2),
     "min_separation_m": MetricName("least distance of two robots", "m", 1.0, 3),
     "min_moving_clearance_m": MetricName("least distance from moving obstacles", "m", 1.0, 3),

@@ -15,7 +15,7 @@ from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 from planopt.channel.validation.reliability import FEWEST_GROUPS
 from planopt.errors import InputError
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.metrics import POSSIBLE
+from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
@@ -26,7 +26,6 @@ from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Driven, Row, metric_values
 
 CONFIDENCE = 0.95
-ANY = (-np.inf, np.inf)
 ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
 """Outcomes of runs that did what the problem asks."""
 

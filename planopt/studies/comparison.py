@@ -34,7 +34,7 @@ class Row:
     seeds
         How many runs.
     stalled
-        How many of them did not reach the goal, if there is one.
+        How many of them did not do what the problem asks: reach the goal, connect, go on.
     metric
         Its name (`goal_time_s`, `true_connected_share`, ...).
     mean, ci_low, ci_high

@@ -18,9 +18,11 @@ from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.casadi_term import casadi_term
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
+from planopt.world.clearance import index_obstacles
 
 TRACKING = {"kind": "tracking", "noise_curvature": 0.008, "noise_floor_m2": 0.08, "sweet_spot_m": 1}
 LEARNING = {"kind": "path_loss_learning", "criterion": "D"}
@@ -114,7 +116,11 @@ def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
         at,
         target,
         region,
-        np.array([30.0, 30.0]),
+        SteeringWay(
+            np.array([at, [18.0, 30.0], [30.0, 30.0]]),
+            index_obstacles(problem.workspace),
+            problem.constraints.clearance_m,
+        ),
         known,
         circumstances=under,
     )

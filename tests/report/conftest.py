@@ -156,7 +156,7 @@ def log() -> StepLog:
 @pytest.fixture(scope="session")
 def simulation(problem: Problem, belief: Belief, plan: Plan, log: StepLog) -> Simulation:
     """The log as a run that reached the goal."""
-    metrics = Metrics(12.0, 13.4, 5 / 6, 2.2, 0.78, 0.01)
+    metrics = Metrics(12.0, 13.4, 5 / 6, 2.2, 0.78, 0.01, 5)
     run = Run("rover", 4, "auto", "connected", 5, Outcome.STEP_LIMIT, "six steps", log, metrics)
     x, y = np.arange(0.5, 100.0), np.arange(0.5, 80.0)
     values = -90.0 + 0.3 * x[None, :] + 0.1 * y[:, None]
@@ -179,6 +179,7 @@ def comparison(problem: Problem, simulation: Simulation) -> Comparison:
                     4.0 * seed,
                     0.81,
                     0.0,
+                    5,
                 )
                 outcome = Outcome.STALLED if lost else Outcome.REACHED
                 runs.append(

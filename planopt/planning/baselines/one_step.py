@@ -22,7 +22,6 @@ from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.steering import nearest_measured_m
 from planopt.problems.objective import CasadiTerm, LearningTerm, MappingTerm
 from planopt.problems.problem import Problem
 
@@ -71,17 +70,15 @@ class OneStepPlanner:
         ends = here + self._offsets_m
         allowed = free_ends(self._problem, self._ground, here, ends)
         begins = np.broadcast_to(here, ends.shape)
+        before = np.broadcast_to(np.reshape(path, (-1, 2)), (len(ends), len(path), 2))
         allowed &= steps_apart(situation.circumstances.moving, len(path), begins, ends)
         if self._measures:
-            spacing = self._problem.channel.measure_spacing_m
-            allowed &= nearest_measured_m(situation.posterior, ends) >= spacing
-            for earlier in path:
-                allowed &= np.linalg.norm(ends - earlier, axis=1) >= spacing
+            ahead = np.concatenate([before, ends[:, None]], axis=1)
+            allowed &= situation.near_measuring.takes(ahead)[:, -1]
         ends = ends[allowed]
         if not len(ends):
             return None
-        before = np.broadcast_to(np.reshape(path, (-1, 2)), (len(ends), len(path), 2))
-        ways = np.concatenate([before, ends[:, None]], axis=1)
+        ways = np.concatenate([before[allowed], ends[:, None]], axis=1)
         if self._whole:
             rest = self._problem.planner.horizon - int(ways.shape[1])
             ways = np.concatenate([ways, np.repeat(ways[:, -1:], rest, axis=1)], axis=1)

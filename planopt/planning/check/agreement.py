@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import cast
 
+from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.proof.predictions import KEPT_ERROR_DB
 
 EXACT = 1e-6
@@ -39,6 +40,16 @@ PREDICTED_NAMES = frozenset(
     )
 )
 FITTED_NAMES = frozenset(("parameters", "standard_errors", "theta", "theta_covariance"))
+
+RANGES = {
+    **POSSIBLE,
+    "connectivity": (0.0, 1.0),
+    "deviation_db": (0.0, math.inf),
+    "min_connectivity": (0.0, 1.0),
+    "verified_rate": (0.0, 1.0),
+}
+"""Least and largest value that a number can have: however near to what was found, no probability
+and no share is beyond 1."""
 
 SHOWN_ALIKE = 3
 """Of disagreements that differ in nothing but an index, so many are reported one by one."""
@@ -96,7 +107,9 @@ def disagreements(
         for index, (one, other_one) in enumerate(zip(these, those, strict=True)):
             yield from disagreements(one, other_one, f"{key}[{index}]", name)
     elif not _same(cast("object", said), found, name):
-        yield Disagreement(key, _shown(cast("object", said)), _shown(found))
+        value = cast("object", said)
+        one, other = _shown(value), _shown(found)
+        yield Disagreement(key, repr(value) if one == other else one, other)
 
 
 def in_words(file: str, differences: Iterator[Disagreement], source: str = "found") -> list[str]:
@@ -142,10 +155,14 @@ def _same(said: object, found: object, name: str) -> bool:
             one, other = float(said), float(found)
         except OverflowError:  # a whole number of hundreds of digits
             return False
+        least, largest = RANGES.get(name, ANY)
+        if not least <= one <= largest and least <= other <= largest:
+            return False
         both_none = math.isnan(one) and math.isnan(other)
         return both_none or math.isclose(one, other, rel_tol=relative, abs_tol=absolute)
     if isinstance(said, str) and isinstance(found, str):
-        return same_words(said, found)
+        # Labels and numbers as text stand as they are; sentences have numbers that were rounded.
+        return said == found or (" " in said and same_words(said, found))
     return said is None and found is None
 
 

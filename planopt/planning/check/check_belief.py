@@ -17,6 +17,7 @@ from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
+from planopt.objectives.measuring import SAME_PLACE_M
 from planopt.planning.check.agreement import Disagreement, disagreements, in_words
 from planopt.planning.files.belief_file import (
     SavedBelief,
@@ -54,6 +55,15 @@ class Taken:
     true_dbm: NDArray[np.float64]
     known_before_step: NDArray[np.int64]
 
+    @property
+    def learnt(self) -> list[bool]:
+        """Whether something was measured after each step."""
+        known = self.known_before_step
+        if not len(known):
+            return []
+        after = np.append(known[1:], known[0] + len(self.places_m))
+        return (after > known).tolist()
+
 
 NOTHING_TAKEN = Taken(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.int64))
 
@@ -77,7 +87,7 @@ def taken_on_the_way(
 ) -> Taken:
     """Where a run along `track_m` (steps + 1, 2) measures: not near an earlier measurement."""
     known = [[*own.measurements.positions_m[: own.first]] for own in belief.stations]
-    spacing = problem.channel.measure_spacing_m
+    spacing = max(problem.channel.measure_spacing_m, SAME_PLACE_M)
     said = np.diff([*belief.known_before_step, len(belief.measurements)]) > 0
     counts: list[int] = []
     steps: list[int] = []

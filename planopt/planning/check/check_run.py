@@ -118,7 +118,7 @@ def check_run(
         outcome=outcome,
         reason=reason,
         log=log,
-        metrics=metrics_of(log, plans, outcome),
+        metrics=metrics_of(log, plans, outcome, taken.learnt),
         rule=rule_metrics(problem, [log]),
         drive=driven,
     )
@@ -174,12 +174,7 @@ def _ended(
     problem: Problem, states: NDArray[np.float64], taken: Taken, plans: Sequence[Plan]
 ) -> tuple[Outcome, str, list[str]]:
     """How the run ended and why in words, and what is wrong with where it did."""
-    learnt: list[bool] = []
-    if plans:
-        known = taken.known_before_step
-        after = np.append(known[1:], known[0] + len(taken.places_m))
-        learnt = (after > known).tolist()
-    track = list(states)
+    learnt, track = taken.learnt, list(states)
     for step in range(len(plans)):
         led_here = plans[step - 1] if step else None
         ended = ending(problem, track[: step + 1], learnt[:step], led_here)

@@ -35,7 +35,8 @@ def not_judged(saved: SavedTeam, given: Given | None) -> list[str]:
     problem = saved.problem
     if any(getattr(term, "form", None) == "two_layer" for term in problem.terms):
         remarks.append(
-            "the places that the two-layer form steers to (steering_m) are taken as they stand"
+            "the ways that the two-layer form steers along (steering_m, steering_turns_m) are "
+            "taken as they stand"
         )
     if given is None and isinstance(saved.record, TeamRunRecord):
         remarks.append("knowledge.csv is taken as it stands, because there is no truth")

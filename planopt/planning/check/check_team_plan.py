@@ -96,7 +96,7 @@ def check_team_plan(
         )
         aim = aim_again(robot.aim, aim_of(watch, number, horizon))
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
-        worth = worth_again(own, posterior, path, aim, region, circumstances)
+        worth = worth_again(own, posterior, path, aim, region, circumstances, index)
         plan = rebuilt_plan(own, path, judgement, robot, effort, worth, drive=drive)
         where = f"robots[{number}]."
         if drive is None:

@@ -33,6 +33,7 @@ from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.robot_run import completed_run
+from planopt.planning.loop.run import Outcome
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.loop.true_serving import true_serving_dbm
@@ -42,7 +43,7 @@ from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
-from planopt.planning.team.team_ending import steps_to_drive, team_ending
+from planopt.planning.team.team_ending import Progress, team_ending
 from planopt.planning.team.team_run import ChannelLog
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_summary import summary_of
@@ -63,8 +64,12 @@ from planopt.world.timed_motion import TimedMotion
 
 @dataclass(frozen=True, eq=False)
 class _Driven:
-    """What is found again of one robot: plans, aims, beliefs before and after each, objections."""
+    """What is found again of one robot: states, plans, aims, beliefs before and after each.
 
+    And the objections to it.
+    """
+
+    states: NDArray[np.float64]
     plans: list[Plan]
     aims: list[Aim]
     posteriors: list[tuple[ChannelPosterior, ...]]
@@ -94,7 +99,7 @@ def check_team_run(
         ]
     )
     delivered = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
-    faults = _length_faults(problem, delivered) + _plan_faults(saved, record)
+    faults = _length_faults(problem, len(delivered)) + _plan_faults(saved, record)
     if faults:
         return [], faults
     seeds = team_seeds(problem, seed)
@@ -104,10 +109,24 @@ def check_team_run(
         _driven(saved, record, number, index, region, watches, released, delivered[:, number])
         for number in range(len(problem.robots))
     ]
-    ended = team_ending(problem, delivered)
+    taken = [
+        taken_on_the_way(problem, belief, track, true_dbm)
+        for belief, track, true_dbm in zip(saved.beliefs, tracks, true, strict=True)
+    ]
+    ended, reasons = _ended(problem, delivered, driven, [one.learnt for one in taken])
     runs = [
-        completed_run(problem_of_robot(problem, number), seed, track, true_dbm, one.plans, ended)
-        for number, (track, true_dbm, one) in enumerate(zip(tracks, true, driven, strict=True))
+        completed_run(
+            problem_of_robot(problem, number),
+            seed,
+            track,
+            true_dbm,
+            one.plans,
+            measured.learnt,
+            ended,
+        )
+        for number, (track, true_dbm, one, measured) in enumerate(
+            zip(tracks, true, driven, taken, strict=True)
+        )
     ]
     target = target_log(watches, delivered)
     if not truths:
@@ -122,7 +141,7 @@ def check_team_run(
         # What was asked is not judged: library_remarks says what there is to say.
         "problem_file": saved.data["problem_file"],
     }
-    reasons = [reason for one in driven for reason in one.reasons]
+    reasons += [reason for one in driven for reason in one.reasons]
     reasons += in_words(RUN_FILE, disagreements(saved.data, found))
     reasons += step_time_faults(record.step_s, sum(len(one.plans) for one in driven))
     again = joined_steps([steps_of_run(run.robot, run.log, run.drive) for run in runs])
@@ -138,9 +157,8 @@ def check_team_run(
                 {column: np.asarray(values).tolist() for column, values in table.items()},
             ),
         )
-    for number, (belief, one) in enumerate(zip(saved.beliefs, driven, strict=True)):
-        taken = taken_on_the_way(problem, belief, tracks[number], true[number])
-        reasons += belief_reasons(problem, belief, one.posteriors[-1], given, taken, seed)
+    for belief, one, measured in zip(saved.beliefs, driven, taken, strict=True):
+        reasons += belief_reasons(problem, belief, one.posteriors[-1], given, measured, seed)
     return [
         worst_of_robots({plan.robot: plan.certificate for plan in made})
         for made in zip(*(one.plans for one in driven), strict=True)
@@ -207,7 +225,7 @@ def _driven(
         here, residual = states[step - 1], released.kkt_residual
         judgement = judge(own, index, posterior, here, path, residual, circumstances, drive)
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
-        worth = worth_again(own, posterior, path, aim, region, circumstances)
+        worth = worth_again(own, posterior, path, aim, region, circumstances, index)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth, drive=drive)
         where = f"{key}[{step - 1}]"
         reasons += plan_reasons(own, index, where, step, plan, plans[-1] if plans else None)
@@ -221,22 +239,46 @@ def _driven(
         aims.append(aim)
         posteriors.append(known)
     posteriors[-1] = last_posteriors(belief, posteriors[-1])
-    return _Driven(plans, aims, posteriors, reasons)
+    return _Driven(states, plans, aims, posteriors, reasons)
 
 
 def _leads_elsewhere(planned: NDArray[np.float64], states: NDArray[np.float64], step: int) -> bool:
     return bool(np.abs(planned[:2] - states[step - 1 : step + 1]).max() > EXACT)
 
 
-def _length_faults(problem: Problem, delivered: NDArray[np.bool_]) -> list[str]:
-    """Runs are as long as the problem says; nothing can be judged where they are not."""
-    steps, asked = len(delivered), steps_to_drive(problem, delivered)
-    if steps == asked:
+def _length_faults(problem: Problem, steps: int) -> list[str]:
+    """No run is longer than the problem says; nothing can be judged where one is."""
+    if steps <= problem.planner.max_steps:
         return []
-    why = f"planner.max_steps is {problem.planner.max_steps}"
-    if asked < problem.planner.max_steps:
-        why = f"all robots were connected after step {asked}"
-    return [f"{STEPS_FILE}: the run ends after step {steps}, {why}"]
+    most = problem.planner.max_steps
+    return [f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is {most}"]
+
+
+def _ended(
+    problem: Problem,
+    connected: NDArray[np.bool_],
+    driven: Sequence[_Driven],
+    learnt: Sequence[list[bool]],
+) -> tuple[tuple[Outcome, str], list[str]]:
+    """How the run ended and why in words, and what is wrong with where it did."""
+    steps = len(connected)
+    for step in range(1, steps + 1):
+        robots = [
+            Progress(
+                problem_of_robot(problem, number),
+                list(one.states[: step + 1]),
+                measured[:step],
+                one.plans[:step],
+                one.posteriors[step],
+            )
+            for number, (one, measured) in enumerate(zip(driven, learnt, strict=True))
+        ]
+        ended = team_ending(problem, connected[:step], robots)
+        if ended is not None:
+            late = f"{STEPS_FILE}: the run goes on after step {step}, {ended[1]}"
+            return ended, [late] if step < steps else []
+    short = f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
+    return (Outcome.STEP_LIMIT, ""), [f"{short}{problem.planner.max_steps}"]
 
 
 def _plan_faults(saved: SavedTeam, record: TeamRunRecord) -> list[str]:

@@ -23,6 +23,13 @@ UNSOLVED = {
 UNPOLISHED_PLANNERS = ("lattice", *BASELINES)
 """Planners that no solver helps."""
 
+SOLVED = (Termination.CONVERGED, Termination.ACCEPTABLE)
+"""Terminations of a solver that met its tolerance."""
+
+SOLVED_RESIDUAL, LARGEST_RESIDUAL = 1.0, 1e12
+"""Largest KKT residual of a path that a solver accepted, and of any, for each unit of the
+objective: those of the problem library are below 0.03."""
+
 WITHOUT_SEARCH = (Rung.SHIFTED, Rung.RESERVED, Rung.STOP)
 """Rungs whose paths no search found."""
 
@@ -123,8 +130,13 @@ def _termination_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
     if _is_unpolished(problem):
         fault = f"{termination.value}, but planner.name is {problem.planner.name}"
         return [("termination", fault)]
-    if residual is not None and rung not in POLISHED:
+    if residual is None:
+        return []
+    if rung not in POLISHED:
         return [("kkt_residual", f"{residual:g}, but no solver found a path of rung {rung.value}")]
+    most = SOLVED_RESIDUAL if termination in SOLVED else LARGEST_RESIDUAL
+    if residual > most * max(1.0, abs(plan.objective)):
+        return [("kkt_residual", f"{residual:g}, but the termination is {termination.value}")]
     return []
 
 

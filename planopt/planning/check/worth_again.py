@@ -11,7 +11,9 @@ from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.problem import Problem
+from planopt.world.clearance import ObstacleIndex
 
 
 def worth_again(
@@ -21,6 +23,7 @@ def worth_again(
     aim: Aim,
     region: Region,
     circumstances: Circumstances,
+    index: ObstacleIndex,
 ) -> float:
     """The weighted sum of the terms.
 
@@ -38,14 +41,19 @@ def worth_again(
         Where the map is wanted.
     circumstances
         What else was known then.
+    index
+        The obstacles.
     """
+    steering = None
+    if aim.steering_turns_m is not None:
+        steering = SteeringWay(aim.steering_turns_m, index, problem.constraints.clearance_m)
     at = Situation(
         problem,
         posterior,
         path_m[0],
         aim.target_m,
         region,
-        aim.steering_m,
+        steering,
         aim.information,
         circumstances=circumstances,
     )

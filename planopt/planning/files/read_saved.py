@@ -7,6 +7,7 @@ What cannot be read is an error. What can be read and is not true is for
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,9 @@ from planopt.planning.files.steps_file import STEPS_FILE, Steps, read_steps
 from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict
+
+HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
+"""Escapes of which JSON may have one without its other half."""
 
 _AnyRecord = TypeVar("_AnyRecord", bound=BaseModel)
 
@@ -143,6 +147,13 @@ def _read_json(file: Path) -> Mapping[str, Any]:
         data = json.loads(text, object_pairs_hook=once)
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no JSON: {error}", file=file, remedy=REMEDY) from None
+    if HALF_PAIR.search(text):
+        try:
+            json.dumps(data, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise InputError(
+                "has a text with half of a surrogate pair", file=file, remedy=REMEDY
+            ) from None
     if not isinstance(data, dict):
         raise InputError("is no JSON object", file=file, remedy=REMEDY)
     return cast("Mapping[str, Any]", data)

@@ -107,6 +107,7 @@ def _own(run: Run) -> dict[str, Any]:
         "path_m": finite(metrics.path_m),
         "true_connected_share": finite(metrics.true_connected_share),
         "longest_outage_m": finite(metrics.longest_outage_m),
+        "measured_steps": metrics.measured_steps,
         "rungs": run.rungs,
         "verified_rate": finite(run.verified_rate),
     }

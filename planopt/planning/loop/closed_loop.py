@@ -94,7 +94,7 @@ def simulate(
         outcome=outcome,
         reason=reason,
         log=log,
-        metrics=metrics_of(log, plans, outcome),
+        metrics=metrics_of(log, plans, outcome, learnt),
         rule=rule_metrics(problem, [log]),
         drive=driven(problem.robots[0], plans),
     )

@@ -43,18 +43,43 @@ def ending(
         where = "the start is within" if plan is None else "within"
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
     if plan is not None:
-        stood = bool(np.linalg.norm((here - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
-        # Same place, same belief, and nothing that moves: the next plan would be this one again.
-        again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving
-        if stood and not learnt[-1] and again:
-            return Outcome.STALLED, f"standing still with nothing new to learn{_detail(plan)}"
-        if not any(learnt[-STALL_STEPS:]) and _circling(track, problem.step_length_m):
-            return Outcome.STALLED, (
-                f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
-                f"with nothing new to learn{_detail(plan)}"
-            )
+        stalled = standstill(problem, track, learnt, plan)
+        if stalled is not None:
+            return Outcome.STALLED, stalled
     if len(learnt) >= problem.planner.max_steps:
         return Outcome.STEP_LIMIT, f"not arrived after {problem.planner.max_steps} steps"
+    return None
+
+
+def standstill(
+    problem: Problem,
+    track: Sequence[NDArray[np.float64]],
+    learnt: Sequence[bool],
+    plan: Plan,
+    *,
+    alone: bool = True,
+) -> str | None:
+    """Why a robot that stands still or circles will go on doing so, in words; None if it may not.
+
+    Parameters
+    ----------
+    problem, track, learnt
+        As in :func:`ending`; at least one step was driven.
+    plan
+        The plan whose first step was the last one.
+    alone
+        Whether nothing else that plans depend on changes while the robot stands.
+    """
+    stood = bool(np.linalg.norm((track[-1] - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
+    # Same place, same belief, and nothing that moves: the next plan would be this one again.
+    again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
+    if stood and not learnt[-1] and again:
+        return f"standing still with nothing new to learn{_detail(plan)}"
+    if not any(learnt[-STALL_STEPS:]) and _circling(track, problem.step_length_m):
+        return (
+            f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
+            f"with nothing new to learn{_detail(plan)}"
+        )
     return None
 
 

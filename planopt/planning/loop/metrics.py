@@ -21,16 +21,21 @@ POSSIBLE = {
     "final_trace_p": (0.0, np.inf),
     "delivered": (0.0, 1.0),
     "rms_db": (0.0, np.inf),
+    "measured_steps": (0.0, np.inf),
     "stated_times_connected": (0.0, 1.0),
     "least_connected_share": (0.0, 1.0),
     "longest_outage_s": (0.0, np.inf),
     "data_mbit": (0.0, np.inf),
 }
-"""Least and largest value that a metric can have; one that is not here can have any."""
+"""Least and largest value that a metric can have; one that is not here can have `ANY`."""
+
+ANY = (-np.inf, np.inf)
 
 
-def metrics_of(log: StepLog, plans: Sequence[Plan], outcome: Outcome) -> Metrics:
-    """Compute the metrics of a run.
+def metrics_of(
+    log: StepLog, plans: Sequence[Plan], outcome: Outcome, learnt: Sequence[bool]
+) -> Metrics:
+    """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
     Shares are over the steps driven, the start not counted; a run of no step counts as wholly
     connected. The polish gain is the mean over the steps.
@@ -45,6 +50,7 @@ def metrics_of(log: StepLog, plans: Sequence[Plan], outcome: Outcome) -> Metrics
         longest_outage_m=longest_outage_m(lengths, connected),
         predicted_min_connectivity=float(np.min(log.connectivity[1:], initial=1.0)),
         polish_gain=float(np.mean(gains)) if gains else 0.0,
+        measured_steps=sum(learnt),
     )
 
 

@@ -21,6 +21,7 @@ def completed_run(
     track_m: NDArray[np.float64],
     true_dbm: NDArray[np.float64],
     plans: Sequence[Plan],
+    learnt: Sequence[bool],
     ended: tuple[Outcome, str],
 ) -> Run:
     """The run of a problem with one robot.
@@ -31,8 +32,8 @@ def completed_run(
         What was run.
     track_m, true_dbm
         ``(steps + 1, 2)`` where the robot was, and ``(steps + 1,)`` the true power there.
-    plans
-        The plan that each step was the first of.
+    plans, learnt
+        The plan that each step was the first of, and whether it brought a measurement.
     ended
         The outcome, and why.
     """
@@ -46,6 +47,6 @@ def completed_run(
         outcome=ended[0],
         reason=ended[1],
         log=log,
-        metrics=metrics_of(log, plans, ended[0]),
+        metrics=metrics_of(log, plans, ended[0], learnt),
         drive=driven(problem.robots[0], plans),
     )

@@ -81,6 +81,8 @@ class Metrics:
         Least predicted P(connected) over the released steps.
     polish_gain
         Mean relative gain of the polish over the lattice start.
+    measured_steps
+        How many steps brought a measurement.
     """
 
     goal_time_s: float
@@ -89,6 +91,7 @@ class Metrics:
     longest_outage_m: float
     predicted_min_connectivity: float
     polish_gain: float
+    measured_steps: int
 
 
 @dataclass(frozen=True)

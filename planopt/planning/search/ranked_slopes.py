@@ -61,9 +61,10 @@ def _learning(
 
 
 def _steering(at: Situation, batch: WayBatch) -> Pull:
-    if at.steering_m is None:
+    if at.steering is None:
         return Pull()
-    offset = at.steering_m - batch.ways_m
+    turns = at.steering.next_turns(batch.ways_m.reshape(-1, 2))
+    offset = at.steering.turns_m[turns].reshape(batch.ways_m.shape) - batch.ways_m
     return Pull(by_place=offset / np.maximum(np.linalg.norm(offset, axis=2), TINY_M)[:, :, None])
 
 

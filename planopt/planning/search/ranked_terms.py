@@ -179,10 +179,9 @@ def _mapping(term: MappingTerm, ways: RankedWays) -> NDArray[np.float64]:
     at = ways.at
     if term.form != "two_layer":
         return _added(_mapped(term, at, told) for told in ways.told)
-    if at.steering_m is None:
+    if at.steering is None:
         return np.zeros(ways.shape[0])
-    start = float(np.linalg.norm(at.position_m - at.steering_m))
-    return (start - np.linalg.norm(ways.ways_m - at.steering_m, axis=2)).sum(axis=1)
+    return at.steering.gained_m(ways.ways_m)
 
 
 def _mapped(term: MappingTerm, at: Situation, told: ToldBatch) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ from planopt.planning.search.node_field import NodeField
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.worth.link_energy import link_energy_j
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.steering_way import SteeringWay
 from planopt.planning.worth.structure import shares_measurements
 from planopt.problems.objective import (
     LearningTerm,
@@ -166,9 +167,9 @@ def _alone(
 ) -> NDArray[np.float64]:
     """What measuring at each node would be worth if it were the only one; (ny, nx)."""
     if isinstance(term, MappingTerm) and term.form == "two_layer":
-        if at.steering_m is None:
+        if at.steering is None:
             return np.zeros_like(field.mean_db)
-        return -np.linalg.norm(field.grid_m - at.steering_m, axis=2)
+        return -_steered_m(at.steering, field)
     first, *others = [
         _told(term, station, posterior)
         for station, posterior in zip(field.stations, at.stations, strict=True)
@@ -178,6 +179,13 @@ def _alone(
     # A node that is measured already brings nothing.
     first[~_is_open(at, field)] = 0.0
     return first
+
+
+def _steered_m(steering: SteeringWay, field: NodeField) -> NDArray[np.float64]:
+    """How far it is from each node to the end of the way; (ny, nx)."""
+    if steering.lattice_m is not None:
+        return steering.lattice_m
+    return steering.distance_m(field.grid_m.reshape(-1, 2)).reshape(field.mean_db.shape)
 
 
 def _is_open(at: Situation, field: NodeField) -> NDArray[np.bool_]:

@@ -96,8 +96,8 @@ class Member:
             circumstances=circumstances,
         )
         if self.steering is not None:
-            place = self.steering.find_place(belief.posterior, position_m)
-            situation = replace(situation, steering_m=place)
+            way = self.steering.find_way(belief.posterior, position_m)
+            situation = replace(situation, steering=way)
         judge = Judge(
             self.problem,
             self.ground.index,
@@ -109,7 +109,8 @@ class Member:
             state[2:],
         )
         plan = _valued_alone(self.planner.plan(situation, judge, warm), situation)
-        return plan, replace(watched, steering_m=situation.steering_m)
+        steered = None if situation.steering is None else situation.steering.turns_m
+        return plan, replace(watched, steering_turns_m=steered)
 
 
 def _valued_alone(plan: Plan, situation: Situation) -> Plan:

@@ -24,7 +24,7 @@ from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.team_ending import steps_to_drive, team_ending
+from planopt.planning.team.team_ending import Progress, team_ending
 from planopt.planning.team.team_run import TeamRun
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.team.team_step import TeamMoment, plan_together
@@ -46,7 +46,7 @@ def simulate_team(
 ) -> TeamRun:
     """Drive a problem's robots in the true channel for `planner.max_steps` steps.
 
-    A run of the task connect ends once all robots are connected.
+    A run ends before where :func:`planopt.planning.team.team_ending.team_ending` says so.
 
     Parameters
     ----------
@@ -72,23 +72,25 @@ def simulate_team(
     watches = [watch_target(problem, seeds.target)]
     crew = build_crew(problem, seeds)
     region = workspace_region(problem)
-    tracks: list[list[NDArray[np.float64]]] = [[member.start[:2]] for member in crew]
-    states = [member.start for member in crew]
+    states = [[member.start] for member in crew]
+    learnt: list[list[bool]] = [[] for _ in crew]
     plans: list[list[Plan]] = [[] for _ in crew]
     aims: list[list[Aim]] = [[] for _ in crew]
     beliefs = [prepared.belief for _ in crew]
     rows = [channel_row(beliefs[0].posteriors, truths, region.grid_m)]
     delivered: list[NDArray[np.bool_]] = []
-    for step in range(1, problem.planner.max_steps + 1):
+    ended = None
+    while ended is None:
+        step = len(delivered) + 1
         watch = watches[-1]
         moment = TeamMoment(
             beliefs=beliefs,
-            states=states,
+            states=[driven[-1] for driven in states],
             watched=[aim_of(watch, number, problem.planner.horizon) for number in range(len(crew))],
             histories=[
                 history_of(
                     member.problem,
-                    np.array(tracks[number]),
+                    np.array(states[number])[:, :2],
                     np.array([arrived[number] for arrived in delivered], dtype=bool),
                 )
                 for number, member in enumerate(crew)
@@ -101,10 +103,11 @@ def simulate_team(
             plans[number].append(plan)
             aims[number].append(aim)
         for number in range(len(crew)):
-            states[number] = plans[number][-1].next_state
-            tracks[number].append(states[number][:2])
-            beliefs[number] = learn_here(problem, truths, beliefs[number], tracks[number][-1])
-        here = np.array([track[-1] for track in tracks])
+            states[number].append(plans[number][-1].next_state)
+            before = beliefs[number]
+            beliefs[number] = learn_here(problem, truths, before, states[number][-1][:2])
+            learnt[number].append(beliefs[number] is not before)
+        here = np.array([driven[-1][:2] for driven in states])
         arrived = true_serving_dbm(problem, truths, here) >= problem.stations[0].threshold_dbm
         delivered.append(arrived)
         watches.append(
@@ -113,9 +116,14 @@ def simulate_team(
         rows.append(channel_row(beliefs[0].posteriors, truths, region.grid_m))
         if on_step is not None:
             on_step(step)
-        if steps_to_drive(problem, np.array(delivered)) == step:
-            break
-    ended = team_ending(problem, np.array(delivered))
+        robots = [
+            Progress(member.problem, driven, measured, made, belief.posteriors)
+            for member, driven, measured, made, belief in zip(
+                crew, states, learnt, plans, beliefs, strict=True
+            )
+        ]
+        ended = team_ending(problem, np.array(delivered), robots)
+    tracks = [np.array(driven)[:, :2] for driven in states]
     return TeamRun(
         problem=problem,
         seed=seed,
@@ -124,12 +132,13 @@ def simulate_team(
             completed_run(
                 member.problem,
                 seed,
-                np.array(track),
-                true_serving_dbm(problem, truths, np.array(track)),
+                track,
+                true_serving_dbm(problem, truths, track),
                 made,
+                measured,
                 ended,
             )
-            for member, track, made in zip(crew, tracks, plans, strict=True)
+            for member, track, made, measured in zip(crew, tracks, plans, learnt, strict=True)
         ),
         plans=tuple(tuple(made) for made in plans),
         aims=tuple(tuple(known) for known in aims),

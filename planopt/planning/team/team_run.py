@@ -143,6 +143,7 @@ def team_metrics(
     found["anmse_db"] = float(channel.anmse_db[-1])
     found["trace_m_db"] = float(channel.theta_variance_db[-1])
     each = [run.metrics for run in runs]
+    found["measured_steps"] = float(sum(m.measured_steps for m in each))
     found["path_m"] = float(sum(m.path_m for m in each))
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))

@@ -16,12 +16,13 @@ class Aim:
     ----------
     target_m
         ``(N, 2)`` where the target was expected at the end of each step; None without target.
-    steering_m
-        ``(2,)`` where the two-layer form steered to; None if it did not.
+    steering_turns_m
+        ``(m, 2)`` the way that the two-layer form steered along: where the robot was, where the
+        way turns, and its end; None if it did not steer.
     information
         ``(4, 4)`` J_{t|t} of the station's filter then; None without target.
     """
 
     target_m: NDArray[np.float64] | None
-    steering_m: NDArray[np.float64] | None
+    steering_turns_m: NDArray[np.float64] | None
     information: NDArray[np.float64] | None = None

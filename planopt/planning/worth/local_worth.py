@@ -89,6 +89,9 @@ def local_worth(
     rule = None
     if any(is_measured(term) for term in problem.terms):
         rule = situation.near_measuring
+    # Each place keeps to the turn that its start sees: places that move little see it too.
+    steering = situation.steering
+    ahead = None if steering is None else steering.turns_m[steering.next_turns(path_m)]
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)
@@ -104,7 +107,8 @@ def local_worth(
         gates = None if rule is None else rule.gates(places_m[None])
         parts = [
             _weighted(
-                term.weight, _derivatives(term, situation, places_m, power, each, joint, gates)
+                term.weight,
+                _derivatives(term, situation, places_m, power, each, joint, gates, ahead),
             )
             for term in problem.terms
         ]
@@ -159,6 +163,7 @@ def _derivatives(
     each: Sequence[StagePower],
     joint: Sequence[_Joint],
     gates: Gates | None,
+    ahead_m: NDArray[np.float64] | None,
 ) -> Part:
     match term:
         case TrackingTerm() | TransmissionEnergyTerm() | CasadiTerm():
@@ -166,7 +171,7 @@ def _derivatives(
                 raise AssertionError("the term needs predictions of the stages")
             return stage_term_derivatives(term, at, places_m, power, each)
         case MappingTerm(form="two_layer"):
-            return _steering(at, places_m)
+            return _steering(at, places_m, ahead_m)
         case MotionEnergyTerm():
             return _motion(term, at, places_m)
         case UntilConnectedTerm():
@@ -208,13 +213,15 @@ def _informed(
             return average_reduction_derivatives(channel, station.grid, places_m, gates=gates)
 
 
-def _steering(at: Situation, places_m: NDArray[np.float64]) -> Derivatives:
-    """Minus the distance of every place to where the map is most uncertain."""
-    if at.steering_m is None:
+def _steering(
+    at: Situation, places_m: NDArray[np.float64], ahead_m: NDArray[np.float64] | None
+) -> Derivatives:
+    """Minus the distance of every place to the next turn of its way, `ahead_m` (N, 2)."""
+    if ahead_m is None:
         count = len(places_m)
         return Derivatives(np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
     width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-    distance = rounded_length(places_m - at.steering_m, width)
+    distance = rounded_length(places_m - ahead_m, width)
     return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
 
 

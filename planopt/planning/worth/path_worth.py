@@ -67,7 +67,7 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
                 for station in at.stations
             )
         case MappingTerm(form="two_layer"):
-            return steering_value(at, path_m)
+            return 0.0 if at.steering is None else float(at.steering.gained_m(path_m))
         case MappingTerm():
             return _mapping(term, at, path_m, at.measuring.takes(path_m))
         case MotionEnergyTerm():
@@ -138,17 +138,6 @@ def _mapping(
         average_reduction(station, measured, at.near_region, known)
         for station, known in zip(at.stations, at.near_places, strict=True)
     )
-
-
-def steering_value(at: Situation, path_m: NDArray[np.float64]) -> float:
-    """How much nearer the steps of a path come to where the map is most uncertain, in metres.
-
-    For one step its maximiser is the inner layer of the seed's (3).
-    """
-    if at.steering_m is None:
-        return 0.0
-    start = float(np.linalg.norm(at.position_m - at.steering_m))
-    return float((start - np.linalg.norm(path_m - at.steering_m, axis=1)).sum())
 
 
 def motion_energy_j(term: MotionEnergyTerm, at: Situation, path_m: NDArray[np.float64]) -> float:

@@ -24,6 +24,7 @@ from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.serving import Serving
 from planopt.planning.worth.region import region_near
+from planopt.planning.worth.steering_way import SteeringWay
 from planopt.planning.worth.target_model import target_model
 from planopt.problems.objective import (
     LearningTerm,
@@ -52,9 +53,9 @@ class Situation:
         ``(N, 2)`` where the target is expected at the end of each step; None without target.
     region
         Where the map is wanted, for the terms that look at the workspace.
-    steering_m
-        ``(2,)`` the place of the highest J_CH that the two-layer form steers to; None if there is
-        none above the threshold, or nothing steers.
+    steering
+        The way that the two-layer form steers along; None if no place is above the threshold, or
+        nothing steers.
     information
         ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
     circumstances
@@ -66,7 +67,7 @@ class Situation:
     position_m: NDArray[np.float64]
     target_m: NDArray[np.float64] | None
     region: Region
-    steering_m: NDArray[np.float64] | None = None
+    steering: SteeringWay | None = None
     information: NDArray[np.float64] | None = None
     circumstances: Circumstances = NOTHING_ELSE
     _power: dict[bytes, tuple[float, float]] = field(

@@ -1,15 +1,11 @@
-"""The outer layer of the seed's (3): where the robot is steered to, and by which way.
+"""The outer layer of the two-layer form: the place that the robot is steered to, and the way there.
 
-q* is the place of the highest J_CH = max{0, sigma^2 - sigma_TH^2} psi(d) among the places that
-stand for the workspace. Their variances come from a map that follows the belief, so that the cost
-does not grow with the measurements. Steered straight to q*, a robot wedges itself in front of
-obstacles (experiments D); with geodesic steering d is the length of the shortest way round them,
-and the robot is steered to the point of this way that it can come to.
+The place q* has the highest J_CH = max{0, sigma^2 - sigma_TH^2} psi(d) of those that stand for the
+workspace, with d the length of the shortest way to it. Variances come from a map that follows the
+belief, so that the cost does not grow with the measurements.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +13,16 @@ from numpy.typing import NDArray
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
-from planopt.planning.ground import Ground, first_moves
-from planopt.planning.search.road_map import shortest_ways, way_from
+from planopt.objectives.measuring import MeasuringRule
+from planopt.planning.ground import Ground
+from planopt.planning.search.road_map import shortest_ways
+from planopt.planning.search.taut_way import WaysFrom
+from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
+from planopt.world.clearance import is_clear, segment_clearance_m
 
 TILE = 1
 """Places of the region are far apart: each has its own neighbours."""
@@ -41,15 +42,10 @@ class Steering:
         Its geometry.
     term
         Threshold and decay of J_CH.
-    geodesic
-        Go round obstacles; else straight, as the seed does.
     """
 
-    def __init__(
-        self, problem: Problem, ground: Ground, term: MappingTerm, geodesic: bool = True
-    ) -> None:
-        self._problem, self._ground = problem, ground
-        self._term, self._geodesic = term, geodesic
+    def __init__(self, problem: Problem, ground: Ground, term: MappingTerm) -> None:
+        self._problem, self._ground, self._term = problem, ground, term
         places = workspace_region(problem).grid_m
         x, column = np.unique(places[:, 0], return_inverse=True)
         y, row = np.unique(places[:, 1], return_inverse=True)
@@ -60,12 +56,17 @@ class Steering:
         self._map = TileMap(x, y, needed, TILE, NEIGHBOURS)
         nodes = ground.road_map.nodes_m
         self._nearest = PlaceTree(nodes).nearest(places, 1)[0][:, 0]
-        self._beside_m = np.linalg.norm(nodes[self._nearest] - places, axis=1)
+        beside = nodes[self._nearest]
+        # A place too near to an obstacle is never come to.
+        wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
+        clear = is_clear(segment_clearance_m(ground.index, beside, places), wanted)
+        away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
+        self._beside_m = np.where(clear, away, np.inf)
 
-    def find_place(
+    def find_way(
         self, posterior: ChannelPosterior, position_m: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """Where to steer to (2,); None where no place that can be come to is above the threshold.
+    ) -> SteeringWay | None:
+        """The way to steer along; None if no place that can be come to is above the threshold.
 
         Parameters
         ----------
@@ -75,54 +76,36 @@ class Steering:
             ``(2,)`` where the robot is.
         """
         self._map.refresh(posterior)
-        variance = self._map.deviation_db[self._at] ** 2
-        above = np.maximum(variance - self._term.variance_threshold_db2, 0.0)
-        # Where power is measured, it is known.
-        spacing = self._problem.channel.measure_spacing_m
-        above[nearest_measured_m(posterior, self._places_m) < spacing] = 0.0
-        if not self._geodesic:
-            distance = np.linalg.norm(self._places_m - position_m, axis=1)
-            best = self._best(above, distance)
-            return None if best is None else self._places_m[best]
-        return self._round_obstacles(above, position_m)
+        above = self._map.deviation_db[self._at] ** 2 - self._term.variance_threshold_db2
+        rule = MeasuringRule.of([posterior], self._problem.channel.measure_spacing_m)
+        return self.way_to_best(
+            np.where(rule.is_open(self._places_m), np.maximum(above, 0.0), 0.0), position_m
+        )
 
-    def _best(self, above: NDArray[np.float64], distance_m: NDArray[np.float64]) -> int | None:
-        reachable = np.isfinite(distance_m)
-        worth = np.zeros_like(above)
-        nearness = np.exp(-self._term.closeness_per_m * distance_m[reachable])
-        worth[reachable] = above[reachable] * nearness
+    def way_to_best(
+        self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]
+    ) -> SteeringWay | None:
+        """The way to the place of the largest J_CH, of places that much above the threshold."""
+        ways = WaysFrom(self._problem, self._ground, position_m)
+        distance = ways.length_m[self._nearest] + self._beside_m
+        reachable = np.isfinite(distance)
+        straight = np.linalg.norm(self._places_m - position_m, axis=1)
+        distance = np.where(ways.straight(self._places_m), straight, distance)
+        worth = np.zeros_like(above_db2)
+        nearness = np.exp(-self._term.closeness_per_m * distance[reachable])
+        worth[reachable] = above_db2[reachable] * nearness
         best = int(worth.argmax())
-        return best if worth[best] > 0.0 else None
-
-    def _round_obstacles(
-        self, above: NDArray[np.float64], position_m: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """The farthest point of the way to q* that the plan's steps come to."""
-        road_map = self._ground.road_map
-        nodes, lengths = first_moves(self._ground, self._problem, position_m)
-        if not len(nodes):
+        if worth[best] == 0.0:
             return None
-        here = int(np.argmin(lengths))
-        ways = shortest_ways(road_map, int(nodes[here]))
-        distance = lengths[here] + ways.cost_m[self._nearest] + self._beside_m
-        best = self._best(above, distance)
-        if best is None:
-            return None
-        reach = self._problem.step_length_m * self._problem.planner.horizon
-        if distance[best] <= reach:
-            return self._places_m[best]
-        way = road_map.nodes_m[way_from(road_map, ways, int(self._nearest[best]), math.inf)[::-1]]
-        legs = np.linalg.norm(np.diff(np.vstack([position_m, way]), axis=0), axis=1)
-        within = np.flatnonzero(np.cumsum(legs) <= reach)
-        return way[int(within[-1])] if len(within) else way[0]
-
-
-def nearest_measured_m(
-    posterior: ChannelPosterior, places_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """How far each place (n, 2) is from the nearest measurement, infinite without any; (n,)."""
-    measured = posterior.measurements.positions_m
-    if not len(measured):
-        return np.full(len(places_m), np.inf)
-    nearest = posterior.index.nearest(places_m, 1)[0][:, 0]
-    return np.linalg.norm(measured[nearest] - places_m, axis=1)
+        road_map, node = self._ground.road_map, int(self._nearest[best])
+        lengths = shortest_ways(road_map, node).cost_m + self._beside_m[best]
+        # Nodes that cannot be come to are as far as the farthest: no search looks at them.
+        farthest = float(lengths[np.isfinite(lengths)].max())
+        lattice = np.full(road_map.lattice.shape, farthest)
+        lattice[road_map.rows, road_map.columns] = np.minimum(lengths, farthest)
+        return SteeringWay(
+            ways.turns_m(node, self._places_m[best]),
+            self._ground.index,
+            self._problem.constraints.clearance_m,
+            lattice,
+        )

@@ -88,3 +88,30 @@ def test_few_of_many_alike_are_shown() -> None:
         "run.json, key x[]: 6 more like these",
         "run.json, key y: 1, found 2",
     ]
+
+
+@pytest.mark.parametrize(
+    ("said", "name"),
+    [
+        (1.000001, "connectivity"),
+        (-1e-9, "connectivity"),
+        (1.0 + 1e-12, "min_connectivity"),
+        (1.0 + 1e-7, "true_connected_share"),
+        (1.0 + 1e-7, "verified_rate"),
+        (-1e-7, "deviation_db"),
+        (-1e-7, "path_m"),
+    ],
+)
+def test_what_no_number_of_its_kind_can_be(said: float, name: str) -> None:
+    """However near: no probability is above 1, no length below 0; the message shows the digits."""
+    found = 1.0 if said > 1.0 else 0.0
+    (difference,) = disagreements({name: [said]}, {name: [found]})
+    assert difference.key == f"{name}[0]" and difference.said != difference.found
+    assert keys({name: [found]}, {name: [found]}) == []
+
+
+@pytest.mark.parametrize(("said", "found"), [("1.001", "1"), ("1.0", "1"), ("plan1", "plan")])
+def test_labels_are_exact(said: str, found: str) -> None:
+    """Only sentences have numbers that may be rounded otherwise."""
+    assert keys({"connected": said}, {"connected": found}) == ["connected"]
+    assert keys({"message": "least 0.701 at 3"}, {"message": "least 0.702 at 3"}) == []

@@ -218,8 +218,9 @@ def test_another_length_than_asked_is_rejected(plan: Path, run: Path) -> None:
     change(plan / "plan.json", "problem_file", "planner", "horizon", to=3)
     _rejected(plan, "2 steps of robot are planned, planner.horizon is 3")
     change(run / "run.json", "problem_file", "planner", "max_steps", to=9)
-    change(run / "run.json", "problem_file", "planner", "horizon", to=3)
     _rejected(run, "the run ends after step 3, planner.max_steps is 9")
+    change(run / "run.json", "problem_file", "planner", "horizon", to=3)
+    _rejected(run, "has 2 steps, planner.horizon is 3")
 
 
 def test_without_the_truth_what_was_known_is_taken_as_it_stands(

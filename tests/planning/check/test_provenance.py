@@ -56,6 +56,11 @@ SHIFTED = replace(
 )
 
 
+def with_residual(residual: float) -> Plan:
+    """The polished plan with another KKT residual."""
+    return replace(POLISHED, certificate=replace(POLISHED.certificate, kkt_residual=residual))
+
+
 def faulty_keys(plan: Plan, previous: Plan | None = None, problem=PROBLEM) -> set[str]:
     """Keys of what cannot be so."""
     return {key for key, _ in provenance_faults(problem, plan, previous)}
@@ -68,6 +73,7 @@ def faulty_keys(plan: Plan, previous: Plan | None = None, problem=PROBLEM) -> se
         UNPOLISHED,
         STANDING,
         replace(POLISHED, rung=Rung.COLD_RETRY, termination=Termination.ITERATION_LIMIT),
+        replace(with_residual(1e5), termination=Termination.ITERATION_LIMIT),
         replace(POLISHED, rung=Rung.RELAXED, certificate=MISSING),
         replace(UNPOLISHED, termination=Termination.INFEASIBLE, solve_s=0.1, iterations=30),
     ],
@@ -103,6 +109,12 @@ def test_the_rest_of_a_verified_plan() -> None:
             replace(
                 UNPOLISHED, certificate=POLISHED.certificate, termination=Termination.ACCEPTABLE
             ),
+            {"kkt_residual"},
+        ),
+        (with_residual(1e300), {"kkt_residual"}),
+        (with_residual(1e5), {"kkt_residual"}),
+        (
+            replace(with_residual(1e300), termination=Termination.ITERATION_LIMIT),
             {"kkt_residual"},
         ),
         (replace(UNPOLISHED, lattice_objective=10.5), {"lattice_objective"}),

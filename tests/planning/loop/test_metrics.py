@@ -40,20 +40,21 @@ PLANS = [SimpleNamespace(polish_gain=gain) for gain in (0.1, 0.0)]
 def test_metrics_by_hand():
     """Four steps, two of them connected, the start's own state not counted."""
     log = log_of(PLACES, [False, True, False, False, True], [0.1, 0.9, 0.6, 0.7, 0.8])
-    metrics = metrics_of(log, PLANS, Outcome.REACHED)
+    metrics = metrics_of(log, PLANS, Outcome.REACHED, [True, False, True, True])
     assert metrics.goal_time_s == 2.0
     assert metrics.path_m == 9.0
     assert metrics.true_connected_share == 0.5
     assert metrics.longest_outage_m == 4.0
     assert metrics.predicted_min_connectivity == 0.6
     assert metrics.polish_gain == pytest.approx(0.05)
+    assert metrics.measured_steps == 3
 
 
 @pytest.mark.parametrize("outcome", [o for o in Outcome if o is not Outcome.REACHED])
 def test_no_time_to_a_goal_that_was_not_reached(outcome):
     """It is NaN, and everything else as before."""
     log = log_of(PLACES, [True] * 5)
-    metrics = metrics_of(log, PLANS, outcome)
+    metrics = metrics_of(log, PLANS, outcome, [])
     assert np.isnan(metrics.goal_time_s)
     assert metrics.path_m == 9.0
     assert metrics.true_connected_share == 1.0
@@ -62,13 +63,14 @@ def test_no_time_to_a_goal_that_was_not_reached(outcome):
 
 def test_a_run_of_no_step():
     """At the goal from the start: no time, no way, wholly connected, nothing gained."""
-    metrics = metrics_of(log_of([[1, 2]], [False], [np.nan]), [], Outcome.REACHED)
+    metrics = metrics_of(log_of([[1, 2]], [False], [np.nan]), [], Outcome.REACHED, [])
     assert metrics.goal_time_s == 0.0
     assert metrics.path_m == 0.0
     assert metrics.true_connected_share == 1.0
     assert metrics.longest_outage_m == 0.0
     assert metrics.predicted_min_connectivity == 1.0
     assert metrics.polish_gain == 0.0
+    assert metrics.measured_steps == 0
 
 
 def brute_force_outage(lengths, connected):

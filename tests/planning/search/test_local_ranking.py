@@ -57,7 +57,7 @@ def test_values_are_the_exact_worths(terms, horizon, stations):
 def test_without_a_place_to_steer_to_two_layer_is_worth_nothing():
     """As the exact worth has it."""
     situation, _ = situation_of(terms_problem(mapping("two_layer")))
-    situation = replace(situation, steering_m=None)
+    situation = replace(situation, steering=None)
     ways = ways_of(situation)
     np.testing.assert_array_equal(LocalRanking(situation, ways)(ways), np.zeros(len(ways)))
 

@@ -1,19 +1,193 @@
-"""A run until connected ends when all robots are, and `check` knows when that was."""
+"""How runs end: connected, with nothing left to learn, stalled, or after their steps."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from terms_scene import CONNECT, LEARNING, terms_problem
+import shapely
+from terms_scene import CONNECT, LEARNING, SENDING, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_run
+from planopt.planning.loop.ending import STALL_STEPS
 from planopt.planning.loop.run import Outcome
-from planopt.planning.plan import Verdict
-from planopt.planning.team.team_ending import steps_to_drive, team_ending
+from planopt.planning.plan import Rung, Verdict
+from planopt.planning.team.team_ending import Progress, team_ending
 from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.worth.left_to_learn import left_to_learn
+from planopt.world.workspace import Obstacle
+
+HERE = np.array([10.0, 15.0])
+MAPPING = {"kind": "mapping", "form": "information"}
+
+
+def plan_of(verdict=Verdict.VERIFIED, rung=Rung.PLAN):
+    """A plan as endings look at it."""
+    return SimpleNamespace(rung=rung, verdict=verdict, message="", drive=None)
+
+
+def driven(problem, places, learnt, plan=None, posteriors=None):
+    """One robot that was driven along `places`."""
+    found = situation_of(problem)[0].stations if posteriors is None else posteriors
+    return Progress(
+        problem, [np.asarray(p) for p in places], learnt, [plan or plan_of()] * len(learnt), found
+    )
+
+
+def standing(problem, **changes):
+    """One robot that stands for a step and learns nothing."""
+    return driven(problem, [HERE, HERE], [False], **changes)
+
+
+def no_packet(steps=1, robots=1):
+    """Nobody connected, ever."""
+    return np.zeros((steps, robots), dtype=bool)
+
+
+def test_all_robots_must_be_connected_at_once() -> None:
+    """One after the other is not enough."""
+    problem = terms_problem(CONNECT, max_steps=3)
+    going = driven(problem, [HERE, HERE + 1.0, HERE + 2.0], [True, True])
+    one_by_one = np.array([[True, False], [False, True]])
+    assert team_ending(problem, one_by_one, [going, going]) is None
+    limit = np.vstack([one_by_one, [[False, False]]])
+    outcome, _ = team_ending(problem, limit, [going, going])
+    assert outcome is Outcome.STEP_LIMIT
+    together = np.array([[True, False], [True, True]])
+    ended = team_ending(problem, together, [going, going])
+    assert ended == (Outcome.COMPLETED, "connected after step 2")
+    assert team_ending(terms_problem(LEARNING, max_steps=3), together, [going, going]) is None
+
+
+@pytest.mark.parametrize("term", [LEARNING, MAPPING])
+def test_who_stands_with_places_left_to_measure_has_stalled(term) -> None:
+    """Before the last step and at it; and who measures, or waits, has not."""
+    for most in (8, 1):
+        problem = terms_problem(term, max_steps=most)
+        outcome, reason = team_ending(problem, no_packet(), [standing(problem)])
+        assert outcome is Outcome.STALLED
+        assert reason == "standing still with nothing new to learn; places are left to measure"
+    problem = terms_problem(term, max_steps=8)
+    assert team_ending(problem, no_packet(), [driven(problem, [HERE, HERE], [True])]) is None
+    waiting = standing(problem, plan=plan_of(rung=Rung.SHIFTED))
+    assert team_ending(problem, no_packet(), [waiting]) is None
+    last = terms_problem(term, max_steps=1)
+    ended = team_ending(last, no_packet(), [driven(last, [HERE, HERE], [True])])
+    assert ended == (Outcome.COMPLETED, "all 1 steps driven")
+
+
+def test_circling_is_a_stall() -> None:
+    """Two longest steps about one place for `STALL_STEPS` steps, learning nothing."""
+    problem = terms_problem(LEARNING, max_steps=99)
+    track = [HERE + (1.5 * (k % 2), 0.0) for k in range(STALL_STEPS + 1)]
+    connected = no_packet(STALL_STEPS)
+    silent = driven(problem, track, [False] * STALL_STEPS)
+    outcome, reason = team_ending(problem, connected, [silent])
+    assert outcome is Outcome.STALLED
+    assert reason.startswith("within 4 m of one place for 30 steps, with nothing new to learn")
+    once = driven(problem, track, [False] * (STALL_STEPS - 1) + [True])
+    assert team_ending(problem, connected, [once]) is None
+
+
+def everything_measured(problem):
+    """What is believed once all of the workspace has been measured."""
+    situation, _ = situation_of(problem)
+    lattice = judge_of(*situation_of(problem))[1].road_map
+    step = 0.6 * problem.channel.measure_spacing_m
+    x = np.arange(*problem.workspace.bounds_m[::2], step)
+    y = np.arange(*problem.workspace.bounds_m[1::2], step)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    assert len(lattice.nodes_m)
+    posterior = situation.posterior
+    return SimpleNamespace(measurements=SimpleNamespace(positions_m=places), real=posterior)
+
+
+def test_with_nothing_left_to_learn_a_run_is_completed() -> None:
+    """All places that can be come to are measured, between the nodes of the search as well."""
+    problem = terms_problem(LEARNING, max_steps=9)
+    problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=2.0))
+    known = everything_measured(problem)
+    ended = team_ending(problem, no_packet(), [standing(problem, posteriors=[known])])
+    assert ended == (Outcome.COMPLETED, "nothing left to learn after step 1")
+    # One gap is enough, also one without a node in it.
+    node = judge_of(*situation_of(problem))[1].road_map
+    gap = np.array([30.0, 31.0])
+    away = np.linalg.norm(node.nodes_m - gap, axis=1).min()
+    places = known.measurements.positions_m
+    kept = places[np.linalg.norm(places - gap, axis=1) > 2.3]
+    some = SimpleNamespace(measurements=SimpleNamespace(positions_m=kept))
+    left = left_to_learn(
+        problem, judge_of(*situation_of(problem))[1].index, node.lattice, HERE, [some]
+    )
+    assert len(left) and np.linalg.norm(left - gap, axis=1).max() < 2.0 + away
+    outcome, _ = team_ending(problem, no_packet(), [standing(problem, posteriors=[some])])
+    assert outcome is Outcome.STALLED
+
+
+def test_places_behind_a_wall_are_no_reason_to_go_on() -> None:
+    """Only what can be come to counts."""
+    problem = terms_problem(LEARNING, max_steps=9)
+    problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=2.0))
+    known = everything_measured(problem)
+    places = known.measurements.positions_m
+    near = SimpleNamespace(measurements=SimpleNamespace(positions_m=places[places[:, 0] < 27.0]))
+    wall = Obstacle("wall", shapely.box(25.0, -1.0, 26.0, 41.0))
+    walled = replace(problem, workspace=replace(problem.workspace, obstacles=(wall,)))
+    outcome, _ = team_ending(problem, no_packet(), [standing(problem, posteriors=[near])])
+    assert outcome is Outcome.STALLED
+    outcome, _ = team_ending(walled, no_packet(), [standing(walled, posteriors=[near])])
+    assert outcome is Outcome.COMPLETED
+
+
+def test_below_the_threshold_nothing_is_left() -> None:
+    """A map that is as good as was asked."""
+    term = {"kind": "mapping", "form": "path", "closeness_per_m": 0.0}
+    for threshold, outcome in ((1e4, Outcome.COMPLETED), (0.1, Outcome.STALLED)):
+        problem = terms_problem({**term, "variance_threshold_db2": threshold})
+        assert team_ending(problem, no_packet(), [standing(problem)])[0] is outcome
+
+
+def test_a_run_goes_on_while_one_robot_does() -> None:
+    """But at its end the robot that stands is named."""
+    problem = terms_problem(LEARNING, max_steps=2)
+    robot = problem.robots[0]
+    both = replace(problem, robots=(robot, replace(robot, name="other")))
+    still, going = standing(problem), driven(problem, [HERE, HERE + 1.0], [True])
+    assert team_ending(both, no_packet(1, 2), [still, going]) is None
+    outcome, reason = team_ending(both, no_packet(2, 2), [still, going])
+    assert outcome is Outcome.STALLED
+    assert reason.startswith(f"{robot.name}: standing still") and "other" not in reason
+
+
+def test_standing_beside_a_target_is_no_stall() -> None:
+    """As long as packets arrive; without any for long it is."""
+    problem = terms_problem(TRACKING, max_steps=99)
+    track = [HERE] * (STALL_STEPS + 1)
+    robot = driven(problem, track, [False] * STALL_STEPS)
+    assert team_ending(problem, no_packet(), [standing(problem)]) is None
+    served = no_packet(STALL_STEPS)
+    served[4] = True
+    assert team_ending(problem, served, [robot]) is None
+    assert team_ending(problem, no_packet(STALL_STEPS), [robot])[0] is Outcome.STALLED
+
+
+def test_standing_may_be_what_a_sum_of_terms_asks_for() -> None:
+    """If plans are verified."""
+    problem = terms_problem(SENDING, max_steps=99)
+    assert team_ending(problem, no_packet(), [standing(problem)]) is None
+    refused = standing(problem, plan=plan_of(Verdict.VIOLATED, Rung.STOP))
+    assert team_ending(problem, no_packet(), [refused])[0] is Outcome.STALLED
+
+
+@pytest.mark.parametrize("name", ["random", "auto"])
+def test_who_draws_anew_may_go_on(name) -> None:
+    """A random direction may be free in the next step."""
+    problem = terms_problem(LEARNING, max_steps=99, name=name)
+    ended = team_ending(problem, no_packet(), [standing(problem)])
+    assert (ended is None) == (name == "random")
 
 
 def with_threshold(threshold_dbm, **planner):
@@ -23,30 +197,17 @@ def with_threshold(threshold_dbm, **planner):
     return replace(problem, stations=(station,))
 
 
-def test_all_robots_must_be_connected_at_once() -> None:
-    """One after the other is not enough."""
-    problem = terms_problem(CONNECT, max_steps=3)
-    one_by_one = np.array([[True, False], [False, True], [False, False]])
-    assert steps_to_drive(problem, one_by_one) == 3
-    assert team_ending(problem, one_by_one)[0] is Outcome.STEP_LIMIT
-    together = np.array([[True, False], [True, True]])
-    assert steps_to_drive(problem, together) == 2
-    assert team_ending(problem, together) == (Outcome.COMPLETED, "connected after step 2")
-    other = terms_problem(LEARNING, max_steps=3)
-    assert steps_to_drive(other, together) == 3
-
-
-@pytest.mark.parametrize(
-    ("threshold_dbm", "outcome"), [(-45.0, Outcome.COMPLETED), (60.0, Outcome.STEP_LIMIT)]
-)
-def test_a_run_ends_once_connected(tmp_path, threshold_dbm, outcome) -> None:
+@pytest.mark.parametrize("threshold_dbm", [-45.0, 60.0])
+def test_a_run_ends_once_connected(tmp_path, threshold_dbm) -> None:
     """By the true power, and judged from disk; never where no place connects."""
     problem = with_threshold(threshold_dbm, max_steps=4)
     run = simulate_team(problem, seed=1)
     log = run.runs[0].log
-    assert run.runs[0].outcome is outcome
     connected = np.asarray(log.true_dbm)[1:] >= threshold_dbm
-    assert len(connected) == (int(np.argmax(connected)) + 1 if connected.any() else 4)
+    assert connected.any() == (threshold_dbm < 0.0)
+    assert (run.runs[0].outcome is Outcome.COMPLETED) == connected.any()
+    if connected.any():
+        assert len(connected) == int(np.argmax(connected)) + 1
     save_team_run(run, tmp_path)
     verdict = check(tmp_path)
     assert verdict.verdict in (Verdict.VERIFIED, Verdict.VIOLATED)
@@ -55,9 +216,26 @@ def test_a_run_ends_once_connected(tmp_path, threshold_dbm, outcome) -> None:
 
 def test_a_run_that_goes_on_is_rejected(tmp_path, monkeypatch) -> None:
     """Steps driven after all were connected were not asked for."""
+
+    def late(problem, connected, _):
+        return (Outcome.COMPLETED, "connected after step 4") if len(connected) == 4 else None
+
     with monkeypatch.context() as longer:
-        longer.setattr("planopt.planning.team.team_loop.steps_to_drive", lambda *_: 4)
+        longer.setattr("planopt.planning.team.team_loop.team_ending", late)
         run = simulate_team(with_threshold(-45.0, max_steps=4), seed=1)
     save_team_run(run, tmp_path)
     reasons = check(tmp_path).reasons
-    assert any("all robots were connected after step 1" in reason for reason in reasons)
+    assert any("goes on after step 1, connected after step 1" in reason for reason in reasons)
+
+
+def test_a_stalled_run_is_judged_from_disk(tmp_path) -> None:
+    """One step ahead among places that are all measured: named, saved and found again."""
+    problem = terms_problem(LEARNING, horizon=1, name="one_step", max_steps=20)
+    problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=9.0))
+    run = simulate_team(problem, seed=0)
+    first = run.runs[0]
+    assert first.outcome is Outcome.STALLED
+    assert len(first.log.t_s) - 1 < 20
+    assert run.metrics["measured_steps"] == first.metrics.measured_steps
+    save_team_run(run, tmp_path)
+    assert check(tmp_path).reasons == ()

@@ -25,7 +25,7 @@ def test_a_run_begins_with_the_plans_of_a_solution() -> None:
 def test_the_target_is_expected_where_its_first_estimate_moves() -> None:
     """Without measurements its expected way is straight and of even speed."""
     aim = solve_team(two_trackers(horizon=4), seed=1).aims[0]
-    assert aim.target_m is not None and aim.steering_m is None
+    assert aim.target_m is not None and aim.steering_turns_m is None
     np.testing.assert_allclose(np.diff(aim.target_m, n=2, axis=0), 0.0, atol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""The outer layer of (3): the seed's q* over the region, and the way there round obstacles."""
+"""The two layers: the place of the highest J_CH, and the way there round obstacles."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from terms_scene import judge_of, situation_of, terms_problem
 
 from planopt.channel.posterior import extend
 from planopt.objectives.mapping import Uncertainty, uncertainty_target
-from planopt.planning.worth.steering import Steering, nearest_measured_m
-from planopt.world.clearance import swept_clearance_m
+from planopt.planning.worth.steering import Steering
+from planopt.planning.worth.steering_way import SteeringWay
+from planopt.world.clearance import clearance_m, index_obstacles, swept_clearance_m
 from planopt.world.workspace import Obstacle
 
 TWO_LAYER = {
@@ -23,98 +24,148 @@ TWO_LAYER = {
 }
 
 
-def scene(**changes):
+def scene(obstacles=None, **changes):
     """Situation, belief, ground and problem with a two-layer term."""
     problem = terms_problem({**TWO_LAYER, **changes})
+    if obstacles is not None:
+        named = tuple(Obstacle(f"{k}", shape) for k, shape in enumerate(obstacles))
+        problem = replace(problem, workspace=replace(problem.workspace, obstacles=named))
     situation, belief = situation_of(problem)
     return situation, belief, judge_of(situation, belief)[1], problem
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.05, 0.5])
-def test_straight_steering_is_the_seeds(decay):
+def test_without_obstacles_the_target_is_that_of_the_equation(decay):
     """With all measurements as neighbours the argmax of J_CH over unmeasured places, exactly."""
-    situation, _, ground, problem = scene(closeness_per_m=decay)
+    situation, _, ground, problem = scene((), closeness_per_m=decay)
     places, at = situation.region.grid_m, situation.position_m
-    unmeasured = places[nearest_measured_m(situation.posterior, places) >= 0.5]
+    unmeasured = places[situation.measuring.is_open(places)]
     best = uncertainty_target(
         situation.posterior,
         unmeasured,
         np.linalg.norm(unmeasured - at, axis=1),
         Uncertainty(2.0, decay),
     )
-    found = Steering(problem, ground, problem.terms[0], geodesic=False).find_place(
-        situation.posterior, at
-    )
-    np.testing.assert_allclose(found, unmeasured[best])
+    way = Steering(problem, ground, problem.terms[0]).find_way(situation.posterior, at)
+    np.testing.assert_allclose(way.end_m, unmeasured[best])
+    np.testing.assert_allclose(way.turns_m, [at, unmeasured[best]])
+    # One step ahead the nearest place to it is the best: the inner layer of the equation.
+    steps = at + np.random.default_rng(0).normal(size=(50, 1, 2))
+    gained = way.gained_m(steps)
+    assert gained.argmax() == np.linalg.norm(steps[:, 0] - way.end_m, axis=1).argmin()
+    straight = np.linalg.norm(at - way.end_m) - np.linalg.norm(steps[:, 0] - way.end_m, axis=1)
+    np.testing.assert_allclose(gained, straight)
 
 
 def test_nothing_above_the_threshold_steers_nowhere():
-    """Straight or round obstacles."""
+    """The map is good enough."""
     situation, _, ground, problem = scene(variance_threshold_db2=1e4)
-    for geodesic in (True, False):
-        steering = Steering(problem, ground, problem.terms[0], geodesic)
-        assert steering.find_place(situation.posterior, situation.position_m) is None
-
-
-def test_way_leads_round_the_obstacle():
-    """From one side of it to the other, in pieces no longer than the plan, until it is there."""
-    situation, belief, _, problem = scene()
-    problem = replace(problem, planner=replace(problem.planner, horizon=2))
-    ground = judge_of(replace(situation, problem=problem), belief)[1]
     steering = Steering(problem, ground, problem.terms[0])
-    # Only one place is uncertain: nearer than the rest by far, straight behind the obstacle.
-    beyond = np.array([25.0, 20.0])
-    chosen = int(np.linalg.norm(situation.region.grid_m - beyond, axis=1).argmin())
-    goal = situation.region.grid_m[chosen]
+    assert steering.find_way(situation.posterior, situation.position_m) is None
+
+
+def only_place(situation, near_m):
+    """J_CH of one place alone, the nearest to `near_m`, and that place."""
+    chosen = int(np.linalg.norm(situation.region.grid_m - np.asarray(near_m), axis=1).argmin())
     above = np.zeros(len(situation.region.grid_m))
     above[chosen] = 1.0
-    position = np.array([15.0, 20.0])
-    for _ in range(20):
-        place = steering._round_obstacles(above, position)
-        assert np.linalg.norm(place - position) <= 4.0 + 1e-6
-        if (place == goal).all():
-            break
-        # The straight way to the next piece may cut a corner, but leads on.
-        assert swept_clearance_m(ground.index, np.vstack([place, place]))[0] >= 0.5
-        position = place
-    assert (place == goal).all()
+    return above, situation.region.grid_m[chosen]
+
+
+U_SHAPE = shapely.Polygon(
+    [(16, 8), (24, 8), (24, 32), (16, 32), (16, 30), (22, 30), (22, 10), (16, 10)]
+)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "shortest_m"), [(None, 19.9), (U_SHAPE, 33.0)], ids=["block", "pocket"]
+)
+def test_one_step_ahead_reaches_its_target_round_obstacles(obstacle, shortest_m):
+    """Each step goes where the distance is least within it; no step is lost at a corner."""
+    situation, _, ground, problem = scene(None if obstacle is None else (obstacle,))
+    steering = Steering(problem, ground, problem.terms[0])
+    above, goal = only_place(situation, (27.0, 20.0))
+    position = np.array([13.0, 20.0])
+    angle = 2.0 * np.pi * np.arange(72) / 72
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = (np.linspace(0.05, 1.0, 20)[:, None, None] * circle).reshape(-1, 2)
+    first = steering.way_to_best(above, position)
+    assert swept_clearance_m(ground.index, first.turns_m).min() >= 0.5
+    assert first.rest_m[0] >= shortest_m
+    left, steps = first.rest_m[0], 0
+    while np.linalg.norm(position - goal) > 0.11 and steps < 60:
+        way = steering.way_to_best(above, position)
+        reach = np.linalg.norm(position - goal)
+        ends = position + min(problem.step_length_m, max(reach, 0.1)) * rings
+        starts = np.broadcast_to(position, ends.shape)
+        clear = [
+            swept_clearance_m(ground.index, np.array(pair))[0] >= 0.5
+            for pair in zip(starts, ends, strict=True)
+        ]
+        ends = ends[np.array(clear)]
+        position = ends[int(way.gained_m(ends[:, None]).argmax())]
+        steps += 1
+        now = way.distance_m(position[None])[0]
+        assert now < left + 0.3
+        left = now
+    assert np.linalg.norm(position - goal) <= 0.11
+    assert steps <= np.ceil(1.05 * first.rest_m[0] / problem.step_length_m) + 2
+
+
+def test_distance_is_that_of_the_shortest_way():
+    """About one corner: the two straight legs; from behind the obstacle back by the start."""
+    wall = Obstacle("wall", shapely.box(5.0, 0.0, 6.0, 9.0))
+    index = index_obstacles(replace(terms_problem(TWO_LAYER).workspace, obstacles=(wall,)))
+    way = SteeringWay(np.array([[0.0, 5.0], [5.5, 10.0], [10.0, 5.0]]), index, 0.5)
+    legs = [np.hypot(5.5, 5.0), np.hypot(4.5, 5.0)]
+    np.testing.assert_allclose(way.rest_m, [sum(legs), legs[1], 0.0])
+    places = np.array([[2.0, 8.0], [8.0, 9.0], [1.0, 8.5], [9.0, 1.0]])
+    to_corner, to_end = (np.linalg.norm(places - turn, axis=1) for turn in way.turns_m[1:])
+    wanted = [to_corner[0] + legs[1], to_end[1], to_corner[2] + legs[1], to_end[3]]
+    np.testing.assert_allclose(way.distance_m(places), wanted)
+    inside = np.array([[5.5, 4.0]])
+    back = np.linalg.norm(inside[0] - way.turns_m[0]) + sum(legs)
+    assert way.distance_m(inside)[0] == pytest.approx(back)
+    np.testing.assert_allclose(
+        way.gained_m(places[:2][None]), [(way.rest_m[0] - np.array(wanted[:2])).sum()]
+    )
 
 
 def test_measured_places_are_left_out():
     """A place that was just measured is not gone to again."""
     situation, _, ground, problem = scene()
-    steering = Steering(problem, ground, problem.terms[0], geodesic=False)
-    first = steering.find_place(situation.posterior, situation.position_m)
+    steering = Steering(problem, ground, problem.terms[0])
+    first = steering.find_way(situation.posterior, situation.position_m).end_m
     measured = situation.posterior.measurements.take(np.array([0]))
     posterior = extend(situation.posterior, replace(measured, positions_m=first[None]))
-    second = steering.find_place(posterior, situation.position_m)
+    second = steering.find_way(posterior, situation.position_m).end_m
     assert np.linalg.norm(second - first) > 0.5
 
 
-def test_without_measurements_none_is_near():
-    """All distances are infinite."""
-    situation, *_ = scene()
-    nothing = situation.posterior.measurements.take(np.zeros(0, dtype=np.intp))
-
-    class Posterior:
-        measurements = nothing
-
-    assert np.isinf(nearest_measured_m(Posterior(), np.zeros((3, 2)))).all()
+def test_places_that_the_clearance_keeps_out_are_never_targets():
+    """Nearer to an obstacle than the robot may come: it would stand beside them for ever."""
+    situation, _, ground, problem = scene((shapely.box(16.0, 12.0, 22.0, 28.0),))
+    near = clearance_m(ground.index, situation.region.grid_m)
+    steering = Steering(problem, ground, problem.terms[0])
+    assert (near < 0.5).any()
+    for place in np.flatnonzero(near < 0.5):
+        above = np.zeros(len(near))
+        above[place] = 1.0
+        assert steering.way_to_best(above, situation.position_m) is None
 
 
 def test_a_robot_that_cannot_move_is_steered_nowhere():
     """In the middle of the obstacle no first move is open."""
     situation, _, ground, problem = scene()
     steering = Steering(problem, ground, problem.terms[0])
-    assert steering.find_place(situation.posterior, np.array([20.0, 20.0])) is None
+    assert steering.find_way(situation.posterior, np.array([20.0, 20.0])) is None
 
 
 def test_a_walled_off_part_is_steered_nowhere_near():
     """What cannot be come to counts nothing, also where nearness does not matter."""
-    problem = terms_problem({**TWO_LAYER, "closeness_per_m": 0.0})
-    wall = Obstacle("wall", shapely.box(25.0, -1.0, 26.0, 41.0))
-    problem = replace(problem, workspace=replace(problem.workspace, obstacles=(wall,)))
-    situation, belief = situation_of(problem)
-    steering = Steering(problem, judge_of(situation, belief)[1], problem.terms[0])
-    place = steering.find_place(situation.posterior, situation.position_m)
-    assert place is not None and place[0] < 25.0
+    situation, _, ground, problem = scene(
+        (shapely.box(25.0, -1.0, 26.0, 41.0),), closeness_per_m=0.0
+    )
+    steering = Steering(problem, ground, problem.terms[0])
+    way = steering.find_way(situation.posterior, situation.position_m)
+    assert way is not None and way.end_m[0] < 25.0

@@ -1,0 +1,287 @@
+"""Maximum likelihood estimates of where events are.
+
+The likelihood of signals that fall with distance has several maxima: one straight path leaves the
+mirror image of the event. The best places of a grid over the region are therefore all refined by
+Levenberg-Marquardt steps. Events that add to one signal are found one after the other and then
+refined together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.localisation.readings import Readings
+from planopt.coverage.localisation.sensor import EventSensor
+from planopt.coverage.region import ConvexRegion
+from planopt.errors import InputError
+
+GRID = 48
+"""Grid places along the longer side of the region."""
+
+STARTS = 6
+"""How many of the best grid places are refined."""
+
+STEPS = 60
+"""Limit of Levenberg-Marquardt steps."""
+
+SETTLED = 1e-10
+"""Steps end once they move by less than this share of the region's radius."""
+
+RIVAL = 8.0
+"""Twice the log-likelihood that another maximum may be worse by and still count: the event may be
+there with odds of more than 1 to 55."""
+
+SINGULAR = 1e-12
+"""An information matrix with a smaller ratio of eigenvalues leaves a direction undetermined."""
+
+
+@dataclass(frozen=True, eq=False)
+class EventEstimate:
+    """Where events most likely are.
+
+    Attributes
+    ----------
+    positions_m
+        ``(j, 2)`` most likely places.
+    strengths
+        ``(j,)`` factors K of their signals, estimated or as given.
+    covariance_m2
+        ``(2 j, 2 j)`` covariance of the places, x and y of each event in turn: the inverse of the
+        Fisher information. Infinite on the diagonal where the readings leave a direction open.
+    misfit
+        Sum of squared residuals over the noise variance; about the number of readings if the model
+        is right.
+    rivals_m
+        ``(r, 2)`` other places that explain the readings nearly as well; for one event only.
+    """
+
+    positions_m: NDArray[np.float64]
+    strengths: NDArray[np.float64]
+    covariance_m2: NDArray[np.float64]
+    misfit: float
+    rivals_m: NDArray[np.float64]
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the readings leave neither a direction nor another place open."""
+        return bool(np.isfinite(self.covariance_m2).all()) and not len(self.rivals_m)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """Local maxima, best first: places (b, j, 2), strengths (b, j), misfits (b,), informations."""
+
+    places: NDArray[np.float64]
+    strengths: NDArray[np.float64]
+    misfit: NDArray[np.float64]
+    information: NDArray[np.float64]
+
+
+def locate_events(
+    sensor: EventSensor,
+    readings: Readings,
+    region: ConvexRegion,
+    events: int = 1,
+    *,
+    strength_known: bool = True,
+) -> EventEstimate:
+    """Estimate the places of events whose signals add up.
+
+    Parameters
+    ----------
+    sensor
+        The signal of one event, and the noise.
+    readings
+        What was measured where.
+    region
+        Where the events are.
+    events
+        How many there are.
+    strength_known
+        Whether all have the sensor's strength; if not, each event's strength is estimated as well.
+
+    Raises
+    ------
+    InputError
+        There is no reading, or less than one event is asked for.
+    """
+    if not len(readings.signal):
+        raise InputError("there is no reading", key="readings", remedy="measure first")
+    if events < 1:
+        raise InputError(f"{events} events", key="events")
+    grid = _grid(region)
+    places, strengths = np.zeros((0, 2)), np.zeros(0)
+    fits = None
+    for _ in range(events):
+        start = _starts(sensor, readings, places, strengths, grid, strength_known)
+        fits = _refined(sensor, readings, region, *start, strength_known)
+        places, strengths = fits.places[0], fits.strengths[0]
+    if fits is None:
+        raise AssertionError("no event was looked for")
+    covariance = _covariance(fits.information[0])[: 2 * events, : 2 * events]
+    rivals = _rivals(fits, covariance, region) if events == 1 else np.zeros((0, 2))
+    return EventEstimate(places, strengths, covariance, float(fits.misfit[0]), rivals)
+
+
+def _grid(region: ConvexRegion) -> NDArray[np.float64]:
+    """Places (g, 2) of an even grid in the region, and its corners."""
+    low, high = region.corners_m.min(axis=0), region.corners_m.max(axis=0)
+    side = float((high - low).max()) / GRID
+    x, y = (np.arange(low[k] + 0.5 * side, high[k], side) for k in range(2))
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return np.concatenate((places[region.contains(places)], region.corners_m))
+
+
+def _starts(
+    sensor: EventSensor,
+    readings: Readings,
+    places: NDArray[np.float64],
+    strengths: NDArray[np.float64],
+    grid: NDArray[np.float64],
+    strength_known: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places (b, j + 1, 2) and strengths: j that are found, and one of the best grid places."""
+    left = readings.signal - _model(sensor, readings, places, strengths)
+    shape = sensor.profile(np.linalg.norm(grid[:, None] - readings.positions_m, axis=2))
+    weight = readings.counts
+    strength = np.full(len(grid), sensor.strength)
+    if not strength_known:
+        explained = (shape * shape) @ weight
+        strength = (shape @ (weight * left)) / np.where(explained > 0.0, explained, 1.0)
+        strength = np.maximum(strength, 0.0)
+    misfit = ((left - strength[:, None] * shape) ** 2) @ weight
+    chosen: list[int] = []
+    spread = float(np.ptp(grid, axis=0).max()) / GRID
+    for which in np.argsort(misfit).tolist():
+        # Neighbours of a chosen place lead to the same maximum.
+        apart = np.linalg.norm(grid[chosen] - grid[which], axis=1)
+        if not (apart < 2.5 * spread).any():
+            chosen.append(which)
+        if len(chosen) == STARTS:
+            break
+    known = np.repeat(places[None], len(chosen), axis=0), np.repeat(strengths[None], len(chosen), 0)
+    return (
+        np.concatenate((known[0], grid[chosen][:, None]), axis=1),
+        np.concatenate((known[1], strength[chosen][:, None]), axis=1),
+    )
+
+
+def _model(
+    sensor: EventSensor,
+    readings: Readings,
+    places: NDArray[np.float64],
+    strengths: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Expected signals (..., k) of events at places (..., j, 2) of strengths (..., j)."""
+    offset = places[..., None, :, :] - readings.positions_m[:, None]
+    distance = np.sqrt((offset * offset).sum(axis=-1))
+    return (sensor.profile(distance) * strengths[..., None, :]).sum(axis=-1)
+
+
+def _jacobian(
+    sensor: EventSensor,
+    readings: Readings,
+    places: NDArray[np.float64],
+    strengths: NDArray[np.float64],
+    strength_known: bool,
+) -> NDArray[np.float64]:
+    """Derivatives of expected signals by places and unknown strengths; (b, k, 2 j or 3 j)."""
+    offset = places[:, None] - readings.positions_m[:, None]
+    distance = np.sqrt((offset * offset).sum(axis=-1))
+    # At the event itself the direction is undefined, and the slope of a smooth profile zero.
+    along = strengths[:, None] * sensor.slope(distance) / np.where(distance > 0.0, distance, 1.0)
+    columns = (along[..., None] * offset).reshape(*offset.shape[:2], -1)
+    if strength_known:
+        return columns
+    return np.concatenate((columns, sensor.profile(distance)), axis=2)
+
+
+def _refined(
+    sensor: EventSensor,
+    readings: Readings,
+    region: ConvexRegion,
+    places: NDArray[np.float64],
+    strengths: NDArray[np.float64],
+    strength_known: bool,
+) -> _Fits:
+    """Climb from several starts at once to the maxima beside them, within the region."""
+    root = np.sqrt(readings.counts) / sensor.noise_std
+    starts, events = len(places), int(places.shape[1])
+
+    def residuals(
+        places: NDArray[np.float64], strengths: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        return root * (readings.signal - _model(sensor, readings, places, strengths))
+
+    def slopes(places: NDArray[np.float64], strengths: NDArray[np.float64]) -> NDArray[np.float64]:
+        return root[:, None] * _jacobian(sensor, readings, places, strengths, strength_known)
+
+    residual = residuals(places, strengths)
+    misfit = np.asarray((residual * residual).sum(axis=1), dtype=np.float64)
+    damping = np.full(starts, 1e-3)
+    open_ = np.ones(starts, dtype=np.bool_)
+    jacobian = slopes(places, strengths)
+    for _ in range(STEPS):
+        information = np.swapaxes(jacobian, 1, 2) @ jacobian
+        scale = np.diagonal(information, axis1=1, axis2=2)
+        scale = damping[:, None] * np.where(scale > 0.0, scale, 1.0)
+        damped = information + scale[:, :, None] * np.eye(scale.shape[1])
+        pull = np.swapaxes(jacobian, 1, 2) @ residual[..., None]
+        step = np.asarray(np.linalg.solve(damped, pull), dtype=np.float64)[..., 0]
+        moved = places + step[:, : 2 * events].reshape(places.shape)
+        moved = _inside(region, moved.reshape(-1, 2)).reshape(places.shape)
+        stronger = strengths if strength_known else np.maximum(strengths + step[:, 2 * events :], 0)
+        tried = residuals(moved, stronger)
+        value = np.asarray((tried * tried).sum(axis=1), dtype=np.float64)
+        better = np.asarray(open_ & (value < misfit), dtype=np.bool_)
+        shift = np.abs(moved - places).max(axis=(1, 2))
+        places = np.where(better[:, None, None], moved, places)
+        strengths = np.where(better[:, None], stronger, strengths)
+        residual = np.where(better[:, None], tried, residual)
+        misfit = np.where(better, value, misfit)
+        damping = np.where(better, np.maximum(damping / 5.0, 1e-12), 4.0 * damping)
+        going = ~(better & (shift < SETTLED * region.radius_m)) & (damping < 1e12)
+        open_ = np.asarray(open_ & going, dtype=np.bool_)
+        jacobian = slopes(places, strengths)
+        if not open_.any():
+            break
+    order = np.argsort(misfit, kind="stable")
+    information = np.swapaxes(jacobian, 1, 2) @ jacobian
+    return _Fits(places[order], strengths[order], misfit[order], information[order])
+
+
+def _inside(region: ConvexRegion, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Places (j, 2), those outside moved to near the border: onto each side's line in turn."""
+    moved = places.copy()
+    for _ in range(3):
+        for normal, offset in zip(region.normals, region.offsets_m, strict=True):
+            moved -= np.maximum(moved @ normal - offset, 0.0)[:, None] * normal
+    return moved
+
+
+def _covariance(information: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse of an information matrix; infinite on the diagonal if it is singular."""
+    scale = np.sqrt(np.diag(information))
+    if not (scale > 0.0).all():
+        return np.diag(np.full(len(scale), np.inf))
+    even = information / np.outer(scale, scale)
+    if np.linalg.eigvalsh(even)[0] < SINGULAR:
+        return np.diag(np.full(len(scale), np.inf))
+    return np.linalg.inv(even) / np.outer(scale, scale)
+
+
+def _rivals(
+    fits: _Fits, covariance: NDArray[np.float64], region: ConvexRegion
+) -> NDArray[np.float64]:
+    """Other maxima (r, 2) nearly as good as the first, farther from it than its uncertainty."""
+    width = 4.0 * float(np.sqrt(np.diag(covariance).max()))
+    width = max(width if np.isfinite(width) else 0.0, 1e-6 * region.radius_m)
+    found = [fits.places[0, 0]]
+    for place, misfit in zip(fits.places[1:, 0], fits.misfit[1:], strict=True):
+        apart = np.linalg.norm(np.array(found) - place, axis=1)
+        if misfit < fits.misfit[0] + RIVAL and apart.min() > width:
+            found.append(place)
+    return np.array(found[1:]).reshape(-1, 2)

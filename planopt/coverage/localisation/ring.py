@@ -1,0 +1,146 @@
+"""Where to stand for locating an event: Fisher information, the Cramer-Rao bound, and the ring.
+
+A measurement tells of the event along the line to it, in proportion to the squared slope of the
+signal. At the event itself the slope is zero: an agent that has arrived there learns nothing more.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.localisation.sensor import EventSensor
+from planopt.coverage.region import positive
+from planopt.errors import InputError
+
+
+def fisher_information(
+    sensor: EventSensor,
+    positions_m: NDArray[np.float64],
+    event_m: NDArray[np.float64],
+    counts: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Return what measurements tell of an event of known strength, ``sum g^2 u u' / sigma^2``.
+
+    Parameters
+    ----------
+    sensor
+        The signal and its noise.
+    positions_m
+        ``(k, 2)`` where agents measure.
+    event_m
+        ``(2,)`` where the event is.
+    counts
+        ``(k,)`` how often they measure there; once if None.
+
+    Returns
+    -------
+    (2, 2) array
+        Per m^2. Zero for an agent at the event.
+    """
+    offset = positions_m - event_m
+    distance = np.linalg.norm(offset, axis=1)
+    unit = offset / np.where(distance > 0.0, distance, 1.0)[:, None]
+    gain = sensor.gain(distance) / sensor.noise_std
+    weight = gain**2 if counts is None else counts * gain**2
+    return (unit * weight[:, None]).T @ unit
+
+
+def cramer_rao_m2(information: NDArray[np.float64]) -> float:
+    """Return the least mean squared distance error of unbiased estimates, trace of the inverse.
+
+    Infinite if the information ``(2, 2)`` is singular.
+    """
+    determinant = float(np.linalg.det(information))
+    trace = float(np.trace(information))
+    if not determinant > 1e-14 * trace**2:
+        return float("inf")
+    return trace / determinant
+
+
+def ring_angles(count: int) -> NDArray[np.float64]:
+    """Return angles ``(count,)`` at which agents tell most of an event, in rad.
+
+    Equal angles, for which the information is the same in all directions; two agents stand 90
+    degrees apart, since opposite each other they would tell of one direction only.
+
+    Raises
+    ------
+    InputError
+        There is less than one agent.
+    """
+    if count < 1:
+        raise InputError(f"{count} agents", key="agents")
+    turn = 0.5 * np.pi if count == 2 else 2.0 * np.pi / count
+    return turn * np.arange(count, dtype=np.float64)
+
+
+def ring_places(
+    agents_m: NDArray[np.float64], event_m: NDArray[np.float64], radius_m: float
+) -> NDArray[np.float64]:
+    """Return a place on the ring for each agent, in their order around the event.
+
+    The ring is turned so that the sum of squared angles that agents have to turn is least; they do
+    not cross each other's way.
+
+    Parameters
+    ----------
+    agents_m
+        ``(k, 2)`` where the agents are.
+    event_m
+        ``(2,)`` the ring's centre.
+    radius_m
+        Its radius; :func:`planopt.coverage.localisation.sensor.best_distance_m` tells most.
+
+    Raises
+    ------
+    InputError
+        The radius is not positive, or there is no agent.
+    """
+    positive(radius_m, "radius_m")
+    offset = agents_m - event_m
+    angle = np.arctan2(offset[:, 1], offset[:, 0])
+    order = np.argsort(angle, kind="stable")
+    slots = ring_angles(len(agents_m))
+    best, least = slots, np.inf
+    for first in range(len(slots)):
+        # The gap of an uneven ring (two agents) may lie between any of them.
+        turned = np.roll(slots, first) + np.where(np.arange(len(slots)) < first, -2.0 * np.pi, 0.0)
+        shift = float((angle[order] - turned).mean())
+        cost = float(((angle[order] - turned - shift) ** 2).sum())
+        if cost < least - 1e-12:
+            best, least = turned + shift, cost
+    at = np.empty(len(slots))
+    at[order] = best
+    return event_m + radius_m * np.stack((np.cos(at), np.sin(at)), axis=1)
+
+
+def fused(
+    positions_m: NDArray[np.float64], informations: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Join independent estimates of one place, each weighted by its information.
+
+    The sums in it can be averaged over a network, so that every agent gets the joint estimate.
+
+    Parameters
+    ----------
+    positions_m
+        ``(k, 2)`` estimates.
+    informations
+        ``(k, 2, 2)`` inverses of their covariances.
+
+    Returns
+    -------
+    position_m, information
+        ``(2,)`` and ``(2, 2)``.
+
+    Raises
+    ------
+    InputError
+        All of them together leave a direction open.
+    """
+    total = np.asarray(informations.sum(axis=0), dtype=np.float64)
+    if not np.isfinite(cramer_rao_m2(total)):
+        raise InputError("the estimates leave a direction open", key="informations")
+    pull = (informations @ positions_m[:, :, None])[:, :, 0].sum(axis=0)
+    return np.asarray(np.linalg.solve(total, pull), dtype=np.float64), total

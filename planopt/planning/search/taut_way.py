@@ -1,0 +1,66 @@
+"""Shortest ways on the lattice, pulled taut: from turn to turn, each in sight of the next."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.ground import Ground, first_moves
+from planopt.planning.search.road_map import Ways, shortest_ways, way_from
+from planopt.planning.tolerances import CLEARANCE_PAD_M
+from planopt.problems.problem import Problem
+from planopt.world.clearance import is_clear, segment_clearance_m
+
+
+class WaysFrom:
+    """Ways from one place to all nodes of a lattice that can be come to.
+
+    Parameters
+    ----------
+    problem
+        With one robot.
+    ground
+        Its geometry.
+    position_m
+        ``(2,)`` where the ways begin.
+
+    Attributes
+    ----------
+    length_m
+        ``(n,)`` to each node; infinite where there is no way.
+    """
+
+    def __init__(self, problem: Problem, ground: Ground, position_m: NDArray[np.float64]) -> None:
+        self._ground, self._position_m = ground, position_m
+        self._wanted_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
+        nodes, lengths = first_moves(ground, problem, position_m)
+        self.length_m = np.full(len(ground.road_map.nodes_m), np.inf)
+        self._ways: Ways | None = None
+        if len(nodes):
+            nearest = int(np.argmin(lengths))
+            self._ways = shortest_ways(ground.road_map, int(nodes[nearest]))
+            self.length_m = self._ways.cost_m + float(lengths[nearest])
+
+    def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether the straight way to each place (n, 2) is clear."""
+        starts = np.broadcast_to(self._position_m, places_m.shape)
+        return is_clear(segment_clearance_m(self._ground.index, starts, places_m), self._wanted_m)
+
+    def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where the way to a place (2,) beside `node` turns, its start and its end; (m, 2)."""
+        if self._ways is None:
+            raise AssertionError("there is no way to any node")
+        nodes = way_from(self._ground.road_map, self._ways, node, math.inf)[::-1]
+        corners = np.vstack([self._position_m, self._ground.road_map.nodes_m[nodes], end_m])
+        turns, last = [corners[0]], 0
+        while last < len(corners) - 1:
+            ahead = corners[last + 1 :]
+            starts = np.broadcast_to(corners[last], ahead.shape)
+            away = segment_clearance_m(self._ground.index, starts, ahead)
+            seen = np.flatnonzero(is_clear(away, self._wanted_m))
+            # The next node is a move away, if the clearance is missed where the robot stands.
+            last += 1 + (int(seen[-1]) if len(seen) else 0)
+            turns.append(corners[last])
+        return np.array(turns)

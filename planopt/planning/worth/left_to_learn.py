@@ -1,0 +1,137 @@
+"""Where a robot can still learn something: places that it can come to and that none has measured.
+
+This decides what a robot that stands still is to be called: done, or stalled. It rests on the
+lattice of the search alone, so that a saved run is judged by the same places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import (
+    connected_components,  # pyright: ignore[reportUnknownVariableType]
+)
+
+from planopt.channel.nearest.place_tree import PlaceTree
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.measuring import MeasuringRule
+from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
+from planopt.planning.worth.region import workspace_region
+from planopt.problems.objective import LearningTerm, MappingTerm
+from planopt.problems.problem import Problem
+from planopt.world.clearance import (
+    ObstacleIndex,
+    inside_bounds,
+    is_clear,
+    segment_clearance_m,
+)
+from planopt.world.lattice import MOVES, Lattice, moves_from, node_positions
+
+FINER = 4
+"""If all nodes are measured, places between them are looked at, so many to a spacing."""
+
+
+def learns(problem: Problem) -> bool:
+    """Whether a problem's robots are to measure: a term is worth what is not known yet."""
+    return any(isinstance(term, LearningTerm | MappingTerm) for term in problem.terms)
+
+
+def left_to_learn(
+    problem: Problem,
+    index: ObstacleIndex,
+    lattice: Lattice,
+    here_m: NDArray[np.float64],
+    posteriors: Sequence[ChannelPosterior],
+) -> NDArray[np.float64]:
+    """Places that can be come to and bring a measurement that is worth something; (k, 2).
+
+    Nodes of the lattice, and places between them if none of these is left. If all terms have a
+    threshold, only places above it count, of those that stand for the workspace.
+
+    Parameters
+    ----------
+    problem
+        With one robot.
+    index, lattice
+        Its obstacles, and the lattice of its search.
+    here_m
+        ``(2,)`` where it is.
+    posteriors
+        What is believed of each station's channel.
+    """
+    nodes = node_positions(lattice)[reachable_nodes(problem, index, lattice, here_m)]
+    rule = MeasuringRule.of(posteriors, problem.channel.measure_spacing_m)
+    threshold = _threshold_db2(problem)
+    if threshold is not None:
+        places = _beside(problem, index, nodes, workspace_region(problem).grid_m)
+        places = places[rule.is_open(places)]
+        if not len(places):
+            return places
+        variance = np.max(
+            [search_prediction(station, places).deviation_db ** 2 for station in posteriors], axis=0
+        )
+        return places[variance > threshold]
+    left = nodes[rule.is_open(nodes)]
+    if len(left) or not len(nodes):
+        return left
+    share = lattice.spacing_m * (np.arange(FINER) / FINER - 0.5)
+    around = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 1, 2)
+    between = (nodes + around).reshape(-1, 2)
+    between = between[rule.is_open(between)]
+    return _beside(problem, index, nodes, between)
+
+
+def reachable_nodes(
+    problem: Problem, index: ObstacleIndex, lattice: Lattice, here_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Nodes that moves of the lattice lead to from a place (2,); (ny, nx)."""
+    found = np.zeros(lattice.shape, dtype=np.bool_)
+    reach = problem.step_length_m - STEP_PAD_M
+    rows, columns, clear = moves_from(
+        index, lattice, here_m, reach, problem.constraints.clearance_m
+    )
+    if not clear.any():
+        return found
+    number = np.arange(found.size).reshape(lattice.shape)
+    begins: list[NDArray[np.intp]] = []
+    ends: list[NDArray[np.intp]] = []
+    for (dx, dy), opened in zip(MOVES, lattice.open_moves, strict=True):
+        begin = number[opened]
+        begins.append(begin)
+        ends.append(begin + dy * lattice.shape[1] + dx)
+    begin, end = np.concatenate(begins), np.concatenate(ends)
+    graph = csr_matrix((np.ones(len(begin)), (begin, end)), shape=(found.size, found.size))
+    _, part = cast("tuple[int, NDArray[np.int32]]", connected_components(graph, directed=False))
+    part = part.reshape(lattice.shape)
+    return np.isin(part, part[rows[clear], columns[clear]]) & lattice.free
+
+
+def _beside(
+    problem: Problem,
+    index: ObstacleIndex,
+    nodes_m: NDArray[np.float64],
+    places_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Those places (n, 2) that a straight way leads to from the nearest node."""
+    places = places_m[inside_bounds(problem.workspace, places_m)]
+    if not len(places) or not len(nodes_m):
+        return places[:0]
+    nearest = nodes_m[PlaceTree(nodes_m).nearest(places, 1)[0][:, 0]]
+    wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    return places[is_clear(segment_clearance_m(index, nearest, places), wanted)]
+
+
+def _threshold_db2(problem: Problem) -> float | None:
+    """The least variance that counts, if every term that measures has such a threshold."""
+    terms = [term for term in problem.terms if isinstance(term, LearningTerm | MappingTerm)]
+    limits = [
+        term.variance_threshold_db2
+        for term in terms
+        if isinstance(term, MappingTerm) and term.form in ("path", "two_layer")
+    ]
+    return min(limits) if terms and len(limits) == len(terms) else None

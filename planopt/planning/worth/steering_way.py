@@ -1,0 +1,76 @@
+"""The inner layer of the two-layer form: how far it still is to the target, round obstacles.
+
+The distance is that of the shortest way: straight to the next turn in sight, and on along the way
+from there. Its slope leads round obstacles, where that of the straight distance leads a robot into
+their corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
+from planopt.world.clearance import ObstacleIndex, is_clear, segment_clearance_m
+
+
+@dataclass(frozen=True, eq=False)
+class SteeringWay:
+    """A way from where a robot stands to the place that it is steered to.
+
+    Attributes
+    ----------
+    turns_m
+        ``(m, 2)``, m at least 2: where the robot stands, where the way turns, and its end.
+    index
+        The obstacles.
+    clearance_m
+        How near to them the robot may come.
+    lattice_m
+        ``(ny, nx)`` length of the shortest way to the end from each node of the lattice; None
+        where no lattice is at hand.
+    """
+
+    turns_m: NDArray[np.float64]
+    index: ObstacleIndex
+    clearance_m: float
+    lattice_m: NDArray[np.float64] | None = None
+
+    @property
+    def end_m(self) -> NDArray[np.float64]:
+        """``(2,)`` the place that the robot is steered to."""
+        return self.turns_m[-1]
+
+    @cached_property
+    def rest_m(self) -> NDArray[np.float64]:
+        """``(m,)`` how long the way is from each turn on."""
+        legs = np.linalg.norm(np.diff(self.turns_m, axis=0), axis=1)
+        return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
+
+    def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Number of the turn that each place (n, 2) goes straight to: the last one in sight.
+
+        From places that see none of them the way leads back to its start.
+        """
+        found = np.zeros(len(places_m), dtype=np.intp)
+        left = np.arange(len(places_m))
+        for turn in range(len(self.turns_m) - 1, 0, -1):
+            there = np.broadcast_to(self.turns_m[turn], (len(left), 2))
+            away = segment_clearance_m(self.index, places_m[left], there)
+            seen = is_clear(away, self.clearance_m, CLEARANCE_TOLERANCE_M)
+            found[left[seen]] = turn
+            left = left[~seen]
+        return found
+
+    def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far it is from each place (n, 2) to the end of the way; (n,)."""
+        turns = self.next_turns(places_m)
+        return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
+
+    def gained_m(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """By how much the places of ways (..., N, 2) are nearer than the start, summed; (...)."""
+        distance = self.distance_m(ways_m.reshape(-1, 2)).reshape(ways_m.shape[:-1])
+        return (self.rest_m[0] - distance).sum(axis=-1)

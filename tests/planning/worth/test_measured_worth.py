@@ -1,0 +1,122 @@
+"""The worth of a plan is what the loop collects that drives it: one measuring rule for both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from terms_scene import LEARNING, situation_of, terms_problem
+
+from planopt.channel.kriging import predict
+from planopt.planning.loop.learning import learn_here
+from planopt.planning.prepare import prepare
+from planopt.planning.worth.local_worth import local_worth
+from planopt.planning.worth.path_worth import PathWorth
+
+THRESHOLD_DB2, DECAY_PER_M = 6.0, 0.03
+
+
+def mapping(form):
+    """A mapping term, with the keys that go with its form."""
+    term = {"kind": "mapping", "form": form}
+    if form == "path":
+        term |= {"variance_threshold_db2": THRESHOLD_DB2, "closeness_per_m": DECAY_PER_M}
+    return term
+
+
+TERMS = {kind: {**LEARNING, "criterion": kind} for kind in "TDA"} | {
+    form: mapping(form) for form in ("information", "path", "average")
+}
+
+
+def paths(situation):
+    """One that only sees new places, and those that revisit, stand, and pass by measurements."""
+    at = situation.position_m
+    known = situation.posterior.measurements.positions_m
+    beside = known[np.linalg.norm(known - at, axis=1).argmin()]
+    onward = at + np.array([[1.5, 0.4], [2.9, -0.3], [3.5, 1.2], [4.1, 2.8], [5.0, 4.0]])
+    return {
+        "new places": onward,
+        "standing still": np.tile(at + 1.0, (5, 1)),
+        "to and fro": onward[[0, 1, 0, 1, 2]] + 0.01 * np.arange(5)[:, None],
+        "over a measurement": np.vstack([onward[:2], beside + 0.1, beside - 0.2, onward[4]]),
+        "nothing to measure": np.tile(beside + 0.05, (5, 1)),
+    }
+
+
+def collected(problem, seed, name, path, situation):
+    """The information gained by driving the path through the loop's own measuring; and how often.
+
+    Nothing of the worth's formulas is in it: information matrices and variances before and after.
+    """
+    prepared = prepare(problem, seed)
+    belief, gained, count, driven = prepared.belief, 0.0, 0, situation.position_m
+    length = 0.0
+    for place in path:
+        length += float(np.linalg.norm(place - driven))
+        driven = place
+        after = learn_here(problem, prepared.truths, belief, place)
+        for before, later in zip(belief.posteriors, after.posteriors, strict=True):
+            if len(later.measurements) == len(before.measurements):
+                continue
+            variance = predict(before, place[None]).deviation_db[0] ** 2
+            if name == "information":
+                gained += 0.5 * np.log(variance / before.parameters.multipath_std_db**2)
+            if name == "path":
+                gained += max(variance - THRESHOLD_DB2, 0.0) * np.exp(-DECAY_PER_M * length)
+        count += len(after.posterior.measurements) > len(belief.posterior.measurements)
+        belief = after
+    region = situation.near_region
+    for before, after in zip(prepared.belief.posteriors, belief.posteriors, strict=True):
+        if name == "average":
+            first, last = (predict(p, region.grid_m).deviation_db ** 2 for p in (before, after))
+            gained += (first - last) @ region.weight
+        m, n = before.theta_covariance, after.theta_covariance
+        if name == "T":
+            gained += np.trace(np.linalg.inv(n) - np.linalg.inv(m))
+        if name == "D":
+            gained += np.linalg.slogdet(m)[1] - np.linalg.slogdet(n)[1]
+        if name == "A":
+            gained += np.trace(m - n)
+    return gained, count
+
+
+@pytest.mark.parametrize("stations", [1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name", TERMS)
+def test_worth_is_what_the_loop_collects(name, seed, stations):
+    """Also where a path stands, comes back, or passes by measured places."""
+    problem = terms_problem(TERMS[name], stations=stations)
+    situation, _ = situation_of(problem, seed)
+    worth, counts = PathWorth(situation), {}
+    for kind, path in paths(situation).items():
+        wanted, counts[kind] = collected(problem, seed, name, path, situation)
+        assert worth(path) == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+        assert situation.measuring.takes(path).sum() == counts[kind]
+    assert counts["standing still"] == 1
+    assert counts["nothing to measure"] == 0
+    assert counts["new places"] > counts["to and fro"] > 1
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_what_a_solver_counts_is_not_more(name):
+    """Smooth gates: nothing where nothing is taken, and never more than the worth by 2 %.
+
+    The path form's threshold is rounded, which gives 3/16 of its width a step.
+    """
+    situation, _ = situation_of(terms_problem(TERMS[name]))
+    worth = PathWorth(situation)
+    for path in paths(situation).values():
+        evaluate = local_worth(situation, path)
+        nothing = np.tile(situation.posterior.measurements.positions_m[0], (5, 1))
+        found = evaluate(path).value.value - evaluate(nothing).value.value
+        assert found <= 1.02 * worth(path) + 0.05
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_a_measurement_more_never_hurts(name):
+    """What a path collects does not fall when it drives on."""
+    situation, _ = situation_of(terms_problem(TERMS[name]))
+    worth = PathWorth(situation)
+    for path in paths(situation).values():
+        values = [worth(path[:count]) for count in range(1, 6)]
+        assert np.diff(values).min() >= -1e-9

@@ -409,7 +409,7 @@ def _floor_m(needs: tuple[Inequality, ...] | list[Inequality], stages: tuple[Sta
 
     if not lifts(np.zeros(1))[0]:
         return 0.0
-    grid = np.append(0.0, np.exp2(np.arange(-1020.0, 1000.0)))
+    grid: NDArray[np.float64] = np.append(0.0, np.exp2(np.arange(-1020.0, 1000.0)))
     for _ in range(FLOOR_ROUNDS):
         last = int(np.flatnonzero(lifts(grid))[-1])
         if last + 1 == len(grid):

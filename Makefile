@@ -1,6 +1,7 @@
 # make demo   the main job, end to end, with pictures in demo/
 # make test   everything that is checked: style, types, imports, tests with coverage
 # make bench  the benchmarks        make docs   the documentation in docs/_build/html
+# make pictures  the pictures of README and documentation, drawn again
 # make clean  removes what these make, .venv included
 #
 # Only Python 3.11 to 3.13 is needed. Another than python3: make demo PYTHON=python3.12
@@ -20,7 +21,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: demo test lint types imports tests bench docs clean
+.PHONY: demo test lint types imports tests bench docs pictures clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -66,6 +67,12 @@ bench: $(VENV)/.installed-bench
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
+
+# A run that is not verified throughout, or does not arrive, has a picture as well.
+pictures: $(VENV)/.installed
+	@for name in munich_courier crowded_track; do \
+		$(BIN)/planopt simulate $$name --out build/$$name || case $$? in 3|4) ;; *) exit 1 ;; esac; \
+		cp build/$$name/run.png docs/pictures/$$name.png; done
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist .coverage .coverage.* .pytest_cache .ruff_cache .benchmarks \

@@ -15,7 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from planopt import load, measure
-from planopt.files import write_text
+from planopt.files.whole import write_text
 from planopt.planning.given import draw
 from planopt.world.clearance import clearance_m, index_obstacles
 from planopt.world.workspace import Workspace

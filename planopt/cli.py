@@ -1,11 +1,13 @@
 """The command line: ``planopt COMMAND``.
 
-Exit code 0 verified, 2 usage or bad input, 3 solved but not verified, 4 no plan, 130 interrupted.
+Exit code 0 verified, 2 usage or bad input, 3 solved but not verified, 4 no plan, 130 interrupted,
+143 terminated.
 Errors are one line on standard error, and with ``--json`` one JSON object on standard output too.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -15,15 +17,17 @@ import typer
 from planopt.commands.check import check
 from planopt.commands.compare import compare
 from planopt.commands.fit import fit
+from planopt.commands.interrupts import stopping
 from planopt.commands.library import list_problems, schema
 from planopt.commands.map import map_log
+from planopt.commands.problem_files import init, show_problem, validate
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
 from planopt.errors import InputError, PlanoptError, require_text
 from planopt.files.whole import strict_text
 
 BAD_INPUT = 2
-INTERRUPTED = 130
+INTERRUPTED, TERMINATED = 130, 143
 
 app = typer.Typer(
     name="planopt",
@@ -40,6 +44,9 @@ app.command()(fit)
 app.command("map")(map_log)
 app.command()(check)
 app.command()(schema)
+app.command()(init)
+app.command("show")(show_problem)
+app.command()(validate)
 
 
 def _print_version(wanted: bool) -> None:
@@ -79,9 +86,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         for argument in given:
             require_text(argument, "the argument")
-        return int(app(arguments, prog_name="planopt", standalone_mode=False))
-    except KeyboardInterrupt:
-        return INTERRUPTED
+        with stopping() as received:
+            try:
+                code = int(app(arguments, prog_name="planopt", standalone_mode=False))
+            except KeyboardInterrupt:
+                code = INTERRUPTED
+        # Typer makes this code of any interrupt.
+        terminated = code == INTERRUPTED and signal.SIGTERM in received
+        return TERMINATED if terminated else code
     except PlanoptError as error:
         message, found = str(error), error
     except Exception as error:

@@ -70,7 +70,7 @@ def test_solve_returns_3_if_not_verified(tmp_path: Path, field: Path, capsys) ->
     hard = tmp_path / "hard.toml"
     hard.write_text(field.read_text().replace("threshold_dbm = -59.0", "threshold_dbm = 0.0"))
     assert main(["solve", str(hard), "--horizon", "2"]) == 3
-    assert "is met at none of the" in capsys.readouterr().out
+    assert "is met nowhere in the workspace" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", ["solve", "simulate"])

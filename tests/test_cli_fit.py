@@ -1,5 +1,6 @@
 """``planopt fit``: results, options and pictures."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -53,6 +54,47 @@ def test_fit_prints_the_keys_of_the_contract(log: Path, capsys) -> None:
     assert data["station"] == [0.0, 0.0] and data["measurements"] == 60
     assert 0 < data["censored"] < 60
     assert set(data["standard_errors"]) < CONTRACT
+
+
+def test_fit_says_what_is_hardly_determined(tmp_path: Path, capsys) -> None:
+    """Status, text and JSON agree, and an end that there is not is null.
+
+    Thirty powers along 60 m whose shadowing forgets over 200 m: no distance is too long.
+    """
+    generator = np.random.default_rng(4)
+    x = np.linspace(100.0, 160.0, 30)
+    covariance = 36.0 * np.exp(-np.abs(x[:, None] - x) / 200.0) + np.eye(30)
+    power = -30.0 - 30.0 * np.log10(x) + np.linalg.cholesky(covariance) @ generator.normal(size=30)
+    path = tmp_path / "log.csv"
+    rows = [f"{place:.3f},0,{p:.3f}" for place, p in zip(x, power, strict=True)]
+    path.write_text("\n".join(["x_m,y_m,power_dbm", *rows]))
+    assert main(["fit", str(path), "--station", "0,0", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    low, high = data["intervals_95"]["decorrelation_m"]
+    assert data["status"] != "ok" and high is None
+    assert main(["fit", str(path), "--station", "0,0"]) == 0
+    printed = capsys.readouterr().out
+    assert data["status"] in printed.splitlines()[0]
+    words = f"above {low:.3g} m (95 %)" if low else "anything (95 %)"
+    assert any("decorrelation distance" in line and words in line for line in printed.splitlines())
+
+
+def test_other_maximum_is_in_the_json(log: Path, capsys, monkeypatch) -> None:
+    """Its parameters and its likelihood, after the best one's."""
+    from planopt.channel.estimation import fit as fitting
+    from planopt.channel.estimation.channel_fit import OtherMode
+
+    fit_channel = fitting.fit_channel
+    monkeypatch.setattr(fitting, "fit_channel", lambda *a, **o: with_mode(fit_channel(*a, **o)))
+
+    def with_mode(found):
+        return dataclasses.replace(found, other_modes=(OtherMode(found.parameters, -7.5),))
+
+    assert main(["fit", str(log), "--station", "0,0,0.5", *COLUMNS, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    (mode,) = data["other_modes"]
+    assert mode.pop("log_likelihood") == -7.5
+    assert mode == {name: data[name] for name in mode} and len(mode) == 5
 
 
 def test_robust_losses(log: Path, capsys) -> None:

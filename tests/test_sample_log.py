@@ -7,8 +7,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import planopt
+from planopt.channel.estimation.profile_likelihood import profile_likelihood
 from planopt.problems.library import library_folder
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -41,5 +43,22 @@ def test_recipe_maps_both_contact_and_none() -> None:
     fit = planopt.fit_channel(log, planopt.Station((40.0, 0.0), height_m=43.5))
     posterior = planopt.condition(fit.parameters, log)
     maps = planopt.posterior_map(posterior, (-390.0, -360.0, 280.0, 370.0), 10.0, -83.0)
-    assert fit.status == "ok"
+    assert fit.status != "degenerate"
     assert maps.connectivity.values.min() < 0.1 and maps.connectivity.values.max() > 0.9
+
+
+def test_little_multipath_is_nearly_as_likely() -> None:
+    """The fit tells of the maximum that the profile of multipath has at the end of its range."""
+    log = planopt.read_log(LOG, planopt.LogFormat(censored_column="at_floor"))
+    station = planopt.Station((40.0, 0.0), height_m=43.5)
+    fit = planopt.fit_channel(log, station)
+    (other,) = fit.other_modes
+    little, estimate = other.parameters.multipath_std_db, fit.parameters.multipath_std_db
+    between = np.sqrt(little * estimate)
+    profile = profile_likelihood(
+        log, station, "multipath_std_db", np.array([little, between, estimate])
+    )
+    low, middle, high = profile.drop[[0, 1, -1]]
+    assert high == 0.0 and middle < low - 0.1
+    assert fit.log_likelihood is not None
+    assert other.log_likelihood - fit.log_likelihood == pytest.approx(low, abs=0.02)

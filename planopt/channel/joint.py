@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.factor import whiten
 from planopt.channel.measurement_covariance import (
@@ -68,7 +68,7 @@ class JointPrediction:
 
 
 def joint_prediction(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64], *, latent: bool = False
+    posterior: ChannelPosterior, positions_m: ArrayLike, *, latent: bool = False
 ) -> JointPrediction:
     """Mean and covariance of the powers at `positions_m`, from all measurements.
 
@@ -137,7 +137,7 @@ def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> J
 
 def sample_power(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
+    positions_m: ArrayLike,
     count: int,
     generator: np.random.Generator,
     *,

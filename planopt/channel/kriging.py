@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS
 from planopt.channel.factor import whiten
@@ -41,7 +41,7 @@ MANY_PLACES = 1024
 
 def predict(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
+    positions_m: ArrayLike,
     position_std_m: NDArray[np.float64] | None = None,
 ) -> Prediction:
     """Mean and deviation of the power that would be measured (theory 4.1).

@@ -170,6 +170,15 @@ def measured_path_loss_variance_db2(
     )
 
 
+def own_distance_m(origins: Origins) -> NDArray[np.float64]:
+    """Distances among `origins` (n), position errors included, zero to oneself; ``(n, n)``."""
+    distance = pairwise_distance_m(
+        origins.positions_m, origins.positions_m, blurred_m2(origins, origins)
+    )
+    np.fill_diagonal(distance, 0.0)
+    return distance
+
+
 def ageing(
     one_s: NDArray[np.float64] | float,
     other_s: NDArray[np.float64] | float,

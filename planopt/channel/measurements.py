@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.places import MAX_COORDINATE_M
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
 from planopt.short_repr import short_repr
 
 MAX_POWER_DB = 1e6
 """No power is further from 0 dBm: far beyond, its squares overflow."""
 
 
+class Frame(Protocol):
+    """A table with named columns, such as a DataFrame of pandas or polars."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of the columns."""
+        ...
+
+    def __getitem__(self, name: str, /) -> Any:
+        """Return the column of a name."""
+        ...
+
+
+Table = Mapping[str, Any] | Frame
+"""Columns of equal length by name: a dictionary of lists or arrays, or a DataFrame."""
+
+
 @dataclass(frozen=True)
 class Measurements:
     """Received power at known positions (the seed's Q and Y).
+
+    Lists, and columns of a DataFrame, are taken as well as arrays; :func:`as_measurements` takes
+    whole tables.
 
     Attributes
     ----------
@@ -27,7 +49,7 @@ class Measurements:
         ``(n,)`` received power in dBm.
     censored
         ``(n,)`` true where the power is only known to be *at most* ``power_dbm`` (the receiver's
-        floor).
+        floor). Not given: none is.
     resolution_db
         ``(n,)`` step of the receiver's scale: the power is within half of it of ``power_dbm``;
         zero for a power that was not rounded. Not given: all zero.
@@ -42,13 +64,14 @@ class Measurements:
     Raises
     ------
     InputError
-        Shapes do not agree, a number is not finite, a coordinate or a power is beyond
-        `MAX_COORDINATE_M` or `MAX_POWER_DB`, or a resolution or deviation is negative.
+        Something is no array of numbers, shapes do not agree, a number is not finite, a coordinate
+        or a power is beyond `MAX_COORDINATE_M` or `MAX_POWER_DB`, or a resolution or deviation is
+        negative.
     """
 
     positions_m: NDArray[np.float64]
     power_dbm: NDArray[np.float64]
-    censored: NDArray[np.bool_]
+    censored: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     resolution_db: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     position_std_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     time_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
@@ -57,8 +80,10 @@ class Measurements:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        count = len(self.power_dbm)
-        for name in ("resolution_db", "position_std_m", "time_s", "receiver"):
+        for part in fields(self):
+            object.__setattr__(self, part.name, _array(part.name, getattr(self, part.name)))
+        count = self.power_dbm.size
+        for name in ("censored", "resolution_db", "position_std_m", "time_s", "receiver"):
             values = getattr(self, name)
             if values.shape == (0,) and count:
                 object.__setattr__(self, name, np.zeros(count, dtype=values.dtype))
@@ -67,11 +92,11 @@ class Measurements:
                     f"{count} measurements and {name} of shape {values.shape}",
                     remedy=f"give {name} (n,), or leave it out",
                 )
-        if self.positions_m.shape != (count, 2) or self.censored.shape != (count,):
+        if self.positions_m.shape != (count, 2) or self.power_dbm.shape != (count,):
             raise InputError(
-                f"measurements of shapes {self.positions_m.shape}, {self.power_dbm.shape} and "
-                f"{self.censored.shape} do not belong together",
-                remedy="give positions (n, 2), power (n,) and censored (n,)",
+                f"measurements of shapes {self.positions_m.shape} and {self.power_dbm.shape} do "
+                "not belong together",
+                remedy="give positions (n, 2) and power (n,)",
             )
         if not (np.isfinite(self.positions_m).all() and np.isfinite(self.power_dbm).all()):
             raise InputError("a measurement is not finite", remedy="remove it or mark it censored")
@@ -94,6 +119,92 @@ class Measurements:
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Measurements:
         """Those of `rows`: indices, a mask or a slice."""
         return Measurements(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    def by_place(self) -> Measurements:
+        """The same in an order that depends on what they are, not on that of the rows.
+
+        By x, then y; where they agree by power and the rest.
+        """
+        others = (getattr(self, part.name) for part in reversed(fields(self)[1:]))
+        return self.take(np.lexsort((*others, self.positions_m[:, 1], self.positions_m[:, 0])))
+
+
+def as_measurements(data: Measurements | Table) -> Measurements:
+    """Return measurements as they are, or make them of a table.
+
+    Parameters
+    ----------
+    data
+        Of a table the columns ``x_m``, ``y_m`` and ``power_dbm`` are read, and those of
+        ``censored``, ``resolution_db``, ``position_std_m``, ``time_s`` and ``receiver`` that are
+        there (see :class:`Measurements`). Others are ignored.
+
+    Raises
+    ------
+    InputError
+        It is no table, a column is missing, or :class:`Measurements` refuses what is in them.
+
+    Examples
+    --------
+    >>> table = {"x_m": [0, 10], "y_m": [0, 5], "power_dbm": [-60, -71], "day": ["mon", "tue"]}
+    >>> as_measurements(table).positions_m
+    array([[ 0.,  0.],
+           [10.,  5.]])
+    """
+    if isinstance(data, Measurements):
+        return data
+    try:
+        names = list(data if isinstance(data, Mapping) else data.columns)
+    except (AttributeError, TypeError):
+        raise InputError(
+            f"a {type(data).__name__} has no measurements",
+            key="measurements",
+            remedy="give Measurements, a DataFrame, or a dictionary of columns",
+        ) from None
+    for name in ("x_m", "y_m", "power_dbm"):
+        if name not in names:
+            raise InputError(
+                f"there is no column {name!r} among {listed(names)}",
+                key="measurements",
+                remedy="name the columns x_m, y_m and power_dbm",
+            )
+    axes = [_array(name, data[name]) for name in ("x_m", "y_m")]
+    if axes[0].ndim != 1 or axes[0].shape != axes[1].shape:
+        raise InputError("x_m and y_m are no columns of equal length", key="measurements")
+    more = {part.name: data[part.name] for part in fields(Measurements)[2:] if part.name in names}
+    return Measurements(np.column_stack(axes), data["power_dbm"], **more)
+
+
+_KINDS: dict[str, tuple[type[np.generic], str]] = {
+    "censored": (np.bool_, "true or false"),
+    "receiver": (np.intp, "whole numbers"),
+}
+"""Type of a field that is not of floats, and what it is called."""
+
+
+def _array(name: str, values: Any) -> NDArray[Any]:
+    """Return the values of a field as an array of its type.
+
+    Raises
+    ------
+    InputError
+        They are no numbers, or no flags or whole numbers where these are asked for.
+    """
+    kind, words = _KINDS.get(name, (np.float64, "numbers"))
+    try:
+        given = np.asarray(values)
+        # Text that looks like a number is a slip: a column that was not converted.
+        text = given.dtype.kind == "O" and any(isinstance(value, str) for value in given.flat)
+        if text or given.dtype.kind not in "biufO":
+            raise ValueError
+        found = given.astype(kind, copy=False)
+        if kind is not np.float64 and not np.array_equal(found, given):
+            raise ValueError
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(
+            f"{name} is no array of {words}", key=name, remedy=f"give {words}"
+        ) from None
+    return found
 
 
 def join(first: Measurements, second: Measurements) -> Measurements:

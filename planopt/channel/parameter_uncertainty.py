@@ -24,11 +24,12 @@ from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.covariance_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
-from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
+from planopt.channel.estimation.likelihood_starts import thinned
+from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.restricted_likelihood import profiled_log_likelihood
 from planopt.channel.intervals.sites import rounded_variance_db2
 from planopt.channel.mean_model import mean_model
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
@@ -99,7 +100,9 @@ def mixture(weights: NDArray[np.float64], parts: Sequence[Prediction]) -> Predic
 
 @one_blas_thread()
 def marginalise(
-    parameters: ChannelParameters, measurements: Measurements, exact_limit: int = EXACT_LIMIT
+    parameters: ChannelParameters,
+    measurements: Measurements | Table,
+    exact_limit: int = EXACT_LIMIT,
 ) -> MarginalPosterior:
     """Condition on measurements with xi, beta and omega uncertain.
 
@@ -114,7 +117,7 @@ def marginalise(
     measurements
         What it was estimated from. Censored ones count in every component's prediction but not in
         the weights; where there are some, alpha is taken in proportion to the estimate's. Of more
-        than `MAX_MEASUREMENTS` a fixed draw gives the weights.
+        than `MOST_DENSE` a fixed draw gives the weights.
     exact_limit
         Beyond so many measurements every component predicts from the nearest, as in
         :func:`planopt.channel.posterior.condition`: there are some 20, and each costs a factor.
@@ -130,6 +133,7 @@ def marginalise(
     InputError
         See :func:`planopt.channel.estimation.identifiability.examine`.
     """
+    measurements = as_measurements(measurements)
     allows = examine(measurements, parameters.station)
     if allows.covariance_reason is not None:
         return MarginalPosterior(
@@ -174,9 +178,10 @@ def marginalise(
 def _exact_data(
     measurements: Measurements, parameters: ChannelParameters, n_pl_identifiable: bool
 ) -> LikelihoodData:
-    """The uncensored measurements, at most `MAX_MEASUREMENTS`, as the likelihood needs them."""
+    """The uncensored measurements, at most `MOST_DENSE`, as the likelihood needs them."""
+    measurements = measurements.by_place()
     rows = np.flatnonzero(~measurements.censored)
-    rows = rows[thinned(len(rows), MAX_MEASUREMENTS)]
+    rows = rows[thinned(len(rows), MOST_DENSE)]
     exact = measurements.take(rows)
     model = mean_model(exact.positions_m, ~exact.censored, parameters.station, n_pl_identifiable)
     return likelihood_data(model, exact, parameters)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.kriging import kriging_terms
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior, condition
@@ -41,7 +41,7 @@ class ThetaEstimate:
 
 
 def estimate_theta(
-    measurements: Measurements, parameters: ChannelParameters, how: Estimator = "ml"
+    measurements: Measurements | Table, parameters: ChannelParameters, how: Estimator = "ml"
 ) -> ThetaEstimate:
     """Estimate path loss for given xi, beta and omega (seed, proof of Lemma 3).
 
@@ -63,6 +63,7 @@ def estimate_theta(
     InputError
         There is no such estimator.
     """
+    measurements = as_measurements(measurements)
     if how not in get_args(Estimator):
         raise InputError(f"{how!r} is no estimator", key="how", remedy="use ml or ls")
     rule = "estimated" if how == "ml" else "least_squares"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.errors import InputError
 
@@ -13,23 +13,30 @@ MAX_COORDINATE_M = 1e12
 """No coordinate is larger: far beyond, squares of distances overflow."""
 
 
-def require_places(positions_m: NDArray[np.float64], at_least: int = 1) -> NDArray[np.float64]:
+def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.float64]:
     """`positions_m` as floats, or an error that says what is wrong with them.
 
     Parameters
     ----------
     positions_m
-        ``(h, 2)`` metres.
+        ``(h, 2)`` metres: an array, a list of pairs, or the two columns of a DataFrame.
     at_least
         The least h that makes sense.
 
     Raises
     ------
     InputError
-        Another shape, fewer places, or a coordinate that is not finite or beyond
+        No numbers, another shape, fewer places, or a coordinate that is not finite or beyond
         `MAX_COORDINATE_M`.
     """
-    places = np.asarray(positions_m, dtype=np.float64)
+    try:
+        places = np.asarray(positions_m, dtype=np.float64)
+    except (ValueError, TypeError):
+        raise InputError(
+            "positions are no array of numbers",
+            key="positions_m",
+            remedy=f"give (h, 2) metres with h at least {at_least}",
+        ) from None
     if places.ndim != 2 or places.shape[1] != 2 or len(places) < at_least:
         raise InputError(
             f"positions of shape {places.shape} are no places",

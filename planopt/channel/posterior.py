@@ -13,9 +13,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.conditioning import with_rows, without_factor
+from planopt.channel.connection.connection_outcomes import ConnectionOutcomes, add_outcomes
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.factor import FactorBuffer, spacious
 from planopt.channel.intervals.censoring import (
@@ -32,7 +33,7 @@ from planopt.channel.measurement_covariance import (
     measured_origins,
     measured_path_loss_variance_db2,
 )
-from planopt.channel.measurements import Measurements, join
+from planopt.channel.measurements import Measurements, Table, as_measurements, join
 from planopt.channel.nearest.near_factors import NearFactors
 from planopt.channel.nearest.neighbour_information import NeighbourInformation
 from planopt.channel.nearest.neighbour_sites import neighbour_sites
@@ -42,6 +43,11 @@ from planopt.channel.places import require_finite
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
+
+MOST_JOINT_SITES = 300
+"""Beyond so many censored or coarsely rounded measurements their sites are matched window by window
+(:mod:`planopt.channel.nearest.neighbour_sites`): jointly a sweep costs the cube of their number, at
+750 ten times as much."""
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
 
@@ -93,6 +99,10 @@ class ChannelPosterior:
         Where there is none: factors of measurements near the places last asked for, shared with
         the posteriors that extend this one. One that extends nothing has none, so that what is
         predicted from it does not depend on what was asked before.
+    outcomes
+        What predictions of connection came true, for a calibrated law of connection
+        (:func:`planopt.channel.connection.connection_outcomes.calibrate_posterior`); None where the
+        normal law stands. Mean and deviation are the same with either.
     """
 
     parameters: ChannelParameters
@@ -110,6 +120,7 @@ class ChannelPosterior:
     buffer: FactorBuffer | None = field(default=None, repr=False)
     information: NeighbourInformation | None = field(default=None, repr=False)
     near: NearFactors | None = field(default=None, repr=False)
+    outcomes: ConnectionOutcomes | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
@@ -164,17 +175,15 @@ class ChannelPosterior:
             and np.array_equal(one.receiver[:count], other.receiver)
         )
 
-    def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
+    def predict(self, positions_m: ArrayLike) -> Prediction:
         """See :func:`planopt.channel.kriging.predict`."""
         return predict(self, positions_m)
 
-    def extend(self, more: Measurements) -> ChannelPosterior:
-        """See :func:`extend`."""
-        return extend(self, more)
+    def extend(self, more: Measurements | Table) -> ChannelPosterior:
+        """See :func:`extend`; tables are taken as well."""
+        return extend(self, as_measurements(more))
 
-    def connectivity(
-        self, positions_m: NDArray[np.float64], threshold_dbm: float
-    ) -> NDArray[np.float64]:
+    def connectivity(self, positions_m: ArrayLike, threshold_dbm: float) -> NDArray[np.float64]:
         """P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
         threshold = require_finite(threshold_dbm, "threshold_dbm")
         prediction = predict(self, positions_m)
@@ -183,7 +192,7 @@ class ChannelPosterior:
 
 def condition(
     parameters: ChannelParameters,
-    measurements: Measurements,
+    measurements: Measurements | Table,
     *,
     theta: ThetaRule = "estimated",
     exact_limit: int = EXACT_LIMIT,
@@ -205,16 +214,18 @@ def condition(
     exact_limit
         Beyond so many measurements predictions are from the nearest
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
-        (:data:`planopt.channel.estimation.vecchia.EARLIER_NEIGHBOURS` has the accuracies), and so
-        are sites.
+        (:data:`planopt.channel.nearest.windows.BESIDE` has the accuracies), and
+        sites are matched by neighbours.
 
     Raises
     ------
     InputError
         Theta by least squares, from more than `exact_limit` measurements.
     """
+    measurements = as_measurements(measurements)
     exact = len(measurements) <= exact_limit
-    sites = (gaussian_sites if exact else neighbour_sites)(parameters, measurements)
+    joint = int(needs_site(measurements, parameters.multipath_std_db**2).sum()) <= MOST_JOINT_SITES
+    sites = (gaussian_sites if exact and joint else neighbour_sites)(parameters, measurements)
     nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
     empty = ChannelPosterior(
         parameters,
@@ -244,6 +255,11 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
     its own prediction, truncated to where it is known to lie, and stays that site. `posterior`
     remains valid.
     """
+    if posterior.outcomes is not None:
+        latent = predict_noiseless(posterior, more)
+        deviation = np.hypot(latent.deviation_db, posterior.parameters.multipath_std_db)
+        ahead = Prediction(latent.mean_db, deviation)
+        posterior = replace(posterior, outcomes=add_outcomes(posterior.outcomes, ahead, more))
     alone = needs_site(more, posterior.parameters.multipath_std_db**2)
     start = 0
     while start < len(more):

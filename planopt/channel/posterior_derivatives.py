@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.cholesky import solve_upper
 from planopt.channel.factor import whiten
@@ -50,7 +50,7 @@ class PosteriorDerivatives:
 
 
 def posterior_derivatives(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64]
+    posterior: ChannelPosterior, positions_m: ArrayLike
 ) -> PosteriorDerivatives:
     """Differentiate mean and deviation twice (theory 4.1).
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.cholesky import lower_factor
 from planopt.channel.factor import whiten
@@ -33,8 +33,8 @@ ELEMENTS = 2**20
 def mean_squared_error_db2(
     true: ChannelParameters,
     assumed: ChannelParameters,
-    measured_m: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
+    measured_m: ArrayLike,
+    positions_m: ArrayLike,
 ) -> NDArray[np.float64]:
     """Delta^2(q), exactly, for any error in any parameter (seed, section II-B).
 

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from planopt.commands.options import PLANNERS, JsonOption, OutOption, ProblemArgument
-from planopt.commands.output import NO_PLAN, progress, results_folder, show
+from planopt.commands.options import (
+    PLANNERS,
+    CalibrationOption,
+    JsonOption,
+    OutOption,
+    ProblemArgument,
+)
+from planopt.commands.output import NO_PLAN, drawing, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
+from planopt.files.result_folder import ResultFiles, replaced_results
 
 if TYPE_CHECKING:
     from planopt.problems.problem import Problem
     from planopt.studies.comparison import Comparison
 
 COMPARISON_FILE = "comparison.json"
+FINISHED_FOLDER = "finished_runs"
+"""Where finished runs are kept, so that a comparison that was stopped goes on."""
+
+COMPARISON = ResultFiles("comparison", (COMPARISON_FILE, "comparison.png", "reliability.png"))
+"""The files of a comparison with its pictures."""
 
 Value = TypeVar("Value")
 
@@ -41,7 +52,9 @@ def compare(
             help="geodesic, connected (both); task reach.",
         ),
     ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds, from 0 on.")] = 30,
+    calibration: CalibrationOption = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds.")] = 30,
+    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="The first of them.")] = 0,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Processes.")] = 1,
     backend: Annotated[
         str, typer.Option("--backend", metavar="NAME", help="Where processes run: loky.")
@@ -50,8 +63,10 @@ def compare(
     json: JsonOption = False,
 ) -> int:
     """Compare settings. Exit code 0 verified throughout, 3 not throughout, 4 a run not ended."""
+    from planopt.planning.files.saved import write_record
     from planopt.problems.load import load
     from planopt.problems.overrides import with_overrides
+    from planopt.report.tables import comparison_text
     from planopt.studies.compare import BACKENDS, compare_horizons, default_costs_to_go
 
     if backend not in BACKENDS:
@@ -59,6 +74,8 @@ def compare(
             f"{backend!r} is not there", key="--backend", remedy=f"use {', '.join(BACKENDS)}"
         )
     asked = load(problem)
+    if calibration is not None:
+        asked = with_overrides(asked, calibration=calibration)
     steps = listed(horizons, "--horizons", int)
     names = (asked.planner.name,) if planners is None else listed(planners, "--planners", str)
     ways = None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str)
@@ -69,6 +86,7 @@ def compare(
         with_overrides(asked, planner=name)
     for way in ways or ():
         with_overrides(asked, cost_to_go=way)
+    figures = asked.report.figures
     with results_folder(out) as folder:
         try:
             costs = default_costs_to_go(asked) if ways is None else ways
@@ -79,24 +97,30 @@ def compare(
                     steps,
                     planners=names,
                     costs_to_go=ways,
-                    seeds=seeds,
+                    seeds=range(first_seed, first_seed + seeds),
                     workers=workers,
                     backend=backend,
                     on_run=lambda _: advance(),
+                    finished=None if folder is None else folder / FINISHED_FOLDER,
                 )
         except NoPlanError as error:
             data = comparison_json(asked, None, str(error))
+            if folder is not None:
+                with replaced_results(folder, COMPARISON) as new:
+                    write_record(data, asked, new / COMPARISON_FILE)
             show(json, data, f"{asked.name}: no plan: {error}")
             return NO_PLAN
         data = comparison_json(asked, comparison, "")
         if folder is not None:
-            _save(comparison, data, folder)
-    if json:
-        show(True, data, "")
-    else:
-        from planopt.report.tables import comparison_text
+            with replaced_results(folder, COMPARISON, pictures_follow=figures) as new:
+                write_record(data, asked, new / COMPARISON_FILE)
+        text = "" if json else comparison_text(comparison)
+        show(json, data, text)
+        with drawing(folder, COMPARISON, wanted=figures) as new:
+            if new is not None:
+                from planopt.commands.pictures import picture_comparison
 
-        show(False, data, comparison_text(comparison))
+                picture_comparison(comparison, new)
     return exit_code(comparison)
 
 
@@ -112,7 +136,7 @@ def exit_code(comparison: Comparison) -> int:
 def comparison_json(
     problem: Problem, comparison: Comparison | None, message: str
 ) -> dict[str, Any]:
-    """The JSON keys of ``compare`` (design, section 3); no rows if there provably is no plan."""
+    """The JSON keys of ``compare``; no rows if there provably is no plan."""
     from planopt.planning.files.run_json import reliability_json, run_summary
     from planopt.planning.files.solution_json import finite
     from planopt.planning.files.team_run_json import team_summary_json
@@ -127,6 +151,7 @@ def comparison_json(
             "reliability": {"all": [], "settings": []},
             "runs": [],
             "wall_s": None,
+            "resumed": 0,
             "message": message,
         }
     rows = [
@@ -154,6 +179,7 @@ def comparison_json(
             for run in comparison.runs
         ],
         "wall_s": finite(comparison.wall_s),
+        "resumed": comparison.resumed,
         "message": message,
     }
 
@@ -174,15 +200,3 @@ def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value,
     if not values or "" in parts:
         raise InputError(f"cannot read {text!r}", key=option, remedy="separate values by commas")
     return tuple(dict.fromkeys(values))
-
-
-def _save(comparison: Comparison, data: dict[str, Any], folder: Path) -> None:
-    """Pictures first, the JSON last."""
-    from planopt.planning.files.saved import save_record
-
-    if comparison.problem.report.figures:
-        from planopt.commands.pictures import picture_comparison
-
-        with progress("drawing"):
-            picture_comparison(comparison, folder)
-    save_record(data, comparison.problem, folder / COMPARISON_FILE)

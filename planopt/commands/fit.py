@@ -24,21 +24,27 @@ from planopt.commands.log_fit import (
     LogOptions,
     LossOption,
     MethodOption,
+    OriginOption,
     PositionErrorOption,
     ReceiverOption,
     ResolutionOption,
     StationMethodOption,
     StationOption,
     TimeOption,
+    WhereOption,
     read_and_fit,
 )
 from planopt.commands.options import JsonOption, OutOption
-from planopt.commands.output import progress, results_folder, show, shown_number
+from planopt.commands.output import drawing, progress, results_folder, show, shown_number
+from planopt.files.result_folder import ResultFiles
 
 if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit
 
 FIT_FILE = "fit.json"
+FIT = ResultFiles("fit", (FIT_FILE, "fit.png", "held_out.png", "reliability.png"))
+"""The files of a fit with its pictures."""
+
 UNITS = {
     "k_pl_db": "dBm",
     "n_pl": "",
@@ -61,6 +67,8 @@ def fit(
     time: TimeOption = None,
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
+    where: WhereOption = None,
+    origin: OriginOption = None,
     loss: LossOption = "squares",
     hold_out: HoldOutOption = None,
     threshold: ThresholdOption = None,
@@ -70,7 +78,16 @@ def fit(
     """Fit path loss, shadowing and multipath."""
     require_hold_out(threshold, hold_out)
     options = LogOptions(
-        columns, censored, floor, resolution, position_error, time, forgetting, receiver
+        columns,
+        censored,
+        floor,
+        resolution,
+        position_error,
+        time,
+        forgetting,
+        receiver,
+        where,
+        origin,
     )
     with results_folder(out) as folder:
         with progress("fitting"):
@@ -82,27 +99,30 @@ def fit(
                 report = held_out(log, fitted, hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
+            from planopt.files.result_folder import replaced_results
             from planopt.files.whole import strict_text, write_text
 
-            write_text(folder / FIT_FILE, strict_text(data))
+            with replaced_results(folder, FIT, pictures_follow=True) as new:
+                write_text(new / FIT_FILE, strict_text(data))
         # Results come before pictures: whatever happens to these, the numbers are there.
         lines = [_in_words(data), *([] if report is None else held_out_reliability_words(report))]
         show(json, data, "\n".join(lines))
-        if folder is not None:
-            from planopt.commands.pictures import picture_fit, picture_held_out
+        with drawing(folder, FIT, wanted=True) as new:
+            if new is not None:
+                from planopt.commands.pictures import picture_fit, picture_held_out
 
-            with progress("drawing"):
-                picture_fit(fitted.measurements, fitted.found, folder)
+                picture_fit(fitted.measurements, fitted.found, new)
                 if report is not None:
-                    picture_held_out(report, folder)
+                    picture_held_out(report, new)
     return 0
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
-    """The JSON keys of ``fit`` (design, section 3); standard errors that are unknown are null.
+    """Return the JSON keys of ``fit``; standard errors that are unknown are null.
 
-    So is ``forgetting_s`` where the channel does not drift, and ``reference_receiver`` where the
-    log has no receivers.
+    So is ``forgetting_s`` where the channel does not drift, ``reference_receiver`` where the log
+    has no receivers, and an end that an interval does not have. ``intervals_95`` has what is hardly
+    or not determined, ``other_modes`` what is nearly as likely.
     """
     from planopt.planning.files.solution_json import finite
 
@@ -116,6 +136,16 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
         "station_height_m": parameters.station.height_m,
         "station_standard_errors_m": _station_errors_m(found),
         "standard_errors": {name: finite(found.standard_errors[name]) for name in UNITS},
+        "intervals_95": {
+            name: [finite(low), finite(high)] for name, (low, high) in found.intervals_95.items()
+        },
+        "other_modes": [
+            {
+                **{name: getattr(mode.parameters, name) for name in UNITS},
+                "log_likelihood": mode.log_likelihood,
+            }
+            for mode in found.other_modes
+        ],
         "measurements": found.measurements,
         "censored": found.censored,
         "log_likelihood": finite(found.log_likelihood),

@@ -1,4 +1,4 @@
-"""``planopt fit --hold-out``: whole walks predicted from the others, against path loss alone."""
+"""``planopt fit --hold-out``: whole walks predicted from the others, against plain predictors."""
 
 from __future__ import annotations
 
@@ -40,6 +40,9 @@ MOST_FOLDS = 10
 SEED = 0
 """Of which group goes to which share."""
 
+NAME_WIDTH = 13
+"""Of the names of what predicted."""
+
 SHOWN_LEVELS = (0.5, 0.8, 0.95)
 """Coverage for people; JSON has all levels."""
 
@@ -75,7 +78,7 @@ def held_out(
     from planopt.channel.validation.held_out import deal
     from planopt.channel.validation.held_out_report import held_out_report, predictors_of
 
-    groups = read_groups(log, parse_groups(text))
+    groups = read_groups(log, parse_groups(text), fitted.log_format)
     count = len(np.unique(groups))
     if count < 2:
         raise InputError(
@@ -121,7 +124,7 @@ def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
 
 def held_out_words(data: dict[str, Any]) -> list[str]:
     """Lines for people, from what :func:`held_out_json` gives."""
-    header = f"  {'':9}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
+    header = f"  {'':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
         f"  {f'inside {level:.0%}':21}" for level in SHOWN_LEVELS
     )
     lines = [
@@ -132,7 +135,7 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
     for name, score in data["predictors"].items():
         inside = {one["level"]: one for one in score["coverage"]}
         cells = [
-            f"{name:9}",
+            f"{name:{NAME_WIDTH}}",
             f"{_words(score['rmse_db'], '.2f'):22}",
             f"{_words(score['of_path_loss'], '.3f'):22}",
             *(f"{_words(inside[level], '.1%'):21}" for level in SHOWN_LEVELS),

@@ -75,6 +75,24 @@ ReceiverOption = Annotated[
     ),
 ]
 
+WhereOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--where",
+        metavar="COLUMN=VALUE",
+        help="Only rows with this value, such as those of one transmitter; may be repeated.",
+    ),
+]
+
+OriginOption = Annotated[
+    str | None,
+    typer.Option(
+        "--origin",
+        metavar="LAT,LON",
+        help="x and y of the log are longitude and latitude; here is (0, 0), in degrees.",
+    ),
+]
+
 
 @dataclass(frozen=True)
 class LogOptions:
@@ -88,6 +106,8 @@ class LogOptions:
     time: str | None
     forgetting: float | None
     receiver: str | None
+    where: list[str] | None
+    origin: str | None
 
 
 @dataclass(frozen=True)
@@ -104,12 +124,15 @@ class LogFit:
         Labels by the receivers' numbers; empty without ``--receiver``.
     fit
         Fits any measurements as these were fitted.
+    log_format
+        How the log was read.
     """
 
     measurements: Measurements
     found: ChannelFit
     receivers: tuple[str, ...]
     fit: Callable[[Measurements], ChannelFit]
+    log_format: LogFormat
 
 
 def read_and_fit(
@@ -138,7 +161,8 @@ def read_and_fit(
     site = parse_station(station)
     way = _station_method(station_method, station_is_given=site is not None)
     forgetting_s = _forgetting_s(options)
-    read = read_power_log(log, _log_format(options))
+    log_format = _log_format(options)
+    read = read_power_log(log, log_format)
 
     def fit(measurements: Measurements) -> ChannelFit:
         if site is None:
@@ -150,8 +174,8 @@ def read_and_fit(
     try:
         found = fit(read.measurements)
     except InputError as error:
-        raise at_file_line(error, log) from None
-    return LogFit(read.measurements, found, read.receivers, fit)
+        raise at_file_line(error, log, log_format) from None
+    return LogFit(read.measurements, found, read.receivers, fit, log_format)
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
@@ -190,7 +214,13 @@ def _log_format(options: LogOptions) -> LogFormat:
     InputError
         An option cannot be used.
     """
-    from planopt.channel.logs.log_format import DEFAULT_COLUMNS, LogFormat, parse_columns
+    from planopt.channel.logs.log_format import (
+        DEFAULT_COLUMNS,
+        LogFormat,
+        parse_columns,
+        parse_origin,
+        parse_rows,
+    )
 
     for value, key in (
         (options.resolution, "--resolution"),
@@ -208,6 +238,8 @@ def _log_format(options: LogOptions) -> LogFormat:
         options.receiver,
         options.resolution,
         options.position_error,
+        parse_rows(options.where or ()),
+        None if options.origin is None else parse_origin(options.origin),
     )
 
 

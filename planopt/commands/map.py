@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Generator
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,24 +20,27 @@ from planopt.commands.log_fit import (
     LogOptions,
     LossOption,
     MethodOption,
+    OriginOption,
     PositionErrorOption,
     ReceiverOption,
     ResolutionOption,
     StationMethodOption,
     StationOption,
     TimeOption,
+    WhereOption,
     read_and_fit,
 )
 from planopt.commands.options import JsonOption
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
+from planopt.files.result_folder import ResultFiles, replaced_results
 
 if TYPE_CHECKING:
     from planopt.channel.maps.posterior_map import Bounds, PosteriorMap
     from planopt.channel.measurements import Measurements
 
 UNITS = {"mean_db": "dBm", "deviation_db": "dB", "connectivity": "1"}
-"""The variables of a map (design, section 3)."""
+"""The variables of a map."""
 
 
 def map_log(
@@ -73,6 +77,8 @@ def map_log(
     time: TimeOption = None,
     forgetting: ForgettingOption = None,
     receiver: ReceiverOption = None,
+    where: WhereOption = None,
+    origin: OriginOption = None,
     loss: LossOption = "squares",
     picture: Annotated[
         Path | None,
@@ -90,7 +96,16 @@ def map_log(
     from planopt.world.raster_files import check_raster_output, write_rasters
 
     options = LogOptions(
-        columns, censored, floor, resolution, position_error, time, forgetting, receiver
+        columns,
+        censored,
+        floor,
+        resolution,
+        position_error,
+        time,
+        forgetting,
+        receiver,
+        where,
+        origin,
     )
     check_raster_output(out)
     box = None if bounds is None else parse_bounds(bounds)
@@ -105,13 +120,14 @@ def map_log(
                 default_cell_m(box) if cell is None else cell,
                 _threshold_dbm(threshold, floor, measurements),
             )
-        if picture is not None:
-            from planopt.commands.pictures import picture_map
+        with _together(out, picture) as (new_out, new_picture):
+            write_rasters(new_out, {name: getattr(maps, name) for name in UNITS}, UNITS)
+            if new_picture is not None:
+                from planopt.commands.pictures import picture_map
 
-            title = f"{log.name}: what {len(measurements)} measurements tell ({method} fit)"
-            with progress("drawing"):
-                picture_map(maps, measurements, found, title, picture)
-        write_rasters(out, {name: getattr(maps, name) for name in UNITS}, UNITS)
+                title = f"{log.name}: what {len(measurements)} measurements tell ({method} fit)"
+                with progress("drawing"):
+                    picture_map(maps, measurements, found, title, new_picture)
     data = {**map_json(maps, out, picture), "fit": fit_json(fitted)}
     show(json, data, _in_words(data))
     return 0
@@ -168,6 +184,22 @@ def _writable(out: Path, picture: Path | None) -> Generator[None]:
             if file is not None:
                 stack.enter_context(results_folder(file.parent))
         yield
+
+
+@contextlib.contextmanager
+def _together(out: Path, picture: Path | None) -> Generator[tuple[Path, Path | None]]:
+    """Give names to write map and picture to; on leaving both take the places of older ones."""
+    files = [file for file in (out, picture) if file is not None]
+    with contextlib.ExitStack() as stack:
+        staged: dict[Path, Path] = {}
+        for folder in dict.fromkeys(file.parent for file in files):
+            names = tuple(escape(file.name) for file in files if file.parent == folder)
+            kind = ResultFiles(f"map_{out.stem}", names)
+            staged[folder] = stack.enter_context(replaced_results(folder, kind))
+        yield (
+            staged[out.parent] / out.name,
+            None if picture is None else staged[picture.parent] / picture.name,
+        )
 
 
 def _in_words(data: dict[str, Any]) -> str:

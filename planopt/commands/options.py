@@ -22,6 +22,14 @@ PlannerOption = Annotated[
 CostToGoOption = Annotated[
     str | None, typer.Option("--cost-to-go", metavar="NAME", help="geodesic or connected.")
 ]
+CalibrationOption = Annotated[
+    str | None,
+    typer.Option(
+        "--calibration",
+        metavar="NAME",
+        help="Of probabilities of connection: none, or platt (on what was measured).",
+    ),
+]
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="Of the fading and of the measured places.")
 ]

@@ -6,16 +6,17 @@ Errors are raised; :func:`planopt.cli.main` prints them.
 from __future__ import annotations
 
 import contextlib
-import signal
 from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import typer
 
+from planopt.commands.interrupts import interruptible
+from planopt.files.result_folder import ResultFiles, added_results
+
 NO_PLAN = 4
-"""Exit code where there is no plan, or a run did not arrive (design, section 3)."""
+"""Exit code where there is no plan, or a run did not arrive."""
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
@@ -29,6 +30,13 @@ def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
 
         # Names and messages may come from any file, and a terminal obeys what it is sent.
         typer.echo("\n".join(escaped(line) for line in text.split("\n")))
+
+
+def say(text: str) -> None:
+    """Print a line to stderr while work is going on."""
+    from planopt.errors import escaped
+
+    typer.echo(escaped(text), err=True)
 
 
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
@@ -88,7 +96,7 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
         TimeElapsedColumn(),
     )
     with (
-        _interruptible() as stop_if_interrupted,
+        interruptible() as stop_if_interrupted,
         Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
     ):
         task = bar.add_task(description, total=total)
@@ -102,23 +110,25 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
 
 
 @contextlib.contextmanager
-def _interruptible() -> Generator[Callable[[], None]]:
-    """Let nothing swallow an interrupt: CasADi answers one by ending the solve it is in."""
-    seen: list[int] = []
+def drawing(folder: Path | None, files: ResultFiles, *, wanted: bool) -> Generator[Path | None]:
+    """Give a folder for the pictures of results that are saved; None where none are wanted.
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
-        raise KeyboardInterrupt
+    Pictures come after the results: whatever happens to them, the numbers are there.
 
-    def stop_if_interrupted() -> None:
-        if seen:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, handle)
-    try:
-        yield stop_if_interrupted
-    finally:
-        signal.signal(signal.SIGINT, before)
+    Parameters
+    ----------
+    folder
+        Where the results are, or None.
+    files
+        What they consist of.
+    wanted
+        Whether there are to be pictures.
+    """
+    if folder is None or not wanted:
+        yield None
+        return
+    with progress("drawing"), added_results(folder, files) as new:
+        yield new
 
 
 @contextlib.contextmanager

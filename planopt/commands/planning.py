@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planopt.commands.options import (
+    CalibrationOption,
     CostToGoOption,
     HorizonOption,
     JsonOption,
@@ -28,7 +29,7 @@ class Asked:
     Attributes
     ----------
     problem
-        With horizon, planner and cost to go as asked for.
+        With horizon, planner, cost to go and calibration as asked for.
     seed, out, json
         The options of these names.
     """
@@ -47,6 +48,7 @@ def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
         horizon: HorizonOption = None,
         planner: PlannerOption = None,
         cost_to_go: CostToGoOption = None,
+        calibration: CalibrationOption = None,
         seed: SeedOption = 0,
         out: OutOption = None,
         json: JsonOption = False,
@@ -55,7 +57,11 @@ def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
         from planopt.problems.overrides import with_overrides
 
         asked = with_overrides(
-            load(problem), horizon=horizon, planner=planner, cost_to_go=cost_to_go
+            load(problem),
+            horizon=horizon,
+            planner=planner,
+            cost_to_go=cost_to_go,
+            calibration=calibration,
         )
         return answer(Asked(asked, seed, out, json))
 

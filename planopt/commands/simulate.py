@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from planopt.commands.output import NO_PLAN, progress, results_folder, show, shown_number
+from planopt.commands.output import (
+    NO_PLAN,
+    drawing,
+    progress,
+    results_folder,
+    say,
+    show,
+    shown_number,
+)
 from planopt.commands.planning import Asked, planning_command
 from planopt.commands.team import simulate_asked
 
 if TYPE_CHECKING:
     from planopt.planning.loop.simulation import Simulation
+    from planopt.planning.plan import Plan
 
 
 @planning_command
@@ -17,7 +26,7 @@ def simulate(asked: Asked) -> int:
     """Drive in the true channel. Exit code 0 all verified, 3 not all, 4 goal not reached."""
     from planopt.errors import NoPlanError
     from planopt.planning.files.run_json import no_run_json, simulation_json
-    from planopt.planning.files.saved import RUN_FILE, save_record, save_simulation, withdraw
+    from planopt.planning.files.saved import PLAN_OR_RUN, RUN_FILE, save_no_plan, save_simulation
     from planopt.planning.loop.closed_loop import simulate as drive
     from planopt.planning.loop.simulation import exit_code
 
@@ -27,28 +36,45 @@ def simulate(asked: Asked) -> int:
     with results_folder(asked.out) as folder:
         try:
             with progress("driving, steps:", problem.planner.max_steps) as advance:
-                simulation = drive(problem, seed=seed, on_step=lambda _: advance())
+                simulation = drive(
+                    problem,
+                    seed=seed,
+                    on_start=lambda plan: _say_ahead(asked, plan),
+                    on_step=lambda _: advance(),
+                )
         except NoPlanError as error:
             data = no_run_json(problem, seed, str(error))
             if folder is not None:
-                withdraw(folder)
-                save_record({**data, "plans": []}, problem, folder / RUN_FILE)
+                save_no_plan({**data, "plans": []}, problem, folder, RUN_FILE)
             show(asked.json, data, f"{problem.name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            withdraw(folder)
-            if problem.report.figures:
+            save_simulation(simulation, folder, pictures_follow=problem.report.figures)
+        show(asked.json, simulation_json(simulation), _in_words(simulation))
+        with drawing(folder, PLAN_OR_RUN, wanted=problem.report.figures) as new:
+            if new is not None:
                 from planopt.commands.pictures import picture_simulation
 
-                with progress("drawing"):
-                    picture_simulation(simulation, folder)
-            save_simulation(simulation, folder)
-    show(asked.json, simulation_json(simulation), _in_words(simulation))
+                picture_simulation(simulation, new)
     return exit_code(simulation)
 
 
+def _say_ahead(asked: Asked, plan: Plan) -> None:
+    """Tell of coverage holes on the way before the first step, unless JSON was asked for."""
+    from planopt.planning.holes import goal_in_words, holes_in_words
+
+    if asked.json:
+        return
+    problem = asked.problem
+    for line in goal_in_words(problem, plan.holes) + holes_in_words(
+        problem, plan.holes, "the way ahead crosses"
+    ):
+        say(f"{problem.name}: {line}")
+
+
 def _in_words(simulation: Simulation) -> str:
-    from planopt.planning.loop.metrics import run_reliability
+    from planopt.planning.holes import holes_in_words
+    from planopt.planning.loop.metrics import run_holes, run_reliability
     from planopt.report.tables import reliability_lines
 
     run = simulation.run
@@ -64,6 +90,34 @@ def _in_words(simulation: Simulation) -> str:
             f"  truly connected {metrics.true_connected_share:.1%} of the steps, longest outage "
             f"{metrics.longest_outage_m:.1f} m, least P(connected) of the driven steps "
             f"{shown_number(metrics.predicted_min_connectivity)}",
+            *_costs_in_words(simulation),
+            *(
+                f"  {line}"
+                for line in holes_in_words(simulation.problem, run_holes(run), "crossed")
+            ),
             *(f"  {line}" for line in reliability_lines(run_reliability([run]), "steps")),
         ]
     )
+
+
+def _costs_in_words(simulation: Simulation) -> list[str]:
+    """What the run cost against the clairvoyant, and what steps were excused by."""
+    run, price = simulation.run, simulation.problem.reach.outage_price
+    lines = [
+        f"  realised cost {shown_number(run.costs['realised_cost_m'], ' m')} at "
+        f"objective.outage_price {price:g}, of the clairvoyant "
+        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
+    ]
+    proofs = [plan.certificate for plan in simulation.plans]
+    shares = [
+        proof.path_cost_m / proof.best_cost_m - 1.0
+        for proof in proofs
+        if proof.path_cost_m and proof.best_cost_m
+    ]
+    if shares:
+        lines.append(
+            f"  {len(shares)} of {len(proofs)} plans have steps below p_min, excused by their "
+            f"price: they cost at most {100.0 * max(*shares, 0.0):.1f} % more than the cheapest "
+            "path that the verifier found"
+        )
+    return lines

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from planopt.commands.output import (
     NO_PLAN,
     apart_in_words,
+    drawing,
     explained,
     planned_in_words,
     progress,
@@ -28,7 +29,7 @@ def solve(asked: Asked) -> int:
 
     from planopt.errors import NoPlanError
     from planopt.planning.explain.explain import explain, explain_no_plan
-    from planopt.planning.files.saved import PLAN_FILE, save_record, save_solution, withdraw
+    from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, save_no_plan, save_solution
     from planopt.planning.files.solution_json import no_plan_json, solution_json
     from planopt.planning.solution import exit_code
     from planopt.planning.solve import solve as find_plan
@@ -45,8 +46,7 @@ def solve(asked: Asked) -> int:
                 helpful = explain_no_plan(problem, seed)
             data = no_plan_json(problem, seed, str(error), helpful)
             if folder is not None:
-                withdraw(folder)
-                save_record(data, problem, folder / PLAN_FILE)
+                save_no_plan(data, problem, folder, PLAN_FILE)
             lines = [f"{problem.name}: no plan: {error}", *explained(helpful)]
             show(asked.json, data, "\n".join(lines))
             return NO_PLAN
@@ -54,18 +54,19 @@ def solve(asked: Asked) -> int:
             with progress("explaining"):
                 solution = replace(solution, explanation=explain(solution))
         if folder is not None:
-            withdraw(folder)
-            if problem.report.figures:
+            save_solution(solution, folder, pictures_follow=problem.report.figures)
+        show(asked.json, solution_json(solution), _in_words(solution))
+        with drawing(folder, PLAN_OR_RUN, wanted=problem.report.figures) as new:
+            if new is not None:
                 from planopt.commands.pictures import picture_solution
 
-                with progress("drawing"):
-                    picture_solution(solution, folder)
-            save_solution(solution, folder)
-    show(asked.json, solution_json(solution), _in_words(solution))
+                picture_solution(solution, new)
     return exit_code(solution)
 
 
 def _in_words(solution: Solution) -> str:
+    from planopt.planning.holes import goal_in_words, holes_in_words
+
     plan, certificate = solution.plan, solution.plan.certificate
     lines = [
         f"{solution.problem.name}: {plan.verdict.value} ({plan.rung.value}, "
@@ -81,4 +82,7 @@ def _in_words(solution: Solution) -> str:
         lines.append(f"  {certificate.rule.words}")
     if plan.message:
         lines.append(f"  {plan.message}")
+    words = goal_in_words(solution.problem, plan.holes)
+    words += holes_in_words(solution.problem, plan.holes, "the way to the goal crosses")
+    lines += [f"  {line}" for line in words]
     return "\n".join([*lines, *explained(solution.explanation)])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from planopt.commands.output import (
     apart_in_words,
+    drawing,
     explained,
     planned_in_words,
     progress,
@@ -28,12 +29,13 @@ def solve_asked(asked: Asked) -> int:
     from dataclasses import replace
 
     from planopt.planning.explain.explain import explain
-    from planopt.planning.files.saved import withdraw
+    from planopt.planning.files.saved import PLAN_OR_RUN
     from planopt.planning.files.team_saved import save_team_solution
     from planopt.planning.files.team_solution_json import team_solution_json
     from planopt.planning.plan import Verdict
     from planopt.planning.team.team_solve import solve_team
 
+    figures = asked.problem.report.figures
     with results_folder(asked.out) as folder:
         with progress("planning"):
             solution = solve_team(asked.problem, seed=asked.seed)
@@ -41,43 +43,37 @@ def solve_asked(asked: Asked) -> int:
             with progress("explaining"):
                 solution = replace(solution, explanation=explain(solution))
         if folder is not None:
-            withdraw(folder)
-            if solution.problem.report.figures:
+            save_team_solution(solution, folder, pictures_follow=figures)
+        show(asked.json, team_solution_json(solution), _plans_in_words(solution))
+        with drawing(folder, PLAN_OR_RUN, wanted=figures) as new:
+            if new is not None:
                 from planopt.commands.pictures import picture_team_plan
 
-                with progress("drawing"):
-                    picture_team_plan(
-                        solution.problem,
-                        solution.plans,
-                        solution.belief,
-                        solution.aims[0].target_m,
-                        folder,
-                    )
-            save_team_solution(solution, folder)
-    show(asked.json, team_solution_json(solution), _plans_in_words(solution))
+                target_m = solution.aims[0].target_m
+                picture_team_plan(solution.problem, solution.plans, solution.belief, target_m, new)
     return 0 if solution.verdict is Verdict.VERIFIED else NOT_VERIFIED
 
 
 def simulate_asked(asked: Asked) -> int:
     """Drive all robots. Exit code 0 verified throughout, 3 not, 4 stalled or never connected."""
-    from planopt.planning.files.saved import withdraw
+    from planopt.planning.files.saved import PLAN_OR_RUN
     from planopt.planning.files.team_run_json import team_run_json
     from planopt.planning.files.team_saved import save_team_run
     from planopt.planning.loop.run import Outcome
     from planopt.planning.team.team_loop import simulate_team
 
+    figures = asked.problem.report.figures
     with results_folder(asked.out) as folder:
         with progress("driving, steps:", asked.problem.planner.max_steps) as advance:
             run = simulate_team(asked.problem, seed=asked.seed, on_step=lambda _: advance())
         if folder is not None:
-            withdraw(folder)
-            if run.problem.report.figures:
+            save_team_run(run, folder, pictures_follow=figures)
+        show(asked.json, team_run_json(run), _run_in_words(run))
+        with drawing(folder, PLAN_OR_RUN, wanted=figures) as new:
+            if new is not None:
                 from planopt.commands.pictures import picture_team_run
 
-                with progress("drawing"):
-                    picture_team_run(run, folder)
-            save_team_run(run, folder)
-    show(asked.json, team_run_json(run), _run_in_words(run))
+                picture_team_run(run, new)
     if run.runs[0].outcome is not Outcome.COMPLETED:
         return NOT_DONE
     return 0 if run.verified_rate == 1.0 else NOT_VERIFIED

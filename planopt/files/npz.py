@@ -24,6 +24,9 @@ LARGEST_UNPACKED_BYTES = 512 * 2**20
 LARGEST_ITEM_BYTES = 4096
 """Size limit of one value: texts are stored at the length of the longest."""
 
+LARGEST_CHARACTER = 0x10FFFF
+"""Of Unicode. Surrogates, which stand for halves of characters, are none either."""
+
 SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")
 """First bytes of a zip archive, and of an empty one."""
 
@@ -124,11 +127,20 @@ def _array(
             if len(content) < count * dtype.itemsize or stream.read(1):
                 raise InputError("has another size than its header says", file=path, key=name)
             flat = np.frombuffer(content, dtype=dtype, count=count)
+            if dtype.kind == "U":
+                _require_characters(path, name, flat)
             return flat.reshape(shape, order="F" if by_columns else "C").copy()
     except InputError as error:
         if error.key is not None:
             raise
         raise InputError(error.message, file=path, key=name, remedy=error.remedy) from error
+
+
+def _require_characters(path: Path, name: str, texts: NDArray[np.str_]) -> None:
+    """Refuse numbers that are no characters: Python fails on such a text much later."""
+    codes = texts.view(np.dtype(np.uint32).newbyteorder(texts.dtype.byteorder))
+    if ((codes > LARGEST_CHARACTER) | ((codes >= 0xD800) & (codes <= 0xDFFF))).any():
+        raise InputError("has texts with characters that are none", file=path, key=name)
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

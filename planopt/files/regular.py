@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
+import sys
 import warnings
 from collections.abc import Generator
 from pathlib import Path
@@ -99,7 +100,8 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
     """Turn whatever a dependency makes of a damaged file into one error of ours.
 
     Readers of binary formats check little: a damaged file ends in whatever its bytes lead to,
-    among them warnings, MemoryError and errors of other readers.
+    among them warnings, MemoryError, errors of other readers, and errors within their callbacks,
+    which Python would print.
 
     Parameters
     ----------
@@ -113,6 +115,8 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
     InputError
         Anything was raised within; an InputError passes as it is.
     """
+    hooks = sys.excepthook, sys.unraisablehook
+    sys.excepthook, sys.unraisablehook = _unseen, _unseen
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -122,6 +126,12 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
     except Exception as error:
         reason = str(error) or type(error).__name__
         raise InputError(f"not {kind} that can be read: {reason}", file=path) from error
+    finally:
+        sys.excepthook, sys.unraisablehook = hooks
+
+
+def _unseen(*_: object) -> None:
+    """Print nothing."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:

@@ -3,9 +3,10 @@
 A robot measures at the end of a step, but not nearer than the spacing to an earlier measurement:
 there multipath is known already, and another reading of it would tell nothing. The same holds
 between the steps of one plan. :meth:`MeasuringRule.takes` is that rule. Solvers cannot climb it;
-they climb :meth:`MeasuringRule.gates` instead, a smooth amplitude for every place: zero wherever
-the rule takes nothing, one from a little beyond the spacing on. So a solver never counts more than
-what the loop will collect.
+they climb :meth:`MeasuringRule.gates` instead, a smooth amplitude for every place that rises from
+zero to one about the spacing: steep enough that the best place of a solver is one that the loop
+measures, and all of it at a distance that robots whose steps are as long as the spacing come to.
+What a solver returns is valued by the rule.
 """
 
 from __future__ import annotations
@@ -22,8 +23,12 @@ from planopt.channel.posterior import ChannelPosterior
 SAME_PLACE_M = 1e-6
 """Places nearer than this are one place, whatever the spacing."""
 
-OPEN_SPACINGS = 1.25
-"""The smooth gate is fully open from so many spacings on."""
+SPACING_TOLERANCE_M = 1e-5
+"""Two steps that are together as long as the spacing lead to a new place, though planners plan them
+a little shorter."""
+
+CLOSED_SPACINGS, OPEN_SPACINGS = 0.9, 1.02
+"""The smooth gate is closed up to so many spacings, and fully open from so many on."""
 
 MOST_BESIDE = 8
 """So many earlier measurements are looked at near one place, the nearest. Where more are so near
@@ -36,6 +41,11 @@ FEW_PAIRS = 20_000
 """Up to so many pairs of places and measurements are compared one by one; beyond, in a tree."""
 
 
+def closing_m(spacing_m: float) -> float:
+    """A place nearer than this to an earlier measurement brings none, for spacing `spacing_m`."""
+    return max(spacing_m - SPACING_TOLERANCE_M, SAME_PLACE_M)
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
     """Where measurements are taken, given those there are.
@@ -43,7 +53,7 @@ class MeasuringRule:
     Attributes
     ----------
     spacing_m
-        A place nearer than this to an earlier measurement brings none.
+        A place nearer than this to an earlier measurement brings none; :func:`closing_m`.
     known_m
         ``(n, 2)`` places measured before, of each station. A place counts as measured once all
         stations were measured near it.
@@ -60,7 +70,7 @@ class MeasuringRule:
             places = posterior.measurements.positions_m
             if not any(np.array_equal(places, other) for other in known):
                 known.append(places)
-        return MeasuringRule(max(spacing_m, SAME_PLACE_M), tuple(known))
+        return MeasuringRule(closing_m(spacing_m), tuple(known))
 
     @property
     def open_m(self) -> float:
@@ -236,11 +246,11 @@ class Gates:
 def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
     """Return log s with first and second derivative by the squared distance; ``(3, ...)``.
 
-    s = u^3 (10 - 15 u + 6 u^2) rises from 0 at the spacing to 1 where gates are fully open, with
+    s = u^3 (10 - 15 u + 6 u^2) rises from 0 where gates close to 1 where they are fully open, with
     two continuous derivatives. Where s is 0 its logarithm is minus infinity and derivatives are 0:
     the gate's own are.
     """
-    low, high = rule.spacing_m**2, rule.open_m**2
+    low, high = (CLOSED_SPACINGS * rule.spacing_m) ** 2, rule.open_m**2
     found = np.zeros((3, *squared_m2.shape))
     closed = squared_m2 <= low
     found[0][closed] = -np.inf

@@ -26,21 +26,21 @@ LEAST_SCORE = -5.0
 
 @dataclass(frozen=True)
 class PassageProgramme:
-    """Functions of z = (mean above threshold (h,), covariance (h, h), legs (h,)), flattened.
+    """Functions of z = (mean above threshold (h,), covariance (h, h), legs (h,), beyond), flat.
 
     Mean and covariance are there for each station in turn. The chances of no connection to each
-    multiply: they are independent.
+    multiply: they are independent. The last of z is what ending without connection counts.
 
     Attributes
     ----------
     steps, stations
         h, and how many stations there are.
     value
-        Of z and what ending without connection counts: the distance charged.
+        Of z: the distance charged.
     gradient
         The same by z, of the covariance by its lower triangle only.
     along
-        Of z, that and a direction: how the gradient changes along it.
+        Of z and a direction: how the gradient changes along it.
     """
 
     steps: int
@@ -54,21 +54,21 @@ class PassageProgramme:
 def passage_programme(steps: int, stations: int = 1) -> PassageProgramme:
     """Build the functions for a path of h = `steps` places; kept for each number."""
     size = steps * (steps + 1)
-    z, beyond = ca.SX.sym("z", stations * size + steps), ca.SX.sym("beyond")
+    z = ca.SX.sym("z", stations * size + steps + 1)
     each = [_failing(z[own * size : (own + 1) * size], steps) for own in range(stations)]
-    legs = z[stations * size :]
+    legs = z[stations * size :]  # and beyond, the last
     distance = legs[0]
     for k in range(steps):
         failing = math.prod((own[k] for own in each[1:]), start=each[0][k])
-        distance += failing * (legs[k + 1] if k + 1 < steps else beyond)
+        distance += failing * legs[k + 1]
     slope = ca.gradient(distance, z)
     way = ca.SX.sym("way", z.numel())
     return PassageProgramme(
         steps,
         stations,
-        ca.Function("distance", [z, beyond], [distance]),
-        ca.Function("slope", [z, beyond], [slope]),
-        ca.Function("along", [z, beyond, way], [ca.jtimes(slope, z, way)]),
+        ca.Function("distance", [z], [distance]),
+        ca.Function("slope", [z], [slope]),
+        ca.Function("along", [z, way], [ca.jtimes(slope, z, way)]),
     )
 
 
@@ -97,7 +97,7 @@ def charged_distances_m(
     mean_db: NDArray[np.float64],
     covariance_db2: NDArray[np.float64],
     legs_m: NDArray[np.float64],
-    beyond_m: float,
+    beyond_m: NDArray[np.float64] | float,
     further: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
 ) -> NDArray[np.float64]:
     """Distance until connected of c paths, as filtering has it; ``(c,)``.
@@ -109,7 +109,7 @@ def charged_distances_m(
     legs_m
         ``(c, h)`` lengths of the steps.
     beyond_m
-        Added where the path ends without connection.
+        Added where a path ends without connection; ``(c,)`` or the same for all.
     further
         Mean and covariance of each further station.
     """
@@ -119,20 +119,20 @@ def charged_distances_m(
         for mean, covariance in ((mean_db, covariance_db2), *further)
         for part in (mean, covariance.reshape(count, -1))
     ]
-    z = np.concatenate([*each, legs_m], axis=1)
+    beyond = np.broadcast_to(np.reshape(beyond_m, (-1, 1)), (count, 1))
+    z = np.concatenate([*each, legs_m, beyond], axis=1)
     programme = passage_programme(steps, 1 + len(further))
-    return np.asarray(programme.value(z.T, beyond_m)).ravel()
+    return np.asarray(programme.value(z.T)).ravel()
 
 
 def slopes_and_bends(
     programme: PassageProgramme,
     z: NDArray[np.float64],
-    beyond_m: float,
     ways: NDArray[np.float64],
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Value, gradient (n,) and change of the gradient along each column of `ways` (n, d)."""
     return (
-        float(programme.value(z, beyond_m)),
-        np.asarray(programme.gradient(z, beyond_m)).ravel(),
-        np.asarray(programme.along(z, beyond_m, ways)),
+        float(programme.value(z)),
+        np.asarray(programme.gradient(z)).ravel(),
+        np.asarray(programme.along(z, ways)),
     )

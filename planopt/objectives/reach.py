@@ -1,9 +1,11 @@
-"""Reach a goal in least time and effort: the cost of a path and of the way beyond it.
+"""Reach a goal in least time, effort and time out of contact: the cost of a path and beyond it.
 
 The continuous cost is the integral of ``1 + w v^2`` dt until arrival, in seconds, with v the speed
 and w the effort weight. In discrete time a step of length l and duration h that starts short of the
 goal costs ``h + w l^2 / h``; standing at the goal costs nothing. A way of length D beyond the
 horizon costs at least ``D min_v (1 + w v^2) / v`` over the speeds allowed: the cost rate below.
+A metre driven where the probability of connection P is below p_min counts more than one metre, by
+the outage price: ``1 + price (1 - P)``.
 """
 
 from __future__ import annotations
@@ -30,6 +32,36 @@ def step_cost_s(
 ) -> NDArray[np.float64]:
     """Cost of steps of these lengths that start short of the goal, in seconds."""
     return step_s + effort_weight_s2_m2 * length_m**2 / step_s
+
+
+def outage_share(
+    probability: NDArray[np.float64], is_below: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Share of a metre at each place that the outage price is charged on.
+
+    ``1 - P`` where p_min is missed, nothing elsewhere.
+
+    Parameters
+    ----------
+    probability
+        P(connected); any shape.
+    is_below
+        Whether p_min is missed there.
+    """
+    return np.where(is_below, 1.0 - probability, 0.0)
+
+
+def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:
+    """Metres of a path (n + 1 places) that the price is charged on: the mean of each step's ends.
+
+    Parameters
+    ----------
+    lengths_m
+        ``(n,)`` of the steps.
+    share
+        ``(n + 1,)`` from :func:`outage_share`, the path's first place included.
+    """
+    return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 
 
 def path_cost_s(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,16 @@ from planopt.channel.connection.first_passage import first_passage
 from planopt.channel.places import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.near_posterior import factored_near
+
+LATER = 1.1
+"""What a metre counts that lies beyond a plan. Were it 1, a robot far from any chance of connection
+could as well wait as drive."""
+
+NOT_TRIED_DB = 1e3
+"""So far below the threshold the searches' formula takes places that are no tries."""
+
+LEAST_CHANCE = 1e-12
+"""Of a place that is tried."""
 
 SEED, TOLERANCE = 0, 1e-3
 """Of the integral that plans are compared by; it is mostly a hundred times more accurate."""
@@ -89,6 +99,7 @@ def charged_distance_m(
     path_m: NDArray[np.float64],
     settings: Search,
     further: Sequence[ChannelPosterior] = (),
+    tried: NDArray[np.bool_] | None = None,
 ) -> float:
     """E[D] + beyond_m P(not connected at q_1 .. q_h): what a plan that has to stop at h is charged.
 
@@ -102,21 +113,50 @@ def charged_distance_m(
         As there.
     further
         Of further stations.
+    tried
+        ``(h,)`` which places are tries; at others it is known that there is no connection. None
+        for all.
     """
     whole = _whole(path_m, settings)
-    each = [
-        first_passage(
-            factored_near(station, whole),
-            whole,
-            threshold,
-            np.random.default_rng(SEED),
-            disconnected_now=settings.disconnected_now,
-            tolerance=TOLERANCE,
-        )
-        for station, threshold in zip((posterior, *further), settings.thresholds_dbm, strict=True)
-    ]
-    found = replace(each[0], not_connected=np.prod([own.not_connected for own in each], axis=0))
-    return found.expected_distance_m + settings.beyond_m * float(found.not_connected[-1])
+    tries = np.ones(len(path_m), dtype=np.bool_) if tried is None else tried
+    places = whole[np.concatenate([[True], tries])]
+    failing = np.ones(len(places))
+    for station, threshold in zip((posterior, *further), settings.thresholds_dbm, strict=True):
+        if len(places) > 1:
+            failing *= first_passage(
+                factored_near(station, places),
+                places,
+                threshold,
+                np.random.default_rng(SEED),
+                disconnected_now=settings.disconnected_now,
+                tolerance=TOLERANCE,
+            ).not_connected
+    after = failing[np.concatenate([[0], np.cumsum(tries)])]
+    return float(leg_lengths_m(whole) @ after[:-1] + settings.beyond_m * after[-1])
+
+
+def search_length_m(
+    distance_m: NDArray[np.float64],
+    chance: NDArray[np.float64],
+    decorrelation_m: float,
+    most_m: float,
+) -> NDArray[np.float64]:
+    """Return the expected length of a search by tries like one, R = D + (1 - P) (L + R).
+
+    A try costs the way to its place, D. If it fails, as it does with the chance 1 - P, the power
+    about the place is known, and the robot first has to leave its surroundings, L.
+
+    Parameters
+    ----------
+    distance_m, chance
+        ``(k,)`` D and P of places.
+    decorrelation_m
+        L, from which on another try is independent.
+    most_m
+        No search is taken to be longer.
+    """
+    tried = distance_m + (1.0 - chance) * decorrelation_m
+    return np.minimum(tried / np.maximum(chance, LEAST_CHANCE), most_m)
 
 
 def independent_expected_distance_m(

@@ -24,12 +24,17 @@ from planopt.objectives.batch_derivatives import (
 from planopt.objectives.local_channel import LocalChannel
 from planopt.objectives.motion_derivatives import legs_curvature
 from planopt.objectives.passage_programme import passage_programme, slopes_and_bends
-from planopt.objectives.until_connected import Search
+from planopt.objectives.until_connected import NOT_TRIED_DB, Search
 from planopt.targets.rounding import Derivatives, rounded_length
 
 
 def charged_distance_derivatives(
-    channels: Sequence[LocalChannel], path_m: NDArray[np.float64], settings: Search, width_m: float
+    channels: Sequence[LocalChannel],
+    path_m: NDArray[np.float64],
+    settings: Search,
+    width_m: float,
+    beyond: Derivatives | None = None,
+    tried: NDArray[np.bool_] | None = None,
 ) -> PathDerivatives:
     """:func:`planopt.objectives.until_connected.charged_distance_m`, filtered, with derivatives.
 
@@ -43,6 +48,11 @@ def charged_distance_derivatives(
         Start and threshold.
     width_m
         Legs are rounded within this of zero.
+    beyond
+        What is charged beyond the last place, by that place, one row; None for
+        `settings.beyond_m` wherever the path ends.
+    tried
+        As of :func:`planopt.objectives.until_connected.charged_distance_m`, of paths nearby.
     """
     places = require_places(path_m)
     steps = len(places)
@@ -54,19 +64,27 @@ def charged_distance_derivatives(
     by_leg = np.zeros((steps, steps, 2))
     by_leg[k, k] = legs.gradient
     by_leg[k[1:], k[:-1]] = -legs.gradient[1:]
-    ways = np.concatenate([*(station.ways for station in stations), by_leg])
+    by_beyond = np.zeros((1, steps, 2))
+    if beyond is None:
+        beyond = Derivatives(np.array([settings.beyond_m]), np.zeros((1, 2)), np.zeros((1, 3)))
+    by_beyond[0, -1] = beyond.gradient[0]
+    ways = np.concatenate([*(station.ways for station in stations), by_leg, by_beyond])
     ways = ways.reshape(-1, 2 * steps)
 
+    missing_db = 0.0 if tried is None else np.where(tried, 0.0, NOT_TRIED_DB)
     z = np.concatenate(
         [
             part
             for station, threshold in zip(stations, settings.thresholds_dbm, strict=True)
-            for part in (station.mean.value - threshold, station.batch.covariance.ravel())
+            for part in (
+                station.mean.value - threshold - missing_db,
+                station.batch.covariance.ravel(),
+            )
         ]
-        + [legs.value]
+        + [legs.value, beyond.value]
     )
     programme = passage_programme(steps, len(stations))
-    value, gradient, bends = slopes_and_bends(programme, z, settings.beyond_m, ways)
+    value, gradient, bends = slopes_and_bends(programme, z, ways)
     hessian = ways.T @ bends
     size = steps * (steps + 1)
     for number, station in enumerate(stations):
@@ -74,7 +92,9 @@ def charged_distance_derivatives(
         by_s = own[steps:].reshape(steps, steps)
         hessian += curvature_of(station.batch, 0.5 * (by_s + by_s.T))
         add_own_blocks(hessian, own[:steps, None] * station.mean.hessian)
-    hessian += legs_curvature(legs, gradient[-steps:])
+    hessian += legs_curvature(legs, gradient[-steps - 1 : -1])
+    xx, xy, yy = gradient[-1] * beyond.hessian[0]
+    hessian[-2:, -2:] += [[xx, xy], [xy, yy]]
     return PathDerivatives(value, ways.T @ gradient, 0.5 * (hessian + hessian.T))
 
 

@@ -1,4 +1,4 @@
-"""How long a plan may be polished."""
+"""How long a plan may take: when the last polish may begin, and how long one may take."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from planopt.problems.problem import Problem
+
+SOLVE_SHARE = 0.4
+"""No solve takes longer than this share of a budget."""
+PROOF_SHARE = 0.1
+"""This share is left for the proof of the last solve's path."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,17 @@ class Budget:
 
 
 def budget_from(problem: Problem, begun_s: float) -> Budget:
-    """The budget of a plan that was begun at `begun_s`, by :func:`time.perf_counter`."""
+    """The budget of a plan that was begun at `begun_s`, by :func:`time.perf_counter`.
+
+    The last solve begins early enough to end, and to be judged, within it.
+    """
     budget_s = problem.planner.budget_s
-    return Budget() if budget_s is None else Budget(begun_s + budget_s)
+    if budget_s is None:
+        return Budget()
+    return Budget(begun_s + (1.0 - SOLVE_SHARE - PROOF_SHARE) * budget_s)
+
+
+def solve_limit_s(problem: Problem) -> float | None:
+    """How long one solve may take; None where there is no limit."""
+    budget_s = problem.planner.budget_s
+    return None if budget_s is None else SOLVE_SHARE * budget_s

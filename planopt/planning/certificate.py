@@ -30,9 +30,13 @@ class Certificate:
     best_margin_db
         At each of them, the best margin (dB, negative) found over every place that the robot
         could reach by then: negative is the proof that the bound could not be met.
-    no_connected_way
-        True if the bound was missed at a step although it could be met there, and a search showed
-        that no way to the goal keeps it; False if that was not needed, or not so.
+    path_cost_m, best_cost_m
+        On the way to a goal, where the bound is missed: what the plan and the rest of the way cost
+        at the outage price, and what the cheapest path costs that the verifier finds, in metres;
+        else None.
+    step_cost_m, step_excess_m
+        There as well: what the first step costs, and by how much the cheapest path is dearer after
+        it than before, that included. A run's sums of both are bounded by its allowance.
     reasons
         Why the verdict is not ``verified``; empty if it is.
     min_separation_m
@@ -54,7 +58,10 @@ class Certificate:
     relaxed_steps: tuple[int, ...] = ()
     relaxation_db: tuple[float, ...] = ()
     best_margin_db: tuple[float, ...] = ()
-    no_connected_way: bool = False
+    path_cost_m: float | None = None
+    best_cost_m: float | None = None
+    step_cost_m: float | None = None
+    step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
     min_separation_m: float | None = None
     min_moving_clearance_m: float | None = None

@@ -8,6 +8,7 @@ to it. A robot that can stop at the goal brakes.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -92,7 +93,7 @@ class DrivenReach:
         budget
             Of the step.
         """
-        judge = _charging(judge, ReachCost(self._problem, judge.position_m))
+        judge = _charging(judge, ReachCost(self._problem, judge.position_m, situation.power))
         if start is None:
             return without_start(judge, warm), None
         starts = self._starts(situation, judge, start, warm)
@@ -100,12 +101,18 @@ class DrivenReach:
         ends = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
         now = np.array(dynamics_of(self._problem).resting_place(tuple(judge.state)))
         pivot = self._pivot(start, ends or [now], node_margin_db)
-        found = self._climb(situation, judge, starts, pivot, warm, budget)
+        cost = ReachCost(
+            self._problem, judge.position_m, situation.power, priced=not start.is_direct
+        )
+        found = self._climb(situation, judge, starts, cost, pivot, warm, budget)
         if self._gets_nowhere(found):
             # Perhaps the pivot is not seen from here: then the straight way to it leads nowhere.
             nearer = self._pivot(start, [now], node_margin_db)
             if not np.array_equal(nearer.position_m, pivot.position_m):
-                return self._climb(situation, judge, starts, nearer, warm, budget), nearer
+                pivot = nearer
+                found = self._climb(situation, judge, starts, cost, pivot, warm, budget)
+        if start.is_direct:
+            found = _named_direct(found, replace(cost, ahead=_always(pivot), priced=True))
         return found, pivot
 
     def _starts(
@@ -157,12 +164,13 @@ class DrivenReach:
         situation: Situation,
         judge: Judge,
         starts: list[Start],
+        cost: ReachCost,
         pivot: Pivot,
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
         """What the ladder makes of the starts, charged by a pivot."""
-        cost = ReachCost(self._problem, judge.position_m, pivot)
+        cost = replace(cost, ahead=_always(pivot))
         judge = _charging(judge, cost)
         if stops_at_goal(self._problem, judge.state):
             stopped = _stopped(judge)
@@ -191,7 +199,7 @@ class DrivenReach:
         return GoalCharge(
             pivot.position_m,
             problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
-            cost.rate_s_m,
+            cost.rate_s_m * pivot.metre_cost,
             1.0 / steps if ends else 0.0,
             ROUNDING_STEPS * problem.step_length_m,
         )
@@ -203,6 +211,22 @@ class DrivenReach:
         resting = resting_places_m(found.drive)
         moved = float(np.linalg.norm(resting - resting[0], axis=1).max())
         return moved <= STAGNANT_STEPS * self._problem.step_length_m
+
+
+def _always(pivot: Pivot) -> Callable[[NDArray[np.float64]], Pivot]:
+    """The same pivot wherever a path ends."""
+
+    def ahead(_end_m: NDArray[np.float64]) -> Pivot:
+        return pivot
+
+    return ahead
+
+
+def _named_direct(found: Candidate, priced: ReachCost) -> Candidate:
+    """A candidate on the rung of a robot that has wandered; others at what they cost any robot."""
+    if found.rung in (Rung.PLAN, Rung.COLD_RETRY, Rung.LATTICE, Rung.RELAXED):
+        return replace(found, rung=Rung.DIRECT)
+    return replace(found, objective=priced(found.path_m, found.drive))
 
 
 def _charging(judge: Judge, cost: ReachCost) -> Judge:

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
-from planopt.planning.search.road_map import RoadMap, build_road_map
-from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
+from planopt.planning.roads import build_roads, nodes_in_reach
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles
-from planopt.world.lattice import build_lattice, moves_from
+from planopt.world.road_map import RoadMap
 from planopt.world.separation import PackedPieces, pack_pieces
 
 
@@ -43,21 +41,10 @@ def build_ground(problem: Problem, anchor_m: NDArray[np.float64]) -> Ground:
     InputError
         The step is too short, or too long, for the bounds.
     """
-    try:
-        lattice = build_lattice(
-            problem.workspace,
-            anchor_m,
-            problem.step_length_m - STEP_PAD_M,
-            problem.constraints.clearance_m + CLEARANCE_PAD_M,
-        )
-    except InputError as error:
-        raise InputError(
-            error.message, file=problem.file, key="planner.step_s", remedy=error.remedy
-        ) from None
     return Ground(
         index_obstacles(problem.workspace),
         pack_pieces(problem.workspace),
-        build_road_map(lattice),
+        build_roads(problem, anchor_m),
     )
 
 
@@ -65,14 +52,4 @@ def first_moves(
     ground: Ground, problem: Problem, position_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Nodes that one step from an off-lattice place can end at, and how long it is to each."""
-    lattice = ground.road_map.lattice
-    rows, columns, clear = moves_from(
-        ground.index,
-        lattice,
-        position_m,
-        problem.step_length_m - STEP_PAD_M,
-        problem.constraints.clearance_m,
-    )
-    nodes = ground.road_map.number[rows[clear], columns[clear]]
-    nodes = nodes[nodes >= 0]
-    return nodes, np.linalg.norm(ground.road_map.nodes_m[nodes] - position_m, axis=1)
+    return nodes_in_reach(ground.road_map, ground.index, problem, position_m)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.certificate import Certificate
 from planopt.problems.problem import Problem
 
 
@@ -22,6 +24,12 @@ class History:
         Steps, and metres, driven since the last one connected, or since the start.
     delivered_mbit
         Data delivered before the deadline, where data are asked for.
+    has_circled
+        Whether the robot was once `CIRCLING_STEPS` steps about one place, where nothing moves that
+        it could have waited for.
+    crossing_cost_m, crossing_excess_m
+        On the way to a goal: what the first steps of plans that miss the bound have cost, and by
+        how much more than the cheapest paths from where they were planned.
     """
 
     steps: int = 0
@@ -29,14 +37,23 @@ class History:
     outage_steps: int = 0
     outage_m: float = 0.0
     delivered_mbit: float = 0.0
+    has_circled: bool = False
+    crossing_cost_m: float = 0.0
+    crossing_excess_m: float = 0.0
 
+
+CIRCLING_STEPS = 15
+"""So many steps within one longest step of a place are standing still or going in circles."""
 
 BEGINNING = History()
 """Of a plan from the start of a run."""
 
 
 def history_of(
-    problem: Problem, track_m: NDArray[np.float64], connected: NDArray[np.bool_]
+    problem: Problem,
+    track_m: NDArray[np.float64],
+    connected: NDArray[np.bool_],
+    certificates: Iterable[Certificate] = (),
 ) -> History:
     """The run along a track.
 
@@ -48,7 +65,10 @@ def history_of(
         ``(n + 1, 2)`` where the robot was, the start first.
     connected
         ``(n,)`` whether it was connected after each step.
+    certificates
+        Of the plans that led along it.
     """
+    priced = [each for each in certificates if each.step_excess_m is not None]
     count = len(connected)
     ends = np.flatnonzero(connected)
     since = int(ends[-1]) + 1 if len(ends) else 0
@@ -59,7 +79,19 @@ def history_of(
         outage_steps=count - since,
         outage_m=float(legs[since:].sum()),
         delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
+        crossing_cost_m=sum(each.step_cost_m or 0.0 for each in priced),
+        crossing_excess_m=sum(each.step_excess_m or 0.0 for each in priced),
+        has_circled=not problem.workspace.moving and _circled(track_m, problem.step_length_m),
     )
+
+
+def _circled(track_m: NDArray[np.float64], step_length_m: float) -> bool:
+    """Whether a track (n + 1, 2) once stayed about one place."""
+    if len(track_m) <= CIRCLING_STEPS:
+        return False
+    windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)
+    away = np.linalg.norm(windows - windows[..., :1], axis=1).max(axis=1)
+    return bool((away <= step_length_m).any())
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:

@@ -5,16 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 from time import perf_counter
 
+import numpy as np
+from numpy.typing import NDArray
+
 from planopt.planning.budget import budget_from
 from planopt.planning.driven import driven_starts
 from planopt.planning.ground import Ground
 from planopt.planning.judge import Judge
 from planopt.planning.ladder import Ladder
-from planopt.planning.plan import Plan
-from planopt.planning.search.start_search import StartSearch
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.search.start_search import Start, StartSearch
+from planopt.planning.search.to_unmeasured import way_to_unmeasured
 from planopt.planning.shifted import shifted_path
 from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.structure import is_measured
+from planopt.problems.objective import MotionEnergyTerm
 from planopt.problems.problem import Problem
 
 
@@ -58,6 +65,14 @@ class HorizonPlanner:
         begun = perf_counter()
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
         starts = self._search.find_starts(situation, shifted)
+        way = self._way_out(situation, starts)
+        if way is not None:
+            out = Start(way, judge.objective(way), rule_missing(situation, way))
+            if situation.measuring.takes(way).any():
+                # It measures something after all: what that is worth is for all to compare.
+                starts = sorted([*starts, out], key=lambda start: -start.worth)
+            elif (plan := self._released(situation, judge, out, warm, begun)) is not None:
+                return plan
         if self.problem.robots[0].dynamics is not None:
             starts = driven_starts(judge, situation, starts, warm)
         budget = budget_from(self.problem, begun)
@@ -69,3 +84,34 @@ class HorizonPlanner:
             found = alone if same else chosen.lattice_objective
             chosen = replace(chosen, objective=alone, lattice_objective=found)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
+
+    def _way_out(self, situation: Situation, starts: list[Start]) -> NDArray[np.float64] | None:
+        """The way (N, 2) to the nearest unmeasured place, where no start measures anything.
+
+        None where one does, where a term asks for more than measurements, or none is left.
+        """
+        terms = self.problem.terms
+        if not any(map(is_measured, terms)) or not all(
+            is_measured(term) or isinstance(term, MotionEnergyTerm) for term in terms
+        ):
+            return None
+        worth = PathWorth(situation)
+        for start in starts:
+            gains = zip(terms, worth.by_term(start.path_m), strict=True)
+            if any(gain > 0.0 for term, gain in gains if is_measured(term)):
+                return None
+        return way_to_unmeasured(situation, self.ground)
+
+    def _released(
+        self, situation: Situation, judge: Judge, start: Start, warm: Plan | None, begun_s: float
+    ) -> Plan | None:
+        """The plan of a start as it is; None if it is not verified."""
+        if self.problem.robots[0].dynamics is not None:
+            start = driven_starts(judge, situation, [start], warm)[0]
+        rung = Rung.PLAN if self.ladder.polish is None else Rung.LATTICE
+        found = judge.judged(
+            judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY, start.drive)
+        )
+        if found.verdict is not Verdict.VERIFIED:
+            return None
+        return judge.plan_from(found, wall_s=perf_counter() - begun_s)

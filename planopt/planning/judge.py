@@ -15,7 +15,7 @@ from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.candidate import Candidate
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Plan, Rung, Termination
-from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
@@ -49,7 +49,7 @@ class Judge:
     belief: Belief
     position_m: NDArray[np.float64]
     objective: Callable[[NDArray[np.float64]], float]
-    circumstances: Circumstances = NOTHING_ELSE
+    circumstances: Circumstances = field(default_factory=Circumstances)
     reserved_m: NDArray[np.float64] | None = None
     rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     objective_of_drive: Callable[[Drive], float] | None = None

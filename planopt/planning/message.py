@@ -28,11 +28,19 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
             )
     elif certificate.relaxed_steps and not parts:
         worst = max(certificate.relaxation_db)
-        parts.append(
-            f"the connectivity bound cannot be met from here at steps "
-            f"{', '.join(map(str, certificate.relaxed_steps))}; "
-            f"it is missed by up to {worst:.2f} dB"
-        )
+        steps = ", ".join(map(str, certificate.relaxed_steps))
+        path_m, best_m = certificate.path_cost_m, certificate.best_cost_m
+        if path_m is None or best_m is None:
+            parts.append(
+                f"the connectivity bound cannot be met from here at steps {steps}; "
+                f"it is missed by up to {worst:.2f} dB"
+            )
+        else:
+            parts.append(
+                f"steps {steps} miss the connectivity bound by up to {worst:.2f} dB: with them the "
+                f"way to the goal costs {path_m:.1f} m, metres out of contact at their price, the "
+                f"cheapest found {best_m:.1f} m"
+            )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
     return "; ".join(parts)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.certificate import Certificate
+from planopt.planning.holes import Hole
 from planopt.robots.drive import Drive
 from planopt.short_repr import short_repr
 
@@ -43,10 +44,11 @@ class Verdict(StrEnum):
 
 
 class Rung(StrEnum):
-    """Which rung of the failure ladder a released plan came from (design 4.9).
+    """Which rung of the failure ladder a released plan came from.
 
     ``reserved`` is the rest of the last plan, verified or not, where standing still would be in the
-    way of what moves: the other robots keep clear of it.
+    way of what moves: the other robots keep clear of it. ``direct`` is the shortest path to a goal,
+    whatever the connection, of a robot that has wandered long enough.
     """
 
     PLAN = "plan"
@@ -55,6 +57,7 @@ class Rung(StrEnum):
     RELAXED = "relaxed"
     SHIFTED = "shifted"
     RESERVED = "reserved"
+    DIRECT = "direct"
     STOP = "stop"
 
 
@@ -67,11 +70,14 @@ class Pivot:
     position_m
         ``(2,)``.
     cost_m
-        Metres, those below the connectivity bound counted more than once.
+        Metres from there to the goal, those below the bound counted at the outage price.
+    metre_cost
+        What a metre on the way to it counts, at least 1.
     """
 
     position_m: NDArray[np.float64]
     cost_m: float
+    metre_cost: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,10 @@ class Plan:
         Whether less or more of the objective is better.
     drive
         States and inputs along the places; None for the single integrator.
+    route_m
+        ``(r, 2)`` the rest of the way to a goal from the last place on, as the search found it.
+    holes
+        Stretches of path and route to a goal that miss the bound on connectivity.
     """
 
     robot: str
@@ -132,6 +142,8 @@ class Plan:
     pivot: Pivot | None = None
     sense: Literal["min", "max"] = "min"
     drive: Drive | None = None
+    route_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    holes: tuple[Hole, ...] = ()
 
     __repr__ = short_repr
 

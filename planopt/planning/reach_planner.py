@@ -11,23 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.planning.budget import Budget, budget_from
+from planopt.errors import NoPlanError
+from planopt.planning.budget import Budget, budget_from, solve_limit_s
 from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.holes import holes_on
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import MOVING_LINES
-from planopt.planning.programme.pivot import find_pivot
+from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.goal_paths import build_goal_grid
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
-from planopt.planning.search.good_place import ways_to_good_place
-from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.search.rule_search import RuleSearch
 from planopt.planning.shifted import shifted_path
 from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
@@ -55,14 +56,10 @@ class ReachPlanner:
     def __init__(self, problem: Problem, scene: Scene) -> None:
         self.problem = problem
         self.scene = scene
-        radio = eased(problem).stations[0]
-        self._margins = NodeMargins(scene.road_map, radio.threshold_dbm, problem.constraints.p_min)
-        self._search = GlobalSearch(problem, scene, self._margins)
         self._eased = eased(problem)
+        self._search = GlobalSearch(self._eased, scene)
         self._region = workspace_region(problem)
-        self._rule_search = None
-        if not problem.constraints.rule.is_plain:
-            self._rule_search = RuleSearch(self._eased, scene)
+        self._goal_grid = build_goal_grid(problem, scene.index)
         self._nlp: ReachNlp | None = None
         self._driven = DrivenReach(problem, scene) if problem.robots[0].dynamics else None
         if problem.planner.name in METHODS and self._driven is None:
@@ -71,7 +68,7 @@ class ReachPlanner:
                 problem.planner.horizon,
                 lines,
                 METHODS[problem.planner.name],
-                problem.planner.budget_s,
+                solve_limit_s(problem),
             )
 
     def plan(
@@ -96,10 +93,10 @@ class ReachPlanner:
         """
         begun = perf_counter()
         problem, scene, position_m = self.problem, self.scene, state[:2]
-        circumstances = circumstances_of(problem, belief.posteriors, history)
-        self._margins.refresh(belief.posterior, circumstances.broad)
+        circumstances = circumstances_of(
+            problem, belief.posteriors, history, goal_grid=self._goal_grid
+        )
         moving = circumstances.moving
-        rows_of = None
         situation = Situation(
             self._eased,
             belief.posterior,
@@ -108,14 +105,12 @@ class ReachPlanner:
             self._region,
             circumstances=circumstances,
         )
-        if self._rule_search is None:
-            start = self._search.find_start(
-                position_m, belief.posterior.measurements.positions_m, moving
-            )
-        else:
-            start = self._rule_search.find_start(situation, self._margins.margin_db)
-            rows_of = partial(step_rows, situation)
-        cost = ReachCost(problem, position_m)
+        start = self._search.find_start(situation)
+        if start is not None and start.is_blocked:
+            raise NoPlanError(self._why_blocked(situation, start))
+        plain = problem.constraints.rule.is_plain
+        rows_of = None if plain else partial(step_rows, situation)
+        cost = ReachCost(problem, position_m, situation.power)
         reserved = None
         if len(moving) and warm is not None:
             reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
@@ -123,42 +118,70 @@ class ReachPlanner:
             problem, scene.index, belief, position_m, cost, circumstances, reserved, state[2:]
         )
         connected = problem.reach.cost_to_go == "connected"
-        margin_db = self._margins.margin_db if connected else None
+        margin_db = self._search.margins.margin_db if connected else None
         budget = budget_from(problem, begun)
         if self._driven is not None:
             chosen, pivot = self._driven.chosen(situation, judge, start, margin_db, warm, budget)
         elif start is None:
             chosen, pivot = self._without_start(judge, warm), None
         else:
-            pivot = find_pivot(
-                scene,
-                start,
-                margin_db,
-                problem.step_length_m,
-                problem.constraints.clearance_m,
-            )
-            cost = replace(cost, pivot=pivot)
+            ahead = Ahead(problem, scene, start, margin_db)
+            cost = replace(cost, ahead=ahead, priced=not start.is_direct)
             judge = replace(judge, objective=cost)
-            chosen = self._climb(judge, cost, start, warm, budget, rows_of)
+            chosen = self._climb(judge, cost, start, ahead, warm, budget, rows_of)
+            pivot = cost.pivot_of(chosen.path_m)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
-        return replace(plan, pivot=pivot)
+        route = np.zeros((0, 2)) if start is None else start.route_m
+        places = np.vstack([plan.positions_m, route])
+        power = search_prediction(belief.posterior, places, circumstances.broad)
+        holes = holes_on(problem, power, places)
+        return replace(plan, pivot=pivot, route_m=route, holes=holes)
+
+    def _why_blocked(self, situation: Situation, start: GlobalStart) -> str:
+        """Where contact would have to be left, and for how long."""
+        constraints = self.problem.constraints
+        places = np.vstack([situation.position_m, start.path_m, start.route_m])
+        holes = holes_on(self.problem, situation.power(places), places)
+        longest = max(holes, key=lambda hole: hole.length_m, default=None)
+        where = "" if longest is None else f", which has a coverage hole of {longest.words}"
+        return (
+            f"no path to the goal {list(self.problem.goal_m)} keeps constraints.p_min "
+            f"{constraints.p_min:g} with constraints.slack_max_db "
+            f"{constraints.rule.slack_max_db:g}: the cheapest leaves contact "
+            f"{len(holes)} time{'s' if len(holes) > 1 else ''}{where}"
+        )
 
     def _climb(
         self,
         judge: Judge,
         cost: ReachCost,
         start: GlobalStart,
+        ahead: Ahead,
         warm: Plan | None,
         budget: Budget,
         rows_of: Callable[[NDArray[np.float64]], RuleRows] | None,
     ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
+        if start.is_direct:
+            direct = judge.judged(replace(lattice, rung=Rung.DIRECT))
+            if direct.sound:
+                return direct
+            judge = replace(judge, objective=replace(cost, priced=True))
+            return self._without_start(judge, warm)
         tried: list[Candidate] = []
         refiner = None
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
             refiner = Refiner(
-                self._nlp, self.scene, judge, cost, start, lattice.objective, budget, rows_of
+                self._nlp,
+                self.scene,
+                judge,
+                cost,
+                start,
+                ahead,
+                lattice.objective,
+                budget,
+                rows_of,
             )
             shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
             for attempt in refiner.attempts(shifted):
@@ -181,9 +204,6 @@ class ReachPlanner:
         sound: list[Candidate] = []
         if not verified:
             sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
-            found = self._by_way_to_good_place(judge, refiner, [*tried, lattice])
-            verified = [c for c in found if c.verdict is Verdict.VERIFIED]
-            tried += found
         if verified:
             return with_effort(min(verified, key=lambda c: c.objective), tried)
         # Nothing is verified. Connectivity may be given up, clearance and speed never.
@@ -192,20 +212,6 @@ class ReachPlanner:
         fallback = self._without_start(judge, warm)
         chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
         return with_effort(chosen, tried)
-
-    def _by_way_to_good_place(
-        self, judge: Judge, refiner: Refiner | None, tried: list[Candidate]
-    ) -> list[Candidate]:
-        """Go straight to a place that the verifier says was missed."""
-        found: list[Candidate] = []
-        for path in ways_to_good_place(judge, tried):
-            if refiner is not None:
-                found += refiner.attempts_from(path)
-            way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
-            found.append(judge.judged(way))
-            if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
-                break
-        return found
 
     def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
         """Take the last verified plan, shifted and checked again; else stop."""

@@ -1,9 +1,9 @@
-"""Solver attempts from a global start: polish, tighten where the proof objects, retry, relax."""
+"""Solver attempts from a global start: polish, tighten where the proof objects, retry."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -15,13 +15,14 @@ from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate
 from planopt.planning.judge import Judge
-from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
 from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
-from planopt.planning.programme.polish import ReachTask, polish
+from planopt.planning.programme.pivot import Ahead
+from planopt.planning.programme.polish import OutagePrice, ReachTask, polish
 from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import ReachNlp
-from planopt.planning.programme.stage_kernel import StageMargins, margins_of
+from planopt.planning.programme.stage_kernel import StageMargins, joined, margins_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
@@ -33,20 +34,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.rule_rows import RuleRows
-from planopt.planning.worth.serving_stages import stage_predictor
-
-SLACK_TOLERANCE_DB = 1e-3
-"""Missing dB below this count as none: the bound can be met after all."""
-
-
-@dataclass(frozen=True)
-class _Eased:
-    """Outcome of an elastic solve: where to go on from, and what must be missed at each step."""
-
-    task: ReachTask
-    missing_db: NDArray[np.float64]
-    iterations: int
-    converged: bool
+from planopt.planning.worth.serving_stages import scores_of, stage_predictor
 
 
 class Refiner:
@@ -61,9 +49,11 @@ class Refiner:
     judge
         What attempts are judged by.
     cost
-        What it judges their worth by; its pivot is set.
+        What it judges their worth by, the rest of the way included.
     start
         The global start.
+    ahead
+        The way on from wherever a path ends.
     lattice_objective
         Its cost.
     budget
@@ -80,6 +70,7 @@ class Refiner:
         judge: Judge,
         cost: ReachCost,
         start: GlobalStart,
+        ahead: Ahead,
         lattice_objective: float,
         budget: Budget,
         rows_of: Callable[[NDArray[np.float64]], RuleRows] | None = None,
@@ -89,6 +80,7 @@ class Refiner:
         self._judge = judge
         self._cost = cost
         self._start = start
+        self._ahead = ahead
         self._lattice_objective = lattice_objective
         self._budget = budget
         self._rows_of = rows_of
@@ -102,33 +94,35 @@ class Refiner:
         The last plan, shifted, is the better start where it arrives sooner than the lattice, which
         only ends on nodes.
         """
-        relaxing = bool((self._start.margin_db < 0.0).any())
         starts: list[tuple[NDArray[np.float64], Rung]] = (
             [(self._start.path_m, Rung.RELAXED)]
-            if relaxing
+            if bool((self._start.margin_db < 0.0).any())
             else [(self._retimed(), Rung.PLAN), (self._start.path_m, Rung.COLD_RETRY)]
         )
+        shifted_m = None if shifted_m is None else self._drawn_on(shifted_m)
         if shifted_m is not None:
-            cheaper = not relaxing and self._judge.objective(shifted_m) < self._lattice_objective
-            if cheaper and bool((self._start_margins(shifted_m) >= 0.0).all()):
-                starts.insert(0, (shifted_m, Rung.PLAN))
+            relaxes = bool((self._start_margins(shifted_m) < 0.0).any())
+            if self._judge.objective(shifted_m) < self._lattice_objective:
+                starts.insert(0, (shifted_m, Rung.RELAXED if relaxes else Rung.PLAN))
             else:
-                starts.append((shifted_m, Rung.COLD_RETRY))
-        if relaxing and self._start.crossing:
-            # Eased, a path before a gap would rather wait on this side of it: that comes second.
-            yield from self._from(self._start.path_m, Rung.RELAXED, ease=False)
+                starts.append((shifted_m, Rung.RELAXED if relaxes else Rung.COLD_RETRY))
         for path_m, rung in starts:
-            for candidate in self._from(path_m, rung, ease=rung is Rung.RELAXED):
+            for candidate in self._from(path_m, rung):
                 sooner = self._sooner(candidate)
                 if sooner is not None:
                     yield sooner
                     candidate = replace(candidate, solve_s=0.0, iterations=0)
                 yield candidate
 
-    def attempts_from(self, path_m: NDArray[np.float64]) -> Iterator[Candidate]:
-        """Yield judged candidates from another start, which miss no more of the bound than it."""
-        for candidate in self._from(path_m, Rung.RELAXED, ease=False):
-            yield replace(candidate, rung=Rung.COLD_RETRY)
+    def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The last plan, shifted, with its last step leading on."""
+        problem, before = self._judge.problem, shifted_m[-1]
+        to_pivot = self._ahead.leading(before).position_m - before
+        away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
+        goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
+        if len(shifted_m) == 1 or away == 0.0 or goal_away <= problem.constraints.goal_radius_m:
+            return shifted_m
+        return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
 
     def _retimed(self) -> NDArray[np.float64]:
         """Start path at cruising speed."""
@@ -155,7 +149,7 @@ class Refiner:
         begun = perf_counter()
         self._look_at(faster)
         task = self._task(faster)
-        bound = self._asked(np.minimum(task.margins(faster).value, MARGIN_PAD_DB))
+        bound = self._asked(np.minimum(task.margins(faster).value[: len(faster)], MARGIN_PAD_DB))
         polished = polish(self._nlp, replace(task, bound_db=bound))
         iterations = candidate.iterations + polished.iterations
         solve_s = candidate.solve_s + perf_counter() - begun
@@ -163,30 +157,26 @@ class Refiner:
         is_better = better.objective < candidate.objective
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
-    def _from(self, path_m: NDArray[np.float64], rung: Rung, ease: bool) -> Iterator[Candidate]:
+    def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
         """Polish from a path, repeating with what the verifier objects to built in.
 
-        With `ease` the least missing dB is found first; else no more is missed than at the start.
+        A step that keeps the bound at the start keeps it. With `rung` RELAXED a step below it stays
+        free.
         """
         if self._budget.spent:
             return
         self._look_at(path_m)
         task = self._task(path_m)
         exact = self._start_margins(path_m)
-        local = task.margins(path_m).value
+        local = task.margins(path_m).value[: len(path_m)]
         # Where the local model is too optimistic by e, ask it for e more.
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
         iterations = 0
-        if ease:
-            eased = self._ease(task, exact, wanted)
-            task, missing, iterations = eased.task, eased.missing_db, eased.iterations
-            bound = wanted - missing if eased.converged else np.minimum(wanted, local)
-        else:
-            # The start stays feasible where it keeps the bound, be it with less than is wanted.
-            missing = np.maximum(-exact, 0.0) if rung is Rung.RELAXED else np.zeros_like(exact)
-            kept = (exact >= 0.0) | (missing > 0.0)
-            bound = np.where(kept, np.minimum(wanted, local), wanted)
+        free = (exact < 0.0) & (rung is Rung.RELAXED)
+        # The start stays feasible where it keeps the bound, be it with less than is wanted.
+        bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
+        bound[free] = -np.inf
         for _ in range(REPAIRS):
             if self._budget.spent:
                 return
@@ -211,36 +201,15 @@ class Refiner:
             if candidate.power is None:
                 return
             planned = Prediction(candidate.power.mean_db[1:], candidate.power.deviation_db[1:])
-            lacking = -missing - self._margins_db(planned)
+            lacking = np.where(free, 0.0, -self._margins_db(planned))
             if candidate.sound and not (lacking > 0.0).any():
                 return
             bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
 
-    def _ease(
-        self, task: ReachTask, exact: NDArray[np.float64], wanted: NDArray[np.float64]
-    ) -> _Eased:
-        """Find the least missing dB over the steps at which the start path misses the bound."""
-        elastic = polish(
-            self._nlp,
-            replace(
-                task,
-                bound_db=self._asked(wanted),
-                slack_limit_db=np.where(exact < 0.0, np.inf, 0.0),
-                elastic=True,
-            ),
-        )
-        if elastic.termination is not Termination.CONVERGED:
-            return _Eased(task, np.maximum(-exact, 0.0), elastic.iterations, converged=False)
-        missing = np.where(elastic.slack_db > SLACK_TOLERANCE_DB, elastic.slack_db, 0.0)
-        eased = replace(task, path_m=elastic.path_m)
-        return _Eased(eased, missing, elastic.iterations, converged=True)
-
     def _task(self, path_m: NDArray[np.float64]) -> ReachTask:
         """Set the programme up about a start path."""
         judge = self._judge
-        problem, pivot = judge.problem, self._cost.pivot
-        if pivot is None:
-            raise AssertionError("a refiner needs a pivot")
+        problem, pivot = judge.problem, self._ahead.leading(path_m[-1])
         ends = np.vstack([judge.position_m, path_m])
         lines = lines_about(
             self._scene.pieces,
@@ -267,14 +236,27 @@ class Refiner:
             arrival=arrival + 1 if dwells else None,
             pivot_m=pivot.position_m,
             effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
-            rate_s_m=self._cost.rate_s_m,
+            rate_s_m=self._cost.rate_s_m * max(pivot.metre_cost, self._dearest_metre(path_m)),
             margins=self._margins_about(path_m),
             bound_db=np.full(len(path_m), -np.inf),
-            slack_limit_db=np.zeros(len(path_m)),
+            outage=self._outage(path_m),
         )
 
+    def _dearest_metre(self, path_m: NDArray[np.float64]) -> float:
+        """Cost of the dearest metre along a path.
+
+        To come nearer must never cost more than it is worth, or the path ends where it begins.
+        """
+        return float(self._cost.metre_costs(path_m).max())
+
+    def _outage(self, path_m: NDArray[np.float64]) -> OutagePrice:
+        """What being out of contact costs along a path."""
+        before, charged = self._cost.outage_charges(path_m)
+        price = self._cost.rate_s_m * self._cost.outage_price
+        return OutagePrice(price, before, charged)
+
     def _margins_about(self, path_m: NDArray[np.float64]) -> MarginFunction:
-        """Margins conditioned on the measurements nearest to each stage of a path."""
+        """Margins and scores conditioned on the measurements nearest to each stage of a path."""
         problem = self._judge.problem
         predict_stages = stage_predictor(
             self._judge.belief.posterior,
@@ -288,7 +270,9 @@ class Refiner:
             threshold, z = self._rows.threshold_dbm, self._rows.quantile
 
         def margins(positions_m: NDArray[np.float64]) -> StageMargins:
-            return margins_of(*predict_stages(positions_m), threshold, z)
+            power = predict_stages(positions_m)
+            scores = scores_of(*power, self._cost.threshold_dbm)
+            return joined(margins_of(*power, threshold, z), scores)
 
         return margins
 
@@ -330,6 +314,6 @@ class Refiner:
                 multipliers=polished.multipliers,
             )
         )
-        # The elastic solve may have shown that nothing needs relaxing after all.
+        # Moved a little, the path may keep the bound after all.
         met_after_all = rung is Rung.RELAXED and not judged.relaxes
         return replace(judged, rung=Rung.PLAN) if met_after_all else judged

@@ -9,11 +9,11 @@ import numpy as np
 from planopt.errors import NoPlanError
 from planopt.planning.free_space import is_joined
 from planopt.planning.ground import Ground, build_ground, first_moves
-from planopt.planning.search.road_map import RoadMap, Ways, shortest_ways
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
 from planopt.world.lattice import nearest_node, node_positions
+from planopt.world.road_map import RoadMap, Ways, shortest_ways
 from planopt.world.separation import PackedPieces
 
 

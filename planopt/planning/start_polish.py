@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.budget import Budget
+from planopt.planning.budget import Budget, solve_limit_s
 from planopt.planning.candidate import Candidate
 from planopt.planning.driven import motion_shape, motion_task, polished_drive
 from planopt.planning.ground import Ground
@@ -33,13 +33,14 @@ from planopt.robots.drive import Drive
 from planopt.world.moving_discs import MovingDiscs
 
 LINES_PER_SEGMENT = 2
-"""Nearest convex pieces that each segment is kept from; the verifier looks at all (fast.md)."""
+"""Nearest convex pieces that each segment is kept from; the verifier looks at all."""
 
 ALLOCATIONS = 6
 """How often the risk of all steps together is shared out again, each with a polish."""
 
 VALUE_IN_SOLVER = 10.0
-"""What the start's worth counts in the solver, whatever its unit: its tolerances are absolute."""
+"""What the start's worth counts in the solver, whatever its unit: its tolerances are absolute. A
+start that is worth nothing says nothing of the unit."""
 
 RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 """Where another solve may go on from the point; what a failed one leaves may be anywhere."""
@@ -77,7 +78,7 @@ class StartPolish:
                 charged=self._problem.task == "reach",
             )
             self._built[lines] = build_path_nlp(
-                shape, METHODS[settings.name], settings.budget_s, until_settled=True
+                shape, METHODS[settings.name], solve_limit_s(self._problem), until_settled=True
             )
         return self._built[lines]
 
@@ -121,7 +122,7 @@ class StartPolish:
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
             evaluate=evaluate,
-            scale=VALUE_IN_SOLVER / max(abs(_counted(problem, start)), 1e-9),
+            scale=VALUE_IN_SOLVER / (abs(_counted(problem, start)) or VALUE_IN_SOLVER),
         )
         if nlp.shape.motion is not None and start.drive is not None:
             motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive, lines.still)

@@ -96,7 +96,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
 def _objective(tables: ProblemFile) -> ReachObjective | TermsObjective:
     table = tables.objective
     if tables.problem.task == "reach":
-        return ReachObjective(table.effort_weight_s2_m2, table.cost_to_go)
+        return ReachObjective(table.effort_weight_s2_m2, table.cost_to_go, table.outage_price)
     return TermsObjective(tuple(term.term for term in table.terms))
 
 
@@ -106,7 +106,7 @@ def _obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle
     name = f"obstacle {index}" if table.name is None else table.name
     try:
         if table.file is not None:
-            return read_obstacles(folder / table.file)
+            return read_obstacles(folder / table.file, table.unknown)
         if table.wkt is not None:
             return (obstacle_from_wkt(name, table.wkt),)
         return (footprint(name, table.polygon, table.holes),)
@@ -127,6 +127,7 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
         measurements=_measurements(table.measurements, folder),
         fit_method=table.fit.method,
         measure_spacing_m=table.measurements.spacing_m,
+        calibration=table.calibration,
     )
 
 

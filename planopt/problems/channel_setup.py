@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from planopt.channel.estimation.fit_method import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
+
+CalibrationName = Literal["none", "platt"]
+"""How predicted probabilities of connection are calibrated."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +106,12 @@ class ChannelSetup:
     measure_spacing_m
         On the way a robot measures again only at this distance from every earlier measurement:
         fading at one place keeps its value, so measuring it twice teaches nothing.
+    calibration
+        How predicted probabilities of connection are calibrated on what was measured.
     """
 
     truth: RasterTruth | ModelTruth | None
     measurements: SampledMeasurements | LoggedMeasurements
     fit_method: FitMethod
     measure_spacing_m: float
+    calibration: CalibrationName = "none"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from planopt.errors import InputError
 from planopt.problems.check_apart import check_apart
+from planopt.problems.check_calibration import check_calibration
 from planopt.problems.check_channel import check_channel
 from planopt.problems.check_expression import check_expression
 from planopt.problems.check_motion import check_stopping
@@ -45,6 +46,7 @@ def check(problem: Problem) -> None:
     check_apart(problem)
     check_channel(problem)
     check_stations(problem)
+    check_calibration(problem)
     check_rule(problem)
     check_size(problem)
     for number, term in enumerate(problem.terms):

@@ -19,9 +19,11 @@ MappingForm = Literal["two_layer", "path", "information", "average"]
 
 @dataclass(frozen=True)
 class ReachObjective:
-    """Reach the goal in least time and effort.
+    """Reach the goal in least time and effort, out of contact as little as that is worth.
 
-    The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds.
+    The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
+    driven where the probability of connection P is below p_min counts ``1 + outage_price (1 - P)``
+    metres.
 
     Attributes
     ----------
@@ -29,11 +31,14 @@ class ReachObjective:
         Seconds of travel that one second at 1 m/s is worth, in s^2/m^2.
     cost_to_go
         What the way beyond the horizon costs: ``geodesic`` (shortest way round the obstacles) or
-        ``connected`` (shortest way that keeps the predicted connectivity bound).
+        ``connected`` (cheapest path at the outage price).
+    outage_price
+        What a metre that is certainly out of contact costs besides, in metres (a number).
     """
 
     effort_weight_s2_m2: float
     cost_to_go: CostToGo
+    outage_price: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -128,8 +133,8 @@ class UntilConnectedTerm:
     weight
         In the sum of terms, per metre; the distance is subtracted.
     beyond_m
-        What a plan is charged besides that ends without connection; None: the diagonal of the
-        workspace.
+        Metres that the search is expected to go on for where the place that the robot is steered
+        to is not connected; None: estimated from what is believed.
     """
 
     weight: float
@@ -186,6 +191,12 @@ Term = (
     | TransmissionEnergyTerm
     | CasadiTerm
 )
+
+
+def steers(term: Term) -> bool:
+    """Whether a term steers along a way, whose end is found before a plan is made."""
+    two_layer = isinstance(term, MappingTerm) and term.form == "two_layer"
+    return two_layer or isinstance(term, UntilConnectedTerm)
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast, get_args
 
 from pydantic import ValidationError
 
 from planopt.errors import InputError
+from planopt.problems.channel_setup import CalibrationName
 from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
@@ -28,6 +29,7 @@ def with_overrides(
     horizon: int | None = None,
     planner: str | None = None,
     cost_to_go: str | None = None,
+    calibration: str | None = None,
 ) -> Problem:
     """`problem` with the given settings in place of its own, checked; None keeps them.
 
@@ -43,6 +45,8 @@ def with_overrides(
         Name of the planner.
     cost_to_go
         What the way beyond the horizon costs.
+    calibration
+        How probabilities of connection are calibrated.
 
     Raises
     ------
@@ -53,11 +57,16 @@ def with_overrides(
     """
     given = {
         name: value
-        for name, value in (("horizon", horizon), ("planner", planner), ("cost to go", cost_to_go))
+        for name, value in (
+            ("horizon", horizon),
+            ("planner", planner),
+            ("cost to go", cost_to_go),
+            ("calibration", calibration),
+        )
         if value is not None
     }
     try:
-        return _overridden(problem, horizon, planner, cost_to_go)
+        return _overridden(_calibrated(problem, calibration), horizon, planner, cost_to_go)
     except InputError as error:
         if not given:
             raise
@@ -68,6 +77,19 @@ def with_overrides(
             key=error.key,
             remedy=error.remedy,
         ) from None
+
+
+def _calibrated(problem: Problem, calibration: str | None) -> Problem:
+    """The problem with probabilities of connection calibrated as named; None keeps its own."""
+    if calibration is None:
+        return problem
+    names = get_args(CalibrationName)
+    if calibration not in names:
+        raise InputError(
+            f'is "{calibration}"', key="channel.calibration", remedy=f"use {' or '.join(names)}"
+        )
+    chosen = cast("CalibrationName", calibration)
+    return replace(problem, channel=replace(problem.channel, calibration=chosen))
 
 
 def _overridden(

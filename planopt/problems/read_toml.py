@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from planopt.errors import InputError
 from planopt.files.regular import read_text
 
 LARGEST_TOML_BYTES = 2 * 2**20
 """Size limit of problem files; obstacles and maps have files of their own."""
+
+FILE_KEYS = ("file", "gain_file", "log_file")
+"""Keys of a problem file that name other files."""
 
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
 """A dotted key of so many parts, which the parser takes quadratic time for."""
@@ -37,6 +41,21 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError("is not TOML: nested too deeply", file=path) from None
     except ValueError as error:  # TOMLDecodeError, and integers too long for Python
         raise _parse_error(str(error), text, path) from None
+
+
+def named_files(value: object) -> tuple[str, ...]:
+    """Return the names of other files in the tables of a problem file, each once."""
+    found: list[str] = []
+    if isinstance(value, Mapping):
+        for key, part in cast("Mapping[str, object]", value).items():
+            if key in FILE_KEYS and isinstance(part, str):
+                found.append(part)
+            else:
+                found += named_files(part)
+    elif isinstance(value, list):
+        for part in cast("list[object]", value):
+            found += named_files(part)
+    return tuple(dict.fromkeys(found))
 
 
 def _parse_error(message: str, text: str, path: Path) -> InputError:

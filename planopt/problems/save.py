@@ -45,6 +45,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
     channel = {
         "measurements": _measurements(problem.channel),
         "fit": {"method": problem.channel.fit_method},
+        "calibration": problem.channel.calibration,
     }
     if problem.channel.truth is not None:
         channel["truth"] = _truth(problem.channel.truth)

@@ -114,8 +114,8 @@ class PlannerTable(Table):
         default=None,
         gt=0,
         le=1e6,
-        description="Seconds after which no new polish of a plan begins, and after which one that "
-        "was begun ends; left out: no limit.",
+        description="Seconds that a plan should take: the last polish begins, and ends, early "
+        "enough for its proof; left out: no limit.",
     )
 
 

@@ -11,6 +11,7 @@ from planopt.channel.estimation.fit_method import FitMethod, current_name
 from planopt.channel.multipath.multipath_field import MultipathKind, multipath_of
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.errors import InputError
+from planopt.problems.channel_setup import CalibrationName
 from planopt.problems.tables import Decibels, FileName, Table
 
 MIN_DEVIATION_DB = 0.001
@@ -195,3 +196,8 @@ class ChannelTable(Table):
     )
     measurements: MeasurementsTable
     fit: FitTable = Field(default_factory=FitTable)
+    calibration: CalibrationName = Field(
+        default="none",
+        description="How predicted probabilities of connection are calibrated: none (the normal "
+        "law stands), or platt (Platt scaling on what was measured, on the way too).",
+    )

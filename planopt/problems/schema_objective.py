@@ -14,6 +14,7 @@ from planopt.problems.objective import (
     MappingForm,
     MappingTerm,
     MotionEnergyTerm,
+    ReachObjective,
     Term,
     TrackingForm,
     TrackingTerm,
@@ -164,8 +165,15 @@ class ObjectiveTable(Table):
     )
     cost_to_go: CostToGo = Field(
         default="connected",
-        description="Beyond the horizon: geodesic (shortest way round the obstacles) or connected "
-        "(shortest way that keeps the predicted bound).",
+        description="Beyond the horizon: geodesic (shortest path round the obstacles) or connected "
+        "(cheapest path at the outage price).",
+    )
+    outage_price: float = Field(
+        default=ReachObjective.outage_price,
+        ge=0,
+        le=1e6,
+        description="A metre driven where the probability of connection P is below p_min counts "
+        "1 + outage_price (1 - P) metres (a number). constraints.slack_max_db = 0 forbids it.",
     )
     terms: list[TermTable] = Field(
         default=[],

@@ -22,8 +22,8 @@ class UntilConnectedTable(Table):
         default=None,
         ge=0,
         le=1e6,
-        description="Metres that a plan counts besides which ends without connection; by default "
-        "the diagonal of the workspace.",
+        description="Metres that the search is expected to go on for where the place that the "
+        "robot is steered to is not connected; by default estimated from what is believed.",
     )
 
     @property

@@ -9,6 +9,8 @@ from pydantic_core import PydanticCustomError
 
 from planopt.problems.schema_moving import MovingTable
 from planopt.problems.tables import FileName, Pair, Quad, Table
+from planopt.world.occupancy_files import is_grid
+from planopt.world.occupancy_grid import UnknownCells
 
 
 class ObstacleTable(Table):
@@ -20,8 +22,12 @@ class ObstacleTable(Table):
     )
     file: FileName | None = Field(
         default=None,
-        description="GeoJSON (.geojson), WKT (.wkt) or building file (.json), in metres, "
-        "relative to the problem file.",
+        description="GeoJSON (.geojson), WKT (.wkt), building file (.json) or occupancy grid "
+        "(.yaml as in ROS, .csv), in metres, relative to the problem file.",
+    )
+    unknown: UnknownCells = Field(
+        default="occupied",
+        description="What unknown cells of an occupancy grid are taken for: occupied or free.",
     )
     polygon: list[Pair] | None = Field(
         default=None, min_length=3, description="Outer ring, a list of [x, y] in metres."
@@ -42,6 +48,10 @@ class ObstacleTable(Table):
             )
         if self.holes and self.polygon is None:
             raise PydanticCustomError("one_of", "has holes, which go only with polygon")
+        if "unknown" in self.model_fields_set and not is_grid(self.file):
+            raise PydanticCustomError(
+                "one_of", "has unknown, which goes only with the file of an occupancy grid"
+            )
         if self.name is not None and self.file is not None:
             raise PydanticCustomError(
                 "one_of", "has a name, which goes only with polygon and wkt, beside file"

@@ -30,12 +30,12 @@ class PlannerSettings:
     step_s
         Duration of a step in seconds.
     neighbours
-        Measurements that the solver conditions each stage on (design: 32 to 64).
+        Measurements that the solver conditions each stage on.
     max_steps
         A closed loop that has not arrived by then ends.
     budget_s
-        Seconds after which no new polish of a plan begins, and after which one that was begun
-        ends; None for no limit.
+        Seconds that a plan should take: the last polish begins, and ends, early enough for its
+        proof; None for no limit.
     """
 
     name: PlannerName

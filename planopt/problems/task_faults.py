@@ -68,13 +68,21 @@ def _terms_fault(tables: ProblemFile) -> str | None:
         return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
     if any(robot.goal_m is not None for robot in tables.robots):
         return f"task {task} has no robots.goal_m"
-    for key in ("effort_weight_s2_m2", "cost_to_go"):
+    for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price"):
         if key in tables.objective.model_fields_set:
             return f"objective.{key} is for task reach, not for {task}"
     if "goal_radius_m" in tables.constraints.model_fields_set:
         return f"constraints.goal_radius_m is for task reach, not for {task}"
-    if sum(getattr(term, "form", None) == "two_layer" for term in terms) > 1:
-        return "two of objective.terms steer: only one may have the form two_layer"
+    steering = [
+        term
+        for term in terms
+        if isinstance(term, UntilConnectedTable) or getattr(term, "form", None) == "two_layer"
+    ]
+    if len(steering) > 1:
+        return (
+            "two of objective.terms steer: only one may have the form two_layer or the kind "
+            "until_connected"
+        )
     tracked = any(isinstance(term, TrackingTable) for term in terms)
     if tracked != bool(tables.targets):
         return "a term of kind tracking and an entry of targets go together"

@@ -9,6 +9,7 @@ import numpy as np
 
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.empirical_correlation import BINS, empirical_correlation
+from planopt.channel.estimation.likelihood_starts import thinned
 from planopt.channel.estimation.profile import Profile
 from planopt.channel.estimation.profile_likelihood import profiles_around
 from planopt.channel.measurements import Measurements
@@ -37,6 +38,10 @@ SHOWN_EXTENT = 0.25
 """Correlation is shown up to so many decorrelation distances or this share of the extent, whichever
 is more, but not beyond the extent, where there are no pairs."""
 
+
+MOST_PROFILED = 5_000
+"""Profiles are drawn of at most so many measurements: they cost some forty evaluations of the
+likelihood."""
 
 LINE_DEVIATIONS = 2.0
 LINE_POINTS = 200
@@ -86,7 +91,9 @@ def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> F
 def _profiles(measurements: Measurements, fit: ChannelFit, station: Station) -> tuple[Profile, ...]:
     """Profiles of xi, beta and omega; none where the measurements do not allow them."""
     try:
-        return profiles_around(measurements, station, fit.parameters.forgetting_s)
+        some = measurements.by_place()
+        some = some.take(thinned(len(some), MOST_PROFILED))
+        return profiles_around(some, station, fit.parameters.forgetting_s)
     except InputError:
         return ()
 

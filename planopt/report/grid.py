@@ -11,9 +11,9 @@ from planopt.channel.connection.serving_power import (
     any_probability,
     serving_power_dbm,
 )
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.proof.serving import connection_law
 from planopt.problems.problem import Problem
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import Raster
@@ -85,12 +85,9 @@ def believed_rasters(
         for mean, deviation in zip(means, deviations, strict=True)
     ]
     above, _ = above_thresholds_db(powers, thresholds)
+    laws = [connection_law(posterior) for posterior in belief.posteriors]
     chance = np.full(drawn.shape, np.nan)
-    chance[drawn] = (
-        any_probability(powers, thresholds)
-        if len(each) > 1
-        else connection_probability(means[0][drawn], deviations[0][drawn], thresholds[0])
-    )
+    chance[drawn] = any_probability(powers, thresholds, laws=laws)
     deviation = np.full(drawn.shape, np.nan)
     deviation[drawn] = deviations[:, drawn][above.argmax(axis=0), np.arange(above.shape[1])]
     x, y = each[0][0].x_m, each[0][0].y_m

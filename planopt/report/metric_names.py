@@ -32,6 +32,9 @@ class MetricName:
 METRIC_NAMES = {
     "goal_time_s": MetricName("time to goal", "s", 1.0, 1),
     "path_m": MetricName("driven length", "m", 1.0, 1),
+    "realised_cost_m": MetricName("realised cost", "m", 1.0, 1),
+    "clairvoyant_cost_m": MetricName("clairvoyant cost", "m", 1.0, 1),
+    "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", 1.0, 3),
     "true_connected_share": MetricName("connected in truth", "%", 100.0, 1),
     "longest_outage_m": MetricName("longest outage", "m", 1.0, 1),
     "longest_outage_s": MetricName("longest outage", "s", 1.0, 1),
@@ -46,6 +49,7 @@ METRIC_NAMES = {
     "anmse_db": MetricName("ANMSE", "dB", 1.0, 2),
     "measured_steps": MetricName("steps that measured", "1", 1.0, 1),
     "trace_m_db": MetricName("tr M", "dB", 1.0, 2),
+    "log_det_m": MetricName("log det M", "nats", 1.0, 2),
     "min_separation_m": MetricName("least distance of two robots", "m", 1.0, 3),
     "min_moving_clearance_m": MetricName("least distance from moving obstacles", "m", 1.0, 3),
     "polish_gain": MetricName("gain of the polish", "%", 100.0, 2),

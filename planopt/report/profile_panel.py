@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.profile import CUT_95, Profile
+from planopt.channel.estimation.profile import CUT_95, WORDS, Profile, interval_words
 from planopt.report.panel import Panel
 from planopt.report.style import BLACK, PREDICTED, VERMILLION, dress, plain_log_ticks
 
@@ -19,10 +18,10 @@ LEAST_SHOWN = -4.4
 
 CURVE_POINTS = 300
 
-WORDS = {
-    "shadow_std_db": ("shadowing", "deviation of shadowing", "dB"),
-    "decorrelation_m": ("decorrelation", "decorrelation distance", "m"),
-    "multipath_std_db": ("multipath", "deviation of multipath", "dB"),
+SHORT = {
+    "shadow_std_db": "shadowing",
+    "decorrelation_m": "decorrelation",
+    "multipath_std_db": "multipath",
 }
 
 
@@ -38,10 +37,11 @@ def draw_profiles(
     """
     entries: list[Artist] = []
     for number, (panel, profile) in enumerate(zip(panels, profiles, strict=True)):
-        name, long_name, unit = WORDS[profile.parameter]
+        name, (long_name, unit) = SHORT[profile.parameter], WORDS[profile.parameter]
         entries = _draw_profile(panel, profile, getattr(fit.parameters, profile.parameter), fit)
         label = "log likelihood less its largest [1]" if number == 0 else ""
-        dress(panel, f"{name}: {_interval(profile)} {unit} (95 %)", f"{long_name} [{unit}]", label)
+        known = interval_words(*profile.interval_95(), unit)
+        dress(panel, f"{name}: {known}", f"{long_name} [{unit}]", label)
         panel.set_xscale("log")
         plain_log_ticks(panel.xaxis)
         panel.set_ylim(LEAST_SHOWN, 0.35)
@@ -80,11 +80,3 @@ def _draw_profile(panel: Panel, profile: Profile, estimate: float, fit: ChannelF
         ),
         line,
     ]
-
-
-def _interval(profile: Profile) -> str:
-    """The 95 % confidence set in words."""
-    low, high = profile.interval_95()
-    if math.isinf(high):
-        return f"above {low:.3g}" if low else "anything"
-    return f"{low:.3g} to {high:.3g}" if low else f"below {high:.3g}"

@@ -89,7 +89,8 @@ def _draw_one(
     predicted = 100.0 * np.array([one.predicted for one in bins])
     realised = 100.0 * np.array([one.realised for one in bins])
     ends = 100.0 * np.array([one.interval or (np.nan, np.nan) for one in bins])
-    bars = [realised - ends[:, 0], ends[:, 1] - realised]
+    # An end that equals the share may pass it by rounding; NaN stays.
+    bars = [np.maximum(realised - ends[:, 0], 0.0), np.maximum(ends[:, 1] - realised, 0.0)]
     look = {
         "color": SERIES[number % len(SERIES)],
         "marker": MARKERS[number % len(MARKERS)],

@@ -43,6 +43,7 @@ RUNG_LOOKS = {
     Rung.RELAXED: ("D", PURPLE),
     Rung.SHIFTED: ("v", SKY),
     Rung.RESERVED: ("P", BLACK),
+    Rung.DIRECT: (">", BLACK),
     Rung.STOP: ("X", VERMILLION),
 }
 """Marker and colour of every rung of the failure ladder."""

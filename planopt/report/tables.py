@@ -23,6 +23,8 @@ GOAL_COLUMNS = (
     ("time to goal [s]", "goal_time_s"),
     ("connected [%]", "true_connected_share"),
     ("longest outage [m]", "longest_outage_m"),
+    ("realised cost [m]", "realised_cost_m"),
+    ("cost ratio", "cost_ratio"),
     ("least P", "predicted_min_connectivity"),
     VERIFIED,
     POLISH,
@@ -61,8 +63,10 @@ def comparison_text(comparison: Comparison) -> str:
         f"{comparison.problem.name}: {len(comparison.runs)} runs in {comparison.wall_s:.1f} s; "
         f"means over runs, {interval_words(comparison)}"
     )
+    if comparison.resumed:
+        title += f"; {comparison.resumed} runs were finished before"
     if to_goal:
-        title += "; time to goal over the runs that arrived"
+        title += "; time to goal and cost ratio (to the clairvoyant) over the runs that arrived"
     table = [*textwrap.wrap(title, WIDTH), "", *_in_blocks([header, *lines], len(words))]
     return "\n".join([*table, "", *reliability_lines(comparison.reliability, "steps", "seeds")])
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
 from typing import cast
 
@@ -17,13 +19,15 @@ from planopt.errors import InputError
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.loop.run import Outcome, Run
-from planopt.planning.prepare import prepare
-from planopt.planning.scene import build_scene
+from planopt.planning.prepare import Prepared, prepare
+from planopt.planning.scene import Scene, build_scene
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_summary import team_summary
+from planopt.planning.team.team_summary import TeamSummary, team_summary
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Driven, Row, metric_values
+from planopt.studies.finished_runs import FinishedRuns, run_key
+from planopt.studies.orphans import end_with_parent
 
 CONFIDENCE = 0.95
 ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
@@ -52,6 +56,7 @@ def compare_horizons(
     workers: int = 1,
     backend: str = "loky",
     on_run: Callable[[Driven], None] | None = None,
+    finished: Path | None = None,
 ) -> Comparison:
     """Run every setting on every seed and tabulate.
 
@@ -71,12 +76,17 @@ def compare_horizons(
         joblib backend; ``loky`` is this machine.
     on_run
         Called for every finished run, for progress display.
+    finished
+        Folder in which every run is kept when it is finished
+        (:mod:`planopt.studies.finished_runs`). A run that an earlier comparison has kept there
+        is taken from it, with the times measured then.
 
     Raises
     ------
     InputError
         There is nothing to compare, a seed is negative or twice there, there is no worker or no
-        such backend, or an override is not allowed.
+        such backend, an override is not allowed, or runs of a problem with parts from Python are
+        to be kept.
     NoPlanError
         Obstacles cut the goal off.
     """
@@ -87,16 +97,20 @@ def compare_horizons(
     settings = [Setting(n, p, c) for c in costs for p in planners for n in horizons]
     for setting in settings:
         _apply(problem, setting)
-    finished: dict[tuple[Setting, int], Driven] = {}
+    kept = None if finished is None else FinishedRuns(finished)
+    driven: dict[tuple[Setting, int], Driven] = {}
     parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
     task = cast("Callable[..., object]", delayed(_runs_of_seed))
-    jobs = [task(problem, settings, seed) for seed in chosen]
-    for seed, runs in zip(chosen, cast("Iterable[list[Driven]]", parallel(jobs)), strict=True):
+    jobs = [task(problem, settings, seed, kept, os.getpid()) for seed in chosen]
+    resumed = 0
+    results = cast("Iterable[tuple[list[Driven], int]]", parallel(jobs))
+    for seed, (runs, count) in zip(chosen, results, strict=True):
+        resumed += count
         for setting, run in zip(settings, runs, strict=True):
-            finished[setting, seed] = run
+            driven[setting, seed] = run
             if on_run is not None:
                 on_run(run)
-    by_setting = [[finished[setting, seed] for seed in chosen] for setting in settings]
+    by_setting = [[driven[setting, seed] for seed in chosen] for setting in settings]
     rows = [
         row
         for setting, runs in zip(settings, by_setting, strict=True)
@@ -107,6 +121,7 @@ def compare_horizons(
         runs=tuple(run for runs in by_setting for run in runs),
         rows=tuple(rows),
         wall_s=perf_counter() - begun,
+        resumed=resumed,
     )
 
 
@@ -150,6 +165,8 @@ def tabulate(setting: Setting, runs: Sequence[Driven], reference: Sequence[Drive
         values, others = _values(runs, metric), _values(reference, metric)
         there = values[np.isfinite(values)]
         low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
+        differences = (values - others)[np.isfinite(values) & np.isfinite(others)]
+        difference_low, difference_high = mean_interval(differences)
         rows.append(
             Row(
                 horizon=setting.horizon,
@@ -166,6 +183,9 @@ def tabulate(setting: Setting, runs: Sequence[Driven], reference: Sequence[Drive
                 verified_rate=float(verified / steps.size) if steps.size else 1.0,
                 p50_step_s=float(np.median(steps)) if steps.size else 0.0,
                 p95_step_s=float(np.quantile(steps, 0.95)) if steps.size else 0.0,
+                paired_difference=float(differences.mean()) if differences.size else None,
+                difference_low=difference_low,
+                difference_high=difference_high,
             )
         )
     return rows
@@ -214,11 +234,51 @@ def _apply(problem: Problem, setting: Setting) -> Problem:
     )
 
 
-def _runs_of_seed(problem: Problem, settings: Sequence[Setting], seed: int) -> list[Driven]:
-    """Closed loops of all settings on one seed; they share scene and first belief."""
-    asked = [_apply(problem, setting) for setting in settings]
+def _runs_of_seed(
+    problem: Problem,
+    settings: Sequence[Setting],
+    seed: int,
+    finished: FinishedRuns | None,
+    parent: int,
+) -> tuple[list[Driven], int]:
+    """Closed loops of all settings on one seed, and how many of them were finished before.
+
+    Those that are driven share scene and first belief.
+    """
+    if os.getpid() != parent:
+        end_with_parent(parent)
+    kind: type[Driven] = Run if problem.task == "reach" else TeamSummary
+    shared: Shared | None = None
+    runs: list[Driven] = []
+    resumed = 0
+    for setting in settings:
+        asked = _apply(problem, setting)
+        key = None if finished is None else run_key(asked, seed)
+        run = None if finished is None or key is None else finished.find(key, kind)
+        if run is None:
+            shared = _shared(problem, seed) if shared is None else shared
+            run = _driven(asked, seed, shared)
+            if finished is not None and key is not None:
+                finished.keep(key, run)
+        else:
+            resumed += 1
+        runs.append(run)
+    return runs, resumed
+
+
+Shared = tuple[Prepared, Scene | None]
+"""First belief of a seed, and the scene where there is a goal."""
+
+
+def _shared(problem: Problem, seed: int) -> Shared:
     prepared = prepare(problem, seed)
-    if problem.task != "reach":
-        return [team_summary(simulate_team(one, seed=seed, prepared=prepared)) for one in asked]
-    scene = build_scene(problem)
-    return [simulate(one, seed=seed, scene=scene, prepared=prepared).run for one in asked]
+    return prepared, build_scene(problem) if problem.task == "reach" else None
+
+
+def _driven(problem: Problem, seed: int, shared: Shared) -> Driven:
+    """A closed loop, without states and inputs, which no comparison looks at."""
+    prepared, scene = shared
+    if scene is None:
+        return team_summary(simulate_team(problem, seed=seed, prepared=prepared))
+    run = simulate(problem, seed=seed, scene=scene, prepared=prepared).run
+    return replace(run, drive=None)

@@ -50,6 +50,9 @@ class Row:
         Share of released steps that were verified, over all runs.
     p50_step_s, p95_step_s
         Median and 95 % quantile of the planning time of a step, over all runs.
+    paired_difference, difference_low, difference_high
+        Mean over seeds of this metric less that of the reference setting, where both exist, and
+        its 95 % Student interval; None if there is none. Metrics in dB have no ratios.
     """
 
     horizon: int
@@ -66,6 +69,9 @@ class Row:
     verified_rate: float
     p50_step_s: float
     p95_step_s: float
+    paired_difference: float | None = None
+    difference_low: float | None = None
+    difference_high: float | None = None
 
 
 @dataclass(frozen=True)
@@ -82,12 +88,15 @@ class Comparison:
         The table.
     wall_s
         Time it took.
+    resumed
+        How many of the runs were finished by an earlier comparison.
     """
 
     problem: Problem
     runs: tuple[Driven, ...]
     rows: tuple[Row, ...]
     wall_s: float
+    resumed: int = 0
 
     __repr__ = short_repr
 

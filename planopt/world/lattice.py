@@ -1,7 +1,7 @@
 """The lattice of the global search: which nodes are free and which moves between them are.
 
-Spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's, is one full step
-(fast.md, step 3). Nodes and moves keep the clearance by the same exact distances that the
+Spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's, is one full step.
+Nodes and moves keep the clearance by the same exact distances that the
 verifier measures.
 """
 

@@ -1,4 +1,4 @@
-"""Obstacles from files: GeoJSON, WKT, and the building file of a ray-traced scene.
+"""Obstacles from files: GeoJSON, WKT, the building file of a ray-traced scene, occupancy grids.
 
 Coordinates are metres in the frame of the problem, also in GeoJSON: nothing is projected.
 """
@@ -17,6 +17,8 @@ import shapely
 from planopt.errors import InputError
 from planopt.files.regular import read_text
 from planopt.world.footprints import footprint
+from planopt.world.occupancy_files import is_grid, read_grid
+from planopt.world.occupancy_grid import UnknownCells, grid_obstacles
 from planopt.world.workspace import Obstacle
 
 DEEPEST = 32
@@ -32,7 +34,7 @@ _AREAS = "obstacles are polygons; draw the outline of the area"
 _Part = TypeVar("_Part")
 
 
-def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
+def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obstacle, ...]:
     """Read the obstacles of a file, by its ending.
 
     Parameters
@@ -41,7 +43,10 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
         ``.geojson``: areas as FeatureCollection, Feature or geometry. ``.wkt``: one geometry, or
         one per line. ``.json``: GeoJSON, or a building file
         ``{"buildings": [{"name", "exterior": [[x, y], ...], "holes": [[[x, y], ...], ...]}]}``
-        (holes optional, other keys ignored).
+        (holes optional, other keys ignored). ``.yaml``, ``.csv``: occupancy grids
+        (:mod:`planopt.world.occupancy_files`).
+    unknown
+        What cells of which an occupancy grid knows nothing are taken for.
 
     Returns
     -------
@@ -55,11 +60,16 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
         invalid (:func:`planopt.world.footprints.footprint`). Names the file and the feature.
     """
     ending = path.suffix.lower()
+    if is_grid(path):
+        try:
+            return grid_obstacles(read_grid(path), path.stem, unknown)
+        except InputError as error:
+            raise error.located(path) from error
     if ending not in (".geojson", ".json", ".wkt"):
         raise InputError(
             f"obstacles cannot be read from a file ending in {ending!r}",
             file=path,
-            remedy="use .geojson, .json or .wkt",
+            remedy="use .geojson, .json, .wkt, .yaml or .csv",
         )
     text = read_text(path)
     try:

@@ -1,7 +1,7 @@
 """Separating lines between path segments and convex pieces, for the solver.
 
 A line fixed from the start path and applied to both ends of a segment keeps the whole segment on
-its side of the obstacle: an exact, linear clearance constraint (design 4.3; fast.md, step 7).
+its side of the obstacle: an exact, linear clearance constraint.
 """
 
 from __future__ import annotations

@@ -14,11 +14,11 @@ from planopt.errors import InputError
 CASES = 1000
 BLOCKS = 20
 ROTATED = (
-    ("seed", "squares"),
+    ("lemma1", "squares"),
     ("convex", "squares"),
     ("capped", "squares"),
     ("nls", "squares"),
-    ("seed", "squares"),
+    ("lemma1", "squares"),
     ("convex", "huber"),
     ("capped", "squares"),
     ("convex", "absolute"),

@@ -163,14 +163,14 @@ def test_the_refit_with_intervals_is_an_optimum():
         ]
     )
     assert evaluate(data, tuple(top)).log_likelihood == pytest.approx(
-        found.log_likelihood, abs=1e-6
+        found.best.log_likelihood, abs=1e-6
     )
     ranges = (bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m)
     for i, (low, high) in enumerate(ranges):
         for factor in (0.8, 1.25):
             moved = top.copy()
             moved[i] = np.clip(factor * moved[i], low, high)
-            assert evaluate(data, tuple(moved)).log_likelihood < found.log_likelihood + 1e-6
+            assert evaluate(data, tuple(moved)).log_likelihood < found.best.log_likelihood + 1e-6
 
 
 def test_fine_steps_cost_nothing():

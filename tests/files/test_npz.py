@@ -144,3 +144,18 @@ def test_archives_that_are_damaged(tmp_path: Path) -> None:
     path.write_bytes(b"PK\x03\x04" + 10_001 * b"PK\x01\x02")
     with pytest.raises(InputError, match="more than 10000 arrays"):
         read_npz(path)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("code", [0x110000, 0xFFFFFFFF, 0xD800, 0xDFFF])
+def test_texts_of_numbers_that_are_no_characters(code: int, order: str, tmp_path: Path) -> None:
+    """NumPy hands them on, and Python fails with SystemError when the text is printed."""
+    for last, sound in ((code, False), (0x10FFFF, True)):
+        content = np.array([65, last], dtype=f"{order}u4").tobytes()
+        header = with_header(f"{{'descr': '{order}U2', 'fortran_order': False, 'shape': ()}}\n")
+        path = archive(tmp_path / "a.npz", {"fit_status": header + content})
+        if sound:
+            assert str(read_npz(path)["fit_status"]) == "A\U0010ffff"
+            continue
+        with pytest.raises(InputError, match=r"key fit_status: has texts with characters"):
+            read_npz(path)

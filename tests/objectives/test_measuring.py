@@ -15,9 +15,11 @@ from planopt.objectives.information_derivatives import (
 from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.mapping import Uncertainty
 from planopt.objectives.measuring import (
+    CLOSED_SPACINGS,
     FEW_PAIRS,
     OPEN_SPACINGS,
     SAME_PLACE_M,
+    SPACING_TOLERANCE_M,
     Gates,
     MeasuringRule,
 )
@@ -88,6 +90,7 @@ def test_without_spacing_a_place_is_still_measured_once():
     """Standing still tells nothing new, whatever the spacing."""
     rule = MeasuringRule.of([POSTERIOR], 0.0)
     assert rule.spacing_m == SAME_PLACE_M
+    assert MeasuringRule.of([POSTERIOR], 2.0).spacing_m == 2.0 - SPACING_TOLERANCE_M
     here = POSTERIOR.measurements.positions_m[:1]
     assert not rule.is_open(here)[0]
     assert rule.is_open(here + 1e-3)[0]
@@ -95,8 +98,8 @@ def test_without_spacing_a_place_is_still_measured_once():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_gates_never_count_what_is_not_taken(seed):
-    """Between 0 and 1; 0 where nothing is taken, 1 from a quarter beyond the spacing on."""
+def test_gates_are_closed_and_open_where_the_rule_is(seed):
+    """Between 0 and 1; but for a narrow ramp about the spacing 0 or 1, as the rule says."""
     rng = np.random.default_rng(seed)
     known, ways = rng.uniform(0.0, 9.0, (5, 2)), rng.uniform(0.0, 9.0, (30, 6, 2))
     rule = rule_of(known)
@@ -104,10 +107,16 @@ def test_gates_never_count_what_is_not_taken(seed):
     assert gates is not None
     taken = rule.takes(ways)
     assert ((gates.value >= 0.0) & (gates.value <= 1.0)).all()
-    assert (gates.value[~taken] == 0.0).all()
-    wide = rule_of(known, spacing_m=OPEN_SPACINGS * SPACING_M)
-    fully = wide.is_open(ways.reshape(-1, 2)).reshape(taken.shape)
-    assert (gates.value[:, 0][fully[:, 0]] == 1.0).all()
+    places = ways.reshape(-1, 2)
+    # Of first places, which no earlier one of the way is near to.
+    for spacings, value in ((CLOSED_SPACINGS, 0.0), (OPEN_SPACINGS, 1.0)):
+        far = rule_of(known, spacing_m=spacings * SPACING_M).is_open(places)
+        sure = (far if value else ~far).reshape(taken.shape)[:, 0]
+        assert (gates.value[:, 0][sure] == value).all()
+        assert (taken[:, 0][sure] == bool(value)).all()
+    partly = (gates.value > 0.0) & (gates.value < 1.0)
+    assert 0 < partly.sum() < 0.2 * partly.size
+    np.testing.assert_array_equal(gates.value[~partly], taken[~partly])
     np.testing.assert_array_equal(gates.take(slice(3, 5)).value, gates.value[3:5])
 
 
@@ -128,7 +137,7 @@ def partly_open(seed):
         value = gates.value[0]
         places = np.vstack([known, way])
         apart = np.linalg.norm(way[:, None] - places, axis=2)
-        near_edge = np.abs(apart - SPACING_M) < 0.01
+        near_edge = np.abs(apart - SPACING_M) < 1e-3
         if not near_edge.any() and ((value > 0.05) & (value < 0.95)).sum() >= 2:
             return rule, way, gates
 

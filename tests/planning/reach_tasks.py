@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planopt.planning.programme.polish import ReachTask
+from planopt.planning.programme.polish import OutagePrice, ReachTask
 from planopt.planning.programme.stage_kernel import StageMargins
 from planopt.world.separation import EMPTY_OFFSET_M, SeparatingLines
 
@@ -59,6 +59,26 @@ def slope_margins(gradient_db_m, offset_db):
     return margins
 
 
+def scored(margins, scores=None):
+    """Margins of all stages, then their scores; certain connection unless scores are given."""
+    scores = constant_margins(40.0) if scores is None else scores
+
+    def both(positions_m):
+        one, other = margins(positions_m), scores(positions_m)
+        return StageMargins(
+            np.concatenate([one.value, other.value]),
+            np.concatenate([one.gradient, other.gradient]),
+            np.concatenate([one.hessian, other.hessian]),
+        )
+
+    return both
+
+
+def outage_of(horizon, price_s_m=0.0, share_before=0.0, charged=1.0):
+    """A price of outage after every step, or after those that `charged` (N,) says."""
+    return OutagePrice(price_s_m, share_before, np.broadcast_to(charged, horizon).astype(float))
+
+
 def reach_task(horizon, line_count, **changes):
     """From the origin along x in free space: effort 0.1 s/m^2, 1 s/m to a pivot 50 m away."""
     defaults = {
@@ -72,8 +92,8 @@ def reach_task(horizon, line_count, **changes):
         "pivot_m": np.array([50.0, 0.0]),
         "effort_s_m2": 0.1,
         "rate_s_m": 1.0,
-        "margins": constant_margins(10.0),
+        "margins": scored(constant_margins(10.0)),
         "bound_db": np.zeros(horizon),
-        "slack_limit_db": np.zeros(horizon),
+        "outage": outage_of(horizon),
     }
     return ReachTask(**(defaults | changes))

@@ -20,11 +20,13 @@ from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.planning.history import BEGINNING, History
 from planopt.planning.prepare import Prepared
+from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
-from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.search.road_map import RoadMap, build_road_map
+from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.situation import Situation
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective
@@ -34,6 +36,7 @@ from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
 from planopt.world.lattice import build_lattice
 from planopt.world.raster import Raster
+from planopt.world.road_map import RoadMap, build_road_map
 from planopt.world.workspace import Obstacle, Workspace
 
 PowerAt = Callable[[np.ndarray], np.ndarray]
@@ -178,7 +181,7 @@ def prepared_of(problem: Problem, power_at: PowerAt = good_everywhere) -> Prepar
     x, y = np.arange(x_min + 0.5, x_max), np.arange(y_min + 0.5, y_max)
     cells = np.stack(np.meshgrid(x, y), axis=-1)
     values = power_at(cells.reshape(-1, 2)).reshape(cells.shape[:2])
-    return Prepared(Truth(Raster(x, y, values), None), belief_of(problem, power_at))
+    return Prepared(Truth(Raster(x, y, values), None, values), belief_of(problem, power_at))
 
 
 def straight_path(problem: Problem, step_m: float = 1.9) -> np.ndarray:
@@ -211,8 +214,20 @@ def search_of(
 ) -> tuple[GlobalSearch, Belief, Scene]:
     """A new search, the belief that its margins follow, and the scene."""
     scene, belief = build_scene(problem), belief_of(problem, power_at)
-    margins = NodeMargins(
-        scene.road_map, problem.stations[0].threshold_dbm, problem.constraints.p_min
+    search = GlobalSearch(problem, scene)
+    search.margins.refresh(belief.posterior)
+    return search, belief, scene
+
+
+def situation_of(
+    problem: Problem, belief: Belief, position_m: np.ndarray, history: History = BEGINNING
+) -> Situation:
+    """What a search is told of a step."""
+    return Situation(
+        problem,
+        belief.posterior,
+        position_m,
+        None,
+        workspace_region(problem),
+        circumstances=circumstances_of(problem, belief.posteriors, history),
     )
-    margins.refresh(belief.posterior)
-    return GlobalSearch(problem, scene, margins), belief, scene

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import (
+    THRESHOLD_DBM,
     WALL,
     bad_disc,
     bad_everywhere,
@@ -14,11 +17,11 @@ from scenes import (
     small_problem,
     straight_path,
 )
+from scipy.stats import norm
 
 from planopt.planning.candidate import Candidate
 from planopt.planning.judge import Judge
-from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.programme.pivot import Pivot
+from planopt.planning.plan import Pivot, Rung, Termination, Verdict
 from planopt.planning.scene import build_scene
 from planopt.planning.worth.reach_cost import ReachCost
 
@@ -26,9 +29,10 @@ from planopt.planning.worth.reach_cost import ReachCost
 def judge_of(problem, power_at=good_everywhere, pivot=None) -> Judge:
     """The judge of a step from the problem's start."""
     start = np.asarray(problem.robots[0].start_m)
-    cost = ReachCost(problem, start, pivot)
-    index = build_scene(problem).index
-    return Judge(problem, index, belief_of(problem, power_at), start, cost)
+    belief = belief_of(problem, power_at)
+    ahead = None if pivot is None else lambda _end_m: pivot
+    cost = ReachCost(problem, start, belief.posterior.predict, ahead)
+    return Judge(problem, build_scene(problem).index, belief, start, cost)
 
 
 def judged(judge: Judge, path_m) -> Candidate:
@@ -56,6 +60,37 @@ def test_objective_without_a_way_beyond():
     assert judge.objective(arrived) == pytest.approx(1.4)
     waiting = np.array([(33.0, 15.0), (33.0, 15.0), (35.0, 15.0)])
     assert judge.objective(waiting) == pytest.approx(3.4)
+
+
+@pytest.mark.parametrize("price", [0.0, 3.0, 10.0])
+def test_objective_out_of_contact_by_hand(price):
+    """A metre below the bound counts 1 + price (1 - P), by the mean of each step's two ends."""
+    problem = small_problem()
+    problem = replace(problem, objective=replace(problem.objective, outage_price=price))
+    judge = judge_of(problem, bad_disc(8.0, 15.0, 2.5), Pivot(np.array([13.0, 16.0]), 10.0, 2.5))
+    path = np.array([(6.5, 15.0), (8.5, 15.0), (10.0, 15.5), (12.0, 16.0)])
+    whole = np.vstack([(5.0, 15.0), path])
+    mean, deviation = kriged(judge.belief, whole)
+    score = (mean - THRESHOLD_DBM) / deviation
+    is_below = score < norm.ppf(0.9)
+    assert 1 < is_below.sum() < 5
+    share = np.where(is_below, norm.sf(score), 0.0)
+    lengths = np.linalg.norm(np.diff(whole, axis=0), axis=1)
+    charged = (lengths * (share[1:] + share[:-1]) / 2.0).sum()
+    steps = (1.0 + 0.1 * lengths**2).sum()
+    expected = steps + 0.7 * (price * charged + 2.5 * 1.0 + 10.0)
+    assert judge.objective(path) == pytest.approx(expected, rel=1e-9)
+
+
+def test_slack_that_is_allowed_is_not_charged():
+    """With the threshold lowered by the slack a faint place is in contact."""
+    power, path = bad_disc(8.0, 15.0, 2.5), np.array([(6.5, 15.0), (8.5, 15.0)])
+    hard = small_problem()
+    rule = replace(hard.constraints.rule, slack_max_db=60.0)
+    soft = replace(hard, constraints=replace(hard.constraints, rule=rule))
+    free = judge_of(hard).objective(path)
+    assert judge_of(soft, power).objective(path) == pytest.approx(free)
+    assert judge_of(hard, power).objective(path) > free + 1.0
 
 
 def test_not_yet_judged():
@@ -119,7 +154,7 @@ def test_below_the_bound_is_sound():
     candidate = judged(judge, straight_path(problem)[1:])
     assert candidate.sound and candidate.relaxes
     assert candidate.verdict is Verdict.VIOLATED
-    assert "none of the 4 steps" in judge.plan_from(candidate, 0.0).message
+    assert "met nowhere" in judge.plan_from(candidate, 0.0).message
 
 
 def test_words_of_a_relaxed_plan():
@@ -129,13 +164,16 @@ def test_words_of_a_relaxed_plan():
     candidate = judged(judge, straight_path(problem, 2.0)[1:])
     assert candidate.verdict is Verdict.VERIFIED and candidate.relaxes
     message = judge.plan_from(candidate, 0.0).message
-    assert "at steps 1;" in message
+    assert message.startswith("steps 1 miss the connectivity bound")
     assert f"{candidate.certificate.relaxation_db[0]:.2f} dB" in message
 
 
 def test_words_of_standing_still():
-    """A verified stand is still a stand."""
+    """A stand is feasible, but no verified progress short of the goal; at the goal it is."""
     judge = judge_of(small_problem())
     plan = judge.plan_from(judged(judge, [(5.0, 15.0)] * 4), 0.0)
+    assert plan.verdict is Verdict.FEASIBLE_UNVERIFIED
+    assert "stands still" in plan.message
+    judge = judge_of(small_problem(start_m=(34.5, 15.0)))
+    plan = judge.plan_from(judged(judge, [(34.5, 15.0)] * 4), 0.0)
     assert plan.verdict is Verdict.VERIFIED
-    assert plan.message == "the plan stands still"

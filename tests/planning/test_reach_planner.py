@@ -254,10 +254,8 @@ def test_start_below_the_bound():
     certificate = plan.certificate
     assert plan.rung is Rung.RELAXED
     assert certificate.relaxed_steps[:2] == (1, 2)
-    assert certificate.best_margin_db[0] < 0.0
-    assert certificate.best_margin_db[1] < 0.0
-    # No place within reach by then has a higher margin than the best that was found.
-    assert certificate.relaxation_db[1] >= -certificate.best_margin_db[1] - 0.05
+    # No way out that the verifier finds is cheaper by more than a step.
+    assert certificate.path_cost_m <= 1.05 * certificate.best_cost_m + 2.0
     assert f"{max(certificate.relaxation_db):.2f} dB" in plan.message
     assert "steps 1, 2" in plan.message
     assert (plan.connectivity[-2:] >= 0.9 - 1e-6).all()
@@ -268,7 +266,7 @@ def test_bound_that_is_met_nowhere():
     problem = small_problem(WALL)
     plan = planned(problem, bad_everywhere)
     assert plan.verdict is Verdict.VIOLATED
-    assert "none of the 4 steps" in plan.message
+    assert "met nowhere in the workspace" in plan.message
     assert "dB" in plan.message
     assert plan.certificate.min_clearance_m >= 0.5 - 1e-6
     assert plan.certificate.dynamics_defect <= 1e-5

@@ -6,13 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import CUP, WALL, bad_disc, belief_of, good_everywhere, search_of, small_problem
+from scenes import (
+    CUP,
+    WALL,
+    bad_band,
+    bad_disc,
+    belief_of,
+    good_everywhere,
+    search_of,
+    situation_of,
+    small_problem,
+)
 
 import planopt.planning.refine as refine
 from planopt.planning.budget import Budget
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.programme.pivot import find_pivot
+from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.reach_nlp import build_reach_nlp
 from planopt.planning.worth.reach_cost import ReachCost
 
@@ -22,13 +32,15 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
     search, _, scene = search_of(problem, power_at)
     belief = belief_of(problem, power_at)
     at = np.asarray(problem.robots[0].start_m)
-    start = search.find_start(at, belief.posterior.measurements.positions_m)
-    pivot = find_pivot(scene, start, None, problem.step_length_m, problem.constraints.clearance_m)
-    reach_cost = ReachCost(problem, at, pivot)
+    situation = situation_of(problem, belief, at)
+    start = search.find_start(situation)
+    ahead = Ahead(problem, scene, start, None)
+    reach_cost = ReachCost(problem, at, situation.power, ahead)
     judge = Judge(problem, scene.index, belief, at, reach_cost)
     nlp = build_reach_nlp(problem.planner.horizon, lines)
     cost = judge.objective(start.path_m)
-    return refine.Refiner(nlp, scene, judge, reach_cost, start, cost, Budget()), judge, start
+    refiner = refine.Refiner(nlp, scene, judge, reach_cost, start, ahead, cost, Budget())
+    return refiner, judge, start
 
 
 @pytest.mark.parametrize("polygon", [WALL, CUP])
@@ -68,13 +80,30 @@ def test_shifted_plan_is_tried():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(refine, "polish", noting)
-        next(refiner.attempts(good))
-        assert (polished_from[0] == good).all()
+        # As a plan is shifted: standing at its end.
+        next(refiner.attempts(np.vstack([good[:-1], good[-2]])))
+        # Its last step leads on, as far as a step may.
+        assert (polished_from[0][:-1] == good[:-1]).all()
+        assert 1.0 < np.linalg.norm(polished_from[0][-1] - good[-2]) <= problem.step_length_m
         polished_from.clear()
         dear = np.tile((12.0, 15.0), (10, 1))
         list(refiner.attempts(dear))
-        assert not (polished_from[0] == dear).all()
-        assert any((path == dear).all() for path in polished_from)
+        assert not (polished_from[0][:-1] == dear[:-1]).all()
+        assert any((path[:-1] == dear[:-1]).all() for path in polished_from)
+
+
+@pytest.mark.parametrize("width_m", [3.0, 6.0])
+def test_a_hole_that_nothing_leads_round_is_crossed(width_m):
+    """Attempts across it are verified, say what they miss, and cost what the verifier finds."""
+    problem = small_problem(start_m=(15.0, 15.0), horizon=8)
+    refiner, _, _ = refiner_of(problem, bad_band(18.0, 18.0 + width_m))
+    verified = [a for a in refiner.attempts(None) if a.verdict is Verdict.VERIFIED]
+    best = min(verified, key=lambda attempt: attempt.objective)
+    assert best.rung is Rung.RELAXED and best.relaxes
+    assert best.path_m[-1, 0] > 18.0 + width_m
+    # Sums over steps are rougher than the verifier's grid: a step's share of the hole at most.
+    step = problem.step_length_m * (1.0 + problem.reach.outage_price)
+    assert best.certificate.path_cost_m == pytest.approx(best.certificate.best_cost_m, abs=step)
 
 
 def test_relaxed_start_is_made_as_good_as_can_be():

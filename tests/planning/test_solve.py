@@ -84,7 +84,6 @@ def test_threshold_that_cannot_be_met(horizon):
     assert "constraints.p_min 0.8" in found.plan.message
     assert "dB" in found.plan.message
     assert len(found.plan.certificate.relaxed_steps) == horizon
-    assert max(found.plan.certificate.best_margin_db) < 0.0
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,8 @@ def simulation(problem: Problem, belief: Belief, plan: Plan, log: StepLog) -> Si
     run = Run("rover", 4, "auto", "connected", 5, Outcome.STEP_LIMIT, "six steps", log, metrics)
     x, y = np.arange(0.5, 100.0), np.arange(0.5, 80.0)
     values = -90.0 + 0.3 * x[None, :] + 0.1 * y[:, None]
-    return Simulation(problem, 5, belief, 24, run, (plan,), Truth(Raster(x, y, values), -100.0))
+    truth = Truth(Raster(x, y, values), -100.0, values)
+    return Simulation(problem, 5, belief, 24, run, (plan,), truth)
 
 
 @pytest.fixture(scope="session")

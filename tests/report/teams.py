@@ -77,5 +77,6 @@ def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) ->
             rms_db=4.0 - 0.1 * np.arange(count),
             anmse_db=-20.0 - np.arange(count),
             theta_variance_db=-5.0 - np.arange(count),
+            log_det_m=2.0 - 0.5 * np.arange(count),
         ),
     )

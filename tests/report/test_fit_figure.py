@@ -113,8 +113,9 @@ def test_profiles(figure, measurements, fit):
     assert any(words in title for words in shown)
 
 
-def test_many_measurements_say_so(fit):
+def test_many_measurements_say_so(fit, monkeypatch):
     """Where the profiles are of a part of the measurements the title has how many."""
+    monkeypatch.setattr("planopt.report.fit_figure.MOST_PROFILED", 300)
     rng = np.random.default_rng(0)
     many = Measurements(
         rng.uniform(0.0, 80.0, (350, 2)), rng.normal(-70.0, 5.0, 350), np.zeros(350, bool)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import scipy.stats
 
 from planopt import load
 from planopt.errors import InputError
+from planopt.planning.loop.clairvoyant import COSTS as COST_METRICS
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.run import Metrics, Outcome, StepLog
 from planopt.studies.compare import compare_horizons, mean_interval, paired_ratio, tabulate
@@ -18,7 +20,7 @@ from planopt.studies.comparison import Comparison, Row
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6
 TIMES = {"p50_step_s", "p95_step_s"}
-METRICS = [field.name for field in fields(Metrics)]
+METRICS = [*(field.name for field in fields(Metrics)), *COST_METRICS]
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +95,7 @@ def test_means_and_intervals_against_scipy(comparison):
     compared = 0
     for row in comparison.rows:
         runs = runs_of(comparison, row.horizon, row.cost_to_go)
-        values = np.array([getattr(run.metrics, row.metric) for run in runs])
+        values = np.array([run.all_metrics[row.metric] for run in runs])
         values = values[np.isfinite(values)]
         assert row.count == len(values)
         if len(values) == 0:
@@ -124,7 +126,7 @@ def test_ratios_are_paired_with_the_first_setting(comparison):
         ratios = []
         for run, other in zip(runs, reference, strict=True):
             assert run.seed == other.seed
-            mine, its = getattr(run.metrics, row.metric), getattr(other.metrics, row.metric)
+            mine, its = run.all_metrics[row.metric], other.all_metrics[row.metric]
             if mine > 0.0 and its > 0.0:
                 ratios.append(mine / its)
         if ratios:
@@ -133,6 +135,27 @@ def test_ratios_are_paired_with_the_first_setting(comparison):
             assert row.paired_ratio is None
     first = rows_of(comparison, HORIZONS[0], COSTS[0])
     assert first["path_m"].paired_ratio == 1.0
+
+
+def test_differences_are_paired_with_the_first_setting(comparison):
+    """Seed by seed; with an interval from five seeds on, as of a paired t test."""
+    rng = np.random.default_rng(0)
+    runs = comparison.runs[:1] * 6
+    setting = SimpleNamespace(horizon=1, planner="auto", cost_to_go=None)
+
+    def with_paths(lengths):
+        metrics = [replace(run.metrics, path_m=v) for run, v in zip(runs, lengths, strict=True)]
+        return [replace(run, metrics=m) for run, m in zip(runs, metrics, strict=True)]
+
+    mine, its = rng.normal(50.0, 5.0, (2, 6))
+    row = {r.metric: r for r in tabulate(setting, with_paths(mine), with_paths(its))}["path_m"]
+    test = scipy.stats.ttest_rel(mine, its)
+    assert row.paired_difference == pytest.approx((mine - its).mean())
+    assert (row.difference_low, row.difference_high) == pytest.approx(
+        tuple(test.confidence_interval(0.95))
+    )
+    few = tabulate(setting, with_paths(mine)[:3], with_paths(its)[:3])
+    assert {r.metric: r for r in few}["path_m"].difference_low is None
 
 
 def test_run_is_that_of_simulate(comparison, problem):
@@ -151,8 +174,9 @@ def assert_same_run(one, other):
                 getattr(other.log, column.name),
                 equal_nan=column.name not in ("rung", "verdict", "connected"),
             )
-    assert replace(one, log=other.log, metrics=other.metrics) == other
-    assert repr(one.metrics) == repr(other.metrics)
+    same = {"log": other.log, "metrics": other.metrics, "costs": other.costs}
+    assert replace(one, **same) == other
+    assert repr(one.all_metrics) == repr(other.all_metrics)
 
 
 def test_parallel_equals_serial(comparison, problem):

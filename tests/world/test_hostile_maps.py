@@ -1,5 +1,6 @@
 """Maps that declare more than they hold, or that read files which nobody named."""
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -78,6 +79,17 @@ def test_a_tif_whose_description_is_no_text(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"gain", b"g\x93in"))
     with pytest.raises(InputError, match=r"map\.tif: not a GeoTIFF that can be read"):
         read_raster(path, "gain")
+
+
+def test_a_tif_whose_faults_are_no_text(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """GDAL's message quotes the file, and rasterio cannot decode it: Python would print that."""
+    pytest.importorskip("rasterio")
+    path = tmp_path / "map.tif"
+    write_rasters(path, {"gain": RASTER}, {"gain": "dB"})
+    path.write_bytes(path.read_bytes().replace(b"<Item ", b"<It\x80m "))
+    with contextlib.suppress(InputError):
+        read_raster(path, "gain")
+    assert capfd.readouterr() == ("", "")
 
 
 def hdf5(path: Path, **extra: object) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.connection.line_recursion import line_prefix_probabilities
 from planopt.channel.connection.orthant import prefix_probabilities
@@ -55,7 +55,7 @@ class FirstPassage:
 
 def first_passage(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
+    positions_m: ArrayLike,
     threshold_dbm: float,
     generator: np.random.Generator,
     *,

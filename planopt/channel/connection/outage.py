@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.connection.sampled_distribution import SampledDistribution
 from planopt.channel.connection.traffic import Traffic, sent_and_lost
@@ -62,8 +62,8 @@ class DeliveredData:
 
 def longest_outage(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
-    times_s: NDArray[np.float64],
+    positions_m: ArrayLike,
+    times_s: ArrayLike,
     threshold_dbm: float,
     count: int,
     generator: np.random.Generator,
@@ -100,8 +100,8 @@ def longest_outage(
 
 def delivered_data(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
-    times_s: NDArray[np.float64],
+    positions_m: ArrayLike,
+    times_s: ArrayLike,
     threshold_dbm: float,
     traffic: Traffic,
     deadline_s: float,
@@ -160,7 +160,7 @@ def longest_runs(
 
 
 def _path(
-    positions_m: NDArray[np.float64], times_s: NDArray[np.float64]
+    positions_m: ArrayLike, times_s: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Places and times that belong together."""
     places = require_places(positions_m, 2)

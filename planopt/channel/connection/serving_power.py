@@ -23,12 +23,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.connection.any_score import any_score, any_score_derivatives
+from planopt.channel.connection.connection_law import LEAST_DEVIATION_DB, ConnectionLaw
 from planopt.channel.connectivity import bound_quantile
-from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.prediction import Prediction
-
-LEAST_DEVIATION_DB = math.sqrt(MIN_NOISE_VARIANCE_DB2)
-"""Powers that are known would be steps; so little spread decides ties evenly."""
 
 SECANT_FROM_DB = 1e-4
 """Where the margin is smaller, the slope of the score stands for its secant."""
@@ -38,8 +35,15 @@ MOST_STEPS = 100
 """Newton's method on the margin ends below the first, some six steps as a rule, and always here."""
 
 
+Laws = Sequence[ConnectionLaw | None]
+"""Each station's calibrated law of connection; None where its power is normal."""
+
+
 def serving_prediction(
-    predictions: Sequence[Prediction], thresholds_dbm: Sequence[float], p_min: float
+    predictions: Sequence[Prediction],
+    thresholds_dbm: Sequence[float],
+    p_min: float,
+    laws: Laws | None = None,
 ) -> Prediction:
     """The normal law that stands for the serving power of m stations at n places.
 
@@ -51,7 +55,15 @@ def serving_prediction(
         From which power on each connects.
     p_min
         The bound. Where it asks for nothing (0) the law has the slope of S's at t_1.
+    laws
+        Of each station; None where all are normal. With one station, or none that is not normal,
+        the margin is exact; with calibrated ones beside others its sign is.
     """
+    if laws is not None:
+        predictions = [
+            own if law is None else law.prediction(own, threshold, p_min)
+            for own, threshold, law in zip(predictions, thresholds_dbm, laws, strict=True)
+        ]
     if len(predictions) == 1:
         return predictions[0]
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
@@ -65,12 +77,21 @@ def serving_prediction(
 
 
 def any_probability(
-    predictions: Sequence[Prediction], thresholds_dbm: Sequence[float], slack_db: float = 0.0
+    predictions: Sequence[Prediction],
+    thresholds_dbm: Sequence[float],
+    slack_db: float = 0.0,
+    laws: Laws | None = None,
 ) -> NDArray[np.float64]:
-    """P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``."""
+    """P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``.
+
+    `laws` as for :func:`serving_prediction`.
+    """
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
-    score = any_score((above + slack_db) / deviation)
-    return np.asarray(ndtr(score), dtype=np.float64)
+    scores = (above + slack_db) / deviation
+    for own, law in zip(scores, laws or (), strict=laws is not None):
+        if law is not None:
+            own[...] = law.normal_score(own)
+    return np.asarray(ndtr(any_score(scores)), dtype=np.float64)
 
 
 def serving_power_dbm(

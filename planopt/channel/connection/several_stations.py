@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.connection.orthant import prefix_probabilities
@@ -66,7 +66,7 @@ class StationProbability:
 
 def connected_to_any(
     posteriors: Sequence[ChannelPosterior],
-    positions_m: NDArray[np.float64],
+    positions_m: ArrayLike,
     threshold_dbm: float,
     shared: SharedShadowing | None = None,
 ) -> StationProbability:
@@ -110,7 +110,7 @@ def connected_to_any(
 
 def strongest_station(
     posteriors: Sequence[ChannelPosterior],
-    positions_m: NDArray[np.float64],
+    positions_m: ArrayLike,
     shared: SharedShadowing | None = None,
 ) -> StationProbability:
     """P(a station's power is the greatest), the station that would serve; ``(m, n)``.
@@ -143,7 +143,7 @@ def strongest_station(
 
 
 def _predictions(
-    posteriors: Sequence[ChannelPosterior], positions_m: NDArray[np.float64]
+    posteriors: Sequence[ChannelPosterior], positions_m: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and deviation of each station's power at each place; two of (m, n)."""
     if not posteriors:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,22 @@ from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True)
+class OtherMode:
+    """Parameters at a maximum of the likelihood that is not the highest.
+
+    Attributes
+    ----------
+    parameters
+        There.
+    log_likelihood
+        Restricted.
+    """
+
+    parameters: ChannelParameters
+    log_likelihood: float
+
+
+@dataclass(frozen=True)
 class ChannelFit:
     """Estimated channel parameters.
 
@@ -23,8 +39,10 @@ class ChannelFit:
     method
         How they were estimated.
     status
-        ``"ok"``, or ``"degenerate"`` when a parameter is not determined by the measurements (it
-        is at a bound of its range, or a prior stands in); `warnings` say which and why.
+        ``"ok"``; ``"weak"`` when a parameter is hardly determined, another set of parameters is
+        nearly as likely, or a value is not to be believed; ``"degenerate"`` when a parameter is not
+        determined at all (it is at a bound of its range, or a prior stands in). `warnings` say
+        which and why.
     parameters
         The estimate; always usable: finite, with xi, omega and beta positive.
     standard_errors
@@ -43,10 +61,17 @@ class ChannelFit:
     station_covariance_m2
         ``(2, 2)`` covariance of the station's x and y where its position is estimated, ``inf`` on
         the diagonal where it is not determined; None where it was given.
+    intervals_95
+        By parameter, for ``reml``: 95 % intervals of those that are hardly or not determined, by
+        the profile of the likelihood (for ``n_pl`` by its standard error); 0 and ``math.inf`` where
+        there is no end. Empty where none were asked for.
+    other_modes
+        Other maxima of the likelihood, for ``reml``, that are lower by no more than
+        :data:`planopt.channel.estimation.likelihood_climb.NEARLY_AS_LIKELY`; the best first.
     """
 
     method: FitMethod
-    status: Literal["ok", "degenerate"]
+    status: Literal["ok", "weak", "degenerate"]
     parameters: ChannelParameters
     standard_errors: dict[str, float]
     theta_covariance: NDArray[np.float64]
@@ -56,5 +81,7 @@ class ChannelFit:
     log_likelihood: float | None
     receiver_offsets: tuple[ReceiverOffset, ...] = ()
     station_covariance_m2: NDArray[np.float64] | None = None
+    intervals_95: dict[str, tuple[float, float]] = field(default_factory=lambda: {})
+    other_modes: tuple[OtherMode, ...] = ()
 
     __repr__ = short_repr

@@ -58,6 +58,11 @@ class CovarianceFit:
     standard_errors: tuple[float, float, float]
     warnings: tuple[str, ...]
 
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """(xi^2, omega^2, beta)."""
+        return self.shadow_variance_db2, self.multipath_variance_db2, self.decorrelation_m
+
 
 def covariance_bounds(
     residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]

@@ -28,8 +28,9 @@ from planopt.channel.estimation.least_squares import (
     least_squares,
 )
 from planopt.channel.estimation.lemma1 import capped_bins, enough, lemma1_fit, printed_bins
+from planopt.channel.estimation.likelihood import Covariance
 from planopt.channel.estimation.nls_fit import nls_fit
-from planopt.channel.estimation.reml import MAX_MEASUREMENTS, reml_fit, thinned
+from planopt.channel.estimation.reml import RemlFit, reml_fit
 from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
@@ -49,16 +50,17 @@ class GivenToFit:
     forgetting_s: float
 
     def parameters(
-        self, coefficients: NDArray[np.float64], covariance: CovarianceFit
+        self, coefficients: NDArray[np.float64], covariance: Covariance
     ) -> ChannelParameters:
         """An estimate as parameters."""
         k_pl, n_pl = self.model.theta(coefficients)
+        shadow, nugget, beta = covariance
         return ChannelParameters(
             k_pl_db=k_pl,
             n_pl=n_pl,
-            shadow_std_db=math.sqrt(covariance.shadow_variance_db2),
-            decorrelation_m=covariance.decorrelation_m,
-            multipath_std_db=math.sqrt(covariance.multipath_variance_db2),
+            shadow_std_db=math.sqrt(shadow),
+            decorrelation_m=beta,
+            multipath_std_db=math.sqrt(nugget),
             station=self.station,
             forgetting_s=self.forgetting_s,
         )
@@ -72,30 +74,23 @@ class Estimate:
     coefficients: NDArray[np.float64]
     coefficient_covariance: NDArray[np.float64]
     notes: tuple[str, ...] = ()
-    log_likelihood: float | None = None
+    reml: RemlFit | None = None
 
 
-def by_likelihood(given: GivenToFit) -> Estimate:
-    """Restricted maximum likelihood, on a thinned set where there are many."""
+def by_likelihood(given: GivenToFit, *, ends: bool = True) -> Estimate:
+    """Restricted maximum likelihood of all measurements; `ends` as of :func:`reml_fit`."""
     model, measurements, allows = given.model, given.measurements, given.allows
     line = least_squares(model, measurements)
     bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
     # Errors of path loss need n_PL before it is known: that of the least-squares line.
     rough = fallback_fit(line.variance_db2, allows.decorrelation_bounds_m, "a first guess")
-    known = given.parameters(line.coefficients, rough)
-    rows = thinned(len(measurements), MAX_MEASUREMENTS)
-    notes: tuple[str, ...] = ()
-    if len(rows) < len(measurements):
-        notes = (f"fitted on {MAX_MEASUREMENTS} of {len(measurements)} measurements",)
-        model = MeanModel(model.columns[rows], model.offset_db[rows], model.regressor_mean)
-        measurements = measurements.take(rows)
-    found = reml_fit(model, measurements, bounds, known)
+    known = given.parameters(line.coefficients, rough.values)
+    found = reml_fit(model, measurements, bounds, known, ends=ends)
     return Estimate(
         found.covariance,
-        found.coefficients,
-        found.coefficient_covariance,
-        notes,
-        found.log_likelihood,
+        found.best.coefficients,
+        found.best.coefficient_covariance,
+        reml=found,
     )
 
 
@@ -163,7 +158,7 @@ def _with_line(
 ) -> Estimate:
     """A least-squares line, with its covariance under `covariance`."""
     spread = coefficient_covariance(
-        given.model, given.measurements, given.parameters(line.coefficients, covariance)
+        given.model, given.measurements, given.parameters(line.coefficients, covariance.values)
     )
     return Estimate(covariance, line.coefficients, spread, notes)
 

@@ -103,16 +103,16 @@ def coefficient_covariance(
     origins = measured_origins(measurements, parameters)
     noise = parameters.multipath_std_db**2 + rounded_variance_db2(measurements.resolution_db)
     noise += measured_path_loss_variance_db2(measurements, parameters)
-    middle = columns.T @ (noise[:, None] * columns)
+    inverse = _ridged_inverse(columns, count)[:count]
+    spread = (inverse * noise) @ inverse.T
     for first in range(0, len(columns), ROWS):
         rows = slice(first, first + ROWS)
         some = origins.at(rows)
         block = covariance_db2(some, origins, parameters)
         own = np.arange(len(block))
         block[own, first + own] = own_variance_db2(some, parameters)
-        middle += columns[rows].T @ block @ columns
-    outer = _normal_inverse(columns, count)
-    return (outer @ middle @ outer)[:count, :count]
+        spread += inverse[:, rows] @ block @ inverse.T
+    return 0.5 * (spread + spread.T)
 
 
 def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
@@ -128,13 +128,6 @@ def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]
     whole = np.asarray(np.linalg.pinv(np.vstack([columns, ridge])), dtype=np.float64)
     return whole[:, : len(columns)]
-
-
-def _normal_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
-    """(G'G)^-1 with the same ridge; (q, q)."""
-    ridge = np.full(columns.shape[1], OFFSET_RIDGE)
-    ridge[:free] = 0.0
-    return np.asarray(np.linalg.pinv(columns.T @ columns + np.diag(ridge)), dtype=np.float64)
 
 
 def _expected_below(

@@ -2,7 +2,7 @@
 
 log r(d) = log xi^2 - d / beta, over the bins L = {d : 0 < r-hat(d) < alpha-hat}. As printed the
 set keeps only the positive noise at long lags, which makes xi too small and beta too long however
-many measurements there are (design 4.7). `capped` is the repair: lags up to a cap, and weights
+many measurements there are. `capped` is the repair: lags up to a cap, and weights
 n r^2, the inverse of the variance of log r-hat.
 """
 

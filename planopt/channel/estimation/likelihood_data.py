@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.intervals.censoring import intervals
-from planopt.channel.kernel import pairwise_distance_m
 from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurement_covariance import (
     ageing,
-    blurred_m2,
     measured_origins,
     measured_path_loss_variance_db2,
     offset_covariance_db2,
+    own_distance_m,
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters
@@ -122,13 +121,11 @@ def likelihood_data(
     order = np.argsort(chosen, kind="stable")
     ordered = measurements.take(order)
     origins = measured_origins(ordered, known)
-    positions, times = origins.positions_m, origins.time_s
-    distance = pairwise_distance_m(positions, positions, blurred_m2(origins, origins))
-    np.fill_diagonal(distance, 0.0)
+    times = origins.time_s
     bands = intervals(measurements)
     power = np.where(measurements.censored, bands.upper_db, measurements.power_dbm)
     return LikelihoodData(
-        distance,
+        own_distance_m(origins),
         model.columns[order],
         (power - model.offset_db)[order],
         int((~chosen).sum()),

@@ -15,6 +15,14 @@ from numpy.typing import NDArray
 
 ProfiledParameter = Literal["shadow_std_db", "decorrelation_m", "multipath_std_db"]
 
+WORDS: dict[str, tuple[str, str]] = {
+    "n_pl": ("path loss exponent n_PL", ""),
+    "shadow_std_db": ("deviation of shadowing", "dB"),
+    "decorrelation_m": ("decorrelation distance", "m"),
+    "multipath_std_db": ("deviation of multipath", "dB"),
+}
+"""What parameters are called, and their units."""
+
 CUT_95 = 1.9207
 """Half the 95 % quantile of chi-square with one degree of freedom: values whose log likelihood is
 within this of the largest are the 95 % confidence set."""
@@ -75,6 +83,15 @@ class Profile:
         if last < len(logs) - 1:
             high = _crossing(logs[last : last + 2], above[last : last + 2])
         return low, high
+
+
+def interval_words(low: float, high: float, unit: str) -> str:
+    """A 95 % interval in words, 0 and ``inf`` for no end."""
+    if math.isinf(high):
+        words = f"above {low:.3g} {unit}" if low else "anything"
+    else:
+        words = f"{low:.3g} to {high:.3g} {unit}" if low else f"below {high:.3g} {unit}"
+    return words.rstrip() + " (95 %)"
 
 
 def _crossing(logs: NDArray[np.float64], above: NDArray[np.float64]) -> float:

@@ -27,13 +27,11 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import inverse
 from planopt.channel.estimation.generalised_least_squares import generalised_least_squares
+from planopt.channel.estimation.likelihood import SITE_TOLERANCE, Covariance, Evaluated
 from planopt.channel.estimation.likelihood_data import LikelihoodData
 from planopt.channel.estimation.likelihood_sites import sites_and_likelihood
 from planopt.channel.intervals.expectation_propagation import TOLERANCE
 from planopt.channel.intervals.sites import IntervalSites, rounded_variance_db2
-
-Covariance = tuple[float, float, float]
-"""xi^2 (dB^2), omega^2 (dB^2), beta (m)."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +63,26 @@ class Evaluation:
     sites: IntervalSites | None
     projection: NDArray[np.float64]
     noise_db2: NDArray[np.float64]
+
+
+class DenseLikelihood:
+    """The likelihood from one factor of all; keeps the last sites, so that EP starts warm."""
+
+    def __init__(self, data: LikelihoodData) -> None:
+        self._data = data
+        self._sites: IntervalSites | None = None
+
+    def at(self, covariance: Covariance, tolerance: float = 0.0) -> Evaluation:
+        """Evaluate it; a larger `tolerance` would save nothing."""
+        at = evaluate(self._data, covariance, self._sites, SITE_TOLERANCE)
+        self._sites = at.sites
+        return at
+
+    def information(self, covariance: Covariance, at: Evaluated) -> NDArray[np.float64]:
+        """The expected information."""
+        if not isinstance(at, Evaluation):
+            at = self.at(covariance)
+        return expected_information(self._data, covariance, at)
 
 
 def evaluate(

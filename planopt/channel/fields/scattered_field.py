@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.cholesky import lower_factor, solve_lower
 from planopt.channel.kernel import pairwise_distance_m
@@ -25,7 +25,7 @@ EARLIER = 16
 
 
 def scattered_field_db(
-    positions_m: NDArray[np.float64],
+    positions_m: ArrayLike,
     shadow_std_db: float,
     decorrelation_m: float,
     generator: np.random.Generator,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.fields.field import shadow_field_db
 from planopt.channel.measurements import Measurements
@@ -13,6 +13,7 @@ from planopt.channel.multipath.multipath_field import multipath_field_db
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.path_loss import regressors
+from planopt.channel.places import require_places
 from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m, nearest_cells
 
@@ -27,10 +28,13 @@ class Truth:
         Power in dBm at cell centres; read at the nearest cell.
     floor_dbm
         The receiver's floor: no value is below it. None for none.
+    mean_dbm
+        ``[iy, ix]`` the power without small-scale fading, in the same cells.
     """
 
     raster: Raster
     floor_dbm: float | None
+    mean_dbm: NDArray[np.float64]
 
     __repr__ = short_repr
 
@@ -58,11 +62,13 @@ def raster_truth(
         Source of the fading.
     """
     gain = np.asarray(path_gain.values, dtype=np.float64)
+    # fmax prefers the floor to NaN.
+    mean = np.fmax(gain, floor_gain_db) + transmit_power_dbm
     if multipath is not None:
         gain = gain + multipath_field_db(gain.shape, multipath, generator)
-    # fmax prefers the floor to NaN.
     power = np.fmax(gain, floor_gain_db) + transmit_power_dbm
-    return Truth(Raster(path_gain.x_m, path_gain.y_m, power), floor_gain_db + transmit_power_dbm)
+    floor_dbm = floor_gain_db + transmit_power_dbm
+    return Truth(Raster(path_gain.x_m, path_gain.y_m, power), floor_dbm, mean)
 
 
 def model_truth(
@@ -101,19 +107,25 @@ def model_truth(
         shape, cell_m, parameters.shadow_std_db, parameters.decorrelation_m, generator
     ).values_db
     law = Lognormal(parameters.multipath_std_db) if multipath is None else multipath
-    power += multipath_field_db(shape, law, generator)
+    faded = power + multipath_field_db(shape, law, generator)
     if floor_dbm is not None:
-        power = np.maximum(power, floor_dbm)
-    return Truth(Raster(x, y, power), floor_dbm)
+        power, faded = np.maximum(power, floor_dbm), np.maximum(faded, floor_dbm)
+    return Truth(Raster(x, y, faded), floor_dbm, power)
 
 
-def true_power_dbm(truth: Truth, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
     """Received power at `positions_m` (n, 2), in dBm, at least the floor; ``(n,)``."""
-    iy, ix = nearest_cells(truth.raster, positions_m)
+    iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.raster.values[iy, ix]
 
 
-def measure(truth: Truth, positions_m: NDArray[np.float64]) -> Measurements:
+def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
+    """Received power without small-scale fading at `positions_m` (n, 2), in dBm; ``(n,)``."""
+    iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
+    return truth.mean_dbm[iy, ix]
+
+
+def measure(truth: Truth, positions_m: ArrayLike) -> Measurements:
     """Measure the true power at `positions_m` (n, 2); values at the floor are censored."""
     power = true_power_dbm(truth, positions_m)
     censored = np.zeros(len(power), dtype=bool)

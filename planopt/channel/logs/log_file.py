@@ -15,8 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
+from planopt.channel.logs.local_plane import FARTHEST_M, east_north_m
 from planopt.channel.logs.log_cells import read_flag, read_label, read_number
-from planopt.channel.logs.log_format import LARGEST_POWER_DBM, LEAST_POWER_DBM, LogFormat
+from planopt.channel.logs.log_format import (
+    LARGEST_LATITUDE_DEG,
+    LARGEST_LONGITUDE_DEG,
+    LARGEST_POWER_DBM,
+    LEAST_POWER_DBM,
+    LogFormat,
+)
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
@@ -25,12 +32,16 @@ from planopt.world.footprints import LARGEST_COORDINATE_M
 
 DEFAULT_FORMAT = LogFormat()
 
-RANGES = (
-    (-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),
-    (-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),
-    (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm"),
+RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
+"""Least and largest x and y in metres."""
+
+RANGES_DEG = (
+    (-LARGEST_LONGITUDE_DEG, LARGEST_LONGITUDE_DEG, "degrees"),
+    (-LARGEST_LATITUDE_DEG, LARGEST_LATITUDE_DEG, "degrees"),
 )
-"""Least and largest x, y and power, with their units."""
+"""Least and largest longitude and latitude."""
+
+POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,7 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
     wanted = [*numbered, log_format.censored_column, log_format.receiver_column]
     where = {name: _column(names, name, file, header_line) for name in wanted if name is not None}
     table = _Table([], [], [], [])
-    for line, cells in _full(rows, names, file):
+    for line, cells in _chosen(rows, names, file, header_line, log_format):
         table.lines.append(line)
         table.numbers.append(
             [read_number(cells[where[name]], file, line, name) for name in numbered]
@@ -91,7 +102,7 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
         if (label := log_format.receiver_column) is not None:
             table.labels.append(read_label(cells[where[label]], file, line, label))
     if not table.numbers:
-        raise InputError("the file has a header but no rows", file=file)
+        raise _no_rows(file, log_format)
     return _power_log(table, log_format, file)
 
 
@@ -114,8 +125,10 @@ def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
     if log_format.floor_dbm is not None:
         censored |= power <= log_format.floor_dbm
         power = np.maximum(power, log_format.floor_dbm)
+    degrees = log_format.origin_deg is not None
+    ranges = (*(RANGES_DEG if degrees else RANGES_M), POWER_RANGE)
     for name, values, (least, largest, unit) in zip(
-        log_format.columns, (numbers[:, 0], numbers[:, 1], power), RANGES, strict=True
+        log_format.columns, (numbers[:, 0], numbers[:, 1], power), ranges, strict=True
     ):
         outside = np.flatnonzero((values < least) | (values > largest)).tolist()
         if outside:
@@ -126,11 +139,22 @@ def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
                 row=table.lines[outside[0]],
                 remedy=f"from {least:g} to {largest:g} {unit}; correct or remove the row",
             )
+    positions_m = numbers[:, :2].copy()
+    if log_format.origin_deg is not None:
+        positions_m = east_north_m(numbers[:, 0], numbers[:, 1], log_format.origin_deg)
+        afar = np.flatnonzero(np.isnan(positions_m[:, 0])).tolist()
+        if afar:
+            raise InputError(
+                f"is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
+                file=file,
+                row=table.lines[afar[0]],
+                remedy="give an origin near the log; x is the longitude, y the latitude",
+            )
     # In the order of first appearance.
     receivers = tuple(dict.fromkeys(table.labels))
     number = {label: index for index, label in enumerate(receivers)}
     measurements = Measurements(
-        numbers[:, :2].copy(),
+        positions_m,
         power,
         censored,
         resolution_db=np.full(count, log_format.resolution_db),
@@ -141,7 +165,9 @@ def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
     return PowerLog(measurements, receivers)
 
 
-def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
+def read_columns(
+    path: Path | str, columns: Sequence[str], log_format: LogFormat = DEFAULT_FORMAT
+) -> list[tuple[int, list[str]]]:
     """Cells of any columns of a log, row by row, each with its line.
 
     Parameters
@@ -150,6 +176,8 @@ def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, li
         The CSV file.
     columns
         Names of the columns.
+    log_format
+        Says which rows count.
 
     Raises
     ------
@@ -161,10 +189,13 @@ def read_columns(path: Path | str, columns: Sequence[str]) -> list[tuple[int, li
     rows = _rows(file)
     header_line, names = _header(rows, file)
     where = [_column(names, name, file, header_line) for name in columns]
-    return [(line, [cells[at] for at in where]) for line, cells in _full(rows, names, file)]
+    chosen = _chosen(rows, names, file, header_line, log_format)
+    return [(line, [cells[at] for at in where]) for line, cells in chosen]
 
 
-def at_file_line(error: InputError, path: Path | str) -> InputError:
+def at_file_line(
+    error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
+) -> InputError:
     """Turn an error about a measurement of a log into one about the log's line.
 
     Parameters
@@ -174,11 +205,12 @@ def at_file_line(error: InputError, path: Path | str) -> InputError:
         any, is the index of a measurement, counted from 0.
     path
         The log that the measurements were read from.
+    log_format
+        As they were read.
     """
     line = error.row
     if line is not None:
-        # The first row is the header, so index 0 is the second one.
-        line = [number for number, _ in _rows(Path(path))][line + 1]
+        line = read_columns(path, (), log_format)[line][0]
     return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
 
 
@@ -212,16 +244,38 @@ def _header(rows: Iterator[tuple[int, list[str]]], file: Path) -> tuple[int, lis
     return line, [name.strip() for name in header]
 
 
-def _full(
-    rows: Iterator[tuple[int, list[str]]], names: list[str], file: Path
+def _chosen(
+    rows: Iterator[tuple[int, list[str]]],
+    names: list[str],
+    file: Path,
+    header_line: int,
+    log_format: LogFormat,
 ) -> Iterator[tuple[int, list[str]]]:
-    """The rows, each of which must have a cell for every column."""
+    """The rows that count, each of which must have a cell for every column."""
+    asked = [(_column(names, name, file, header_line), text) for name, text in log_format.rows]
     for line, cells in rows:
         if len(cells) != len(names):
             raise InputError(
                 f"{len(cells)} cells where the header has {len(names)}", file=file, row=line
             )
-        yield line, cells
+        if all(cells[at].strip() == text for at, text in asked):
+            yield line, cells
+
+
+def _no_rows(file: Path, log_format: LogFormat) -> InputError:
+    """Return the error of a log without rows that count."""
+    if not log_format.rows:
+        return InputError("the file has a header but no rows", file=file)
+    columns = [name for name, _ in log_format.rows]
+    found = read_columns(file, columns)
+    texts = [
+        listed(sorted({cells[at].strip() for _, cells in found})) for at in range(len(columns))
+    ]
+    return InputError(
+        "no row has " + " and ".join(f"{name}={text}" for name, text in log_format.rows),
+        file=file,
+        remedy="; ".join(f"{name} has {has}" for name, has in zip(columns, texts, strict=True)),
+    )
 
 
 def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:

@@ -1,7 +1,9 @@
-"""What the columns of a power log are called, and what holds for all of its rows."""
+"""What the columns of a power log are called, which rows count, and what holds for all of them."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from planopt.errors import InputError
@@ -12,6 +14,8 @@ DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
 LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
 """Range of powers that a receiver can report: below the least lies no noise floor of any bandwidth,
 and 100 dBm are ten megawatts."""
+
+LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,12 @@ class LogFormat:
         Step that all powers are rounded to; 0 for none.
     position_std_m
         Deviation of the error of either coordinate, of all positions.
+    rows
+        Pairs of a column and a text: only rows that have all these texts count, such as those of
+        one of several transmitters.
+    origin_deg
+        Latitude and longitude of the place (0, 0). Where it is given, the columns for x and y have
+        longitudes and latitudes in degrees (WGS 84), which become metres to the east and north.
     """
 
     columns: tuple[str, str, str] = DEFAULT_COLUMNS
@@ -43,6 +53,8 @@ class LogFormat:
     receiver_column: str | None = None
     resolution_db: float = 0.0
     position_std_m: float = 0.0
+    rows: tuple[tuple[str, str], ...] = ()
+    origin_deg: tuple[float, float] | None = None
 
 
 def parse_columns(text: str) -> tuple[str, str, str]:
@@ -61,3 +73,41 @@ def parse_columns(text: str) -> tuple[str, str, str]:
             raise InputError(f"cannot read {part!r}", key="columns", remedy=remedy)
         names[what] = name
     return names["x"], names["y"], names["power"]
+
+
+def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Read ``COLUMN=TEXT`` of each, into what :class:`LogFormat` calls `rows`.
+
+    Raises
+    ------
+    InputError
+        One is not of that form.
+    """
+    pairs: list[tuple[str, str]] = []
+    for text in texts:
+        column, equals, value = (piece.strip() for piece in text.partition("="))
+        if not column or not equals or not value:
+            raise InputError(f"cannot read {text!r}", key="--where", remedy="write COLUMN=VALUE")
+        pairs.append((column, value))
+    return tuple(pairs)
+
+
+def parse_origin(text: str) -> tuple[float, float]:
+    """Read ``LAT,LON`` in degrees.
+
+    Raises
+    ------
+    InputError
+        Not of that form, or no place on earth.
+    """
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        latitude = longitude = math.nan
+    if not (abs(latitude) < LARGEST_LATITUDE_DEG and abs(longitude) <= LARGEST_LONGITUDE_DEG):
+        raise InputError(
+            f"cannot read {text!r}",
+            key="--origin",
+            remedy="write LAT,LON in degrees, south and west negative",
+        )
+    return latitude, longitude

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.logs.log_cells import read_label, read_number
-from planopt.channel.logs.log_file import read_columns
+from planopt.channel.logs.log_file import DEFAULT_FORMAT, read_columns
+from planopt.channel.logs.log_format import LogFormat
 from planopt.errors import InputError
 
 
@@ -47,7 +48,9 @@ def parse_groups(text: str) -> tuple[GroupColumn, ...]:
     return tuple(_column(part) for part in text.split(","))
 
 
-def read_groups(path: Path | str, columns: Sequence[GroupColumn]) -> NDArray[np.intp]:
+def read_groups(
+    path: Path | str, columns: Sequence[GroupColumn], log_format: LogFormat = DEFAULT_FORMAT
+) -> NDArray[np.intp]:
     """Label of the group of each row of a log, in the order of first appearance; ``(n,)``.
 
     Parameters
@@ -56,6 +59,8 @@ def read_groups(path: Path | str, columns: Sequence[GroupColumn]) -> NDArray[np.
         The CSV file, as :func:`planopt.channel.logs.log_file.read_log` reads it.
     columns
         What tells groups apart; at least one.
+    log_format
+        Says which rows count.
 
     Raises
     ------
@@ -65,7 +70,7 @@ def read_groups(path: Path | str, columns: Sequence[GroupColumn]) -> NDArray[np.
     """
     labels: dict[tuple[str | int, ...], int] = {}
     found: list[int] = []
-    for line, cells in read_columns(path, [column.name for column in columns]):
+    for line, cells in read_columns(path, [column.name for column in columns], log_format):
         key = tuple(
             _label(cell, column, Path(path), line)
             for cell, column in zip(cells, columns, strict=True)

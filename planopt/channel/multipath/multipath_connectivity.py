@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.kriging import predict
@@ -83,7 +83,7 @@ def multipath_connection_probability(
 
 def multipath_connectivity(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
+    positions_m: ArrayLike,
     threshold_dbm: float,
     multipath: Multipath,
 ) -> NDArray[np.float64]:

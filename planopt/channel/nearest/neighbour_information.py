@@ -12,7 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS, whitened_products
+from planopt.channel.estimation.vecchia import (
+    EARLIER_NEIGHBOURS,
+    added_products,
+    whitened_products,
+)
 from planopt.channel.measurement_covariance import RECEIVER_OFFSET_STD_DB, measured_origins
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.place_index import PlaceIndex
@@ -84,7 +88,7 @@ def extended_information(
     part = measurements.take(used)
     new = part.receiver[len(near) :]
     receivers = np.union1d(before.receivers, new[new != 0])
-    added = whitened_products(
+    added = added_products(
         parameters,
         measured_origins(part, parameters).without_offsets(),
         noise_variance_db2[used],

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from planopt.channel.estimation.covariance_fit import MIN_VARIANCE_DB2
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import least_squares
-from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
+from planopt.channel.estimation.likelihood_starts import thinned
+from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
@@ -34,7 +35,7 @@ from planopt.channel.station.station_surface import (
 StationMethod = Literal["line", "joint"]
 
 SEARCH_MEASUREMENTS = 300
-"""The search uses at most this many measurements; its last step at most `MAX_MEASUREMENTS`."""
+"""The search uses at most this many measurements; its last step at most `MOST_DENSE`."""
 
 JOINT_ROUNDS = 4
 """Most alternations between covariance and position."""
@@ -76,7 +77,7 @@ def locate(
     first = replace(sample, censored=np.zeros(len(sample), dtype=np.bool_))
     line = station_surface(first, even, has_prior=False)
     station = line.station(best_climb(line, grid_starts(line)))
-    more = measurements.take(thinned(len(measurements), MAX_MEASUREMENTS))
+    more = measurements.take(thinned(len(measurements), MOST_DENSE))
     if station_method == "line":
         station = _settled_line(more, station)
     else:
@@ -105,7 +106,9 @@ def _joint_surface(
     From outside, a station farther off with a larger n_PL looks much the same.
     """
     station = _clear_of(measurements, station)
-    fitted = fit_channel(measurements, station, forgetting_s=forgetting_s).parameters
+    fitted = fit_channel(
+        measurements, station, forgetting_s=forgetting_s, intervals=False
+    ).parameters
     return station_surface(measurements, fitted, has_prior=True)
 
 

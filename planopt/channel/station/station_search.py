@@ -17,8 +17,9 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.fit_method import GivenMethod, Loss
 from planopt.channel.estimation.identifiability import require_usable
-from planopt.channel.estimation.reml import MAX_MEASUREMENTS, thinned
-from planopt.channel.measurements import Measurements
+from planopt.channel.estimation.likelihood_starts import thinned
+from planopt.channel.estimation.reml import MOST_DENSE
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.station.station_position import StationMethod, locate
 from planopt.channel.station.station_uncertainty import (
@@ -34,13 +35,14 @@ MIN_UNCENSORED = 8
 
 @one_blas_thread()
 def fit_channel_and_station(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     method: GivenMethod = "reml",
     height_m: float = 0.0,
     forgetting_s: float = math.inf,
     *,
     station_method: StationMethod = "joint",
     loss: Loss = "squares",
+    intervals: bool = True,
 ) -> ChannelFit:
     """Estimate the station's position with the channel.
 
@@ -57,9 +59,9 @@ def fit_channel_and_station(
         As in :func:`planopt.channel.estimation.fit.fit_channel`.
     station_method
         ``joint``: maximum likelihood over position, theta and covariance. ``line``: the position
-        from which the path loss line fits best. Of more than `MAX_MEASUREMENTS` a fixed draw
+        from which the path loss line fits best. Of more than `MOST_DENSE` a fixed draw
         serves for the position.
-    loss
+    loss, intervals
         Of the final fit, as in :func:`planopt.channel.estimation.fit.fit_channel`.
 
     Returns
@@ -77,6 +79,7 @@ def fit_channel_and_station(
         The measurements cannot tell where the station is; or the power grows with the distance
         from every position tried; or there is no such way.
     """
+    measurements = as_measurements(measurements)
     if station_method not in get_args(StationMethod):
         raise InputError(
             f"{station_method!r} is no way to find the station",
@@ -84,10 +87,11 @@ def fit_channel_and_station(
             remedy=f"use {', '.join(get_args(StationMethod))}",
         )
     require_usable(measurements, None)
+    measurements = measurements.by_place()
     _require_locating(measurements)
     station = locate(measurements, station_method, height_m, forgetting_s)
-    found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
-    sample = measurements.take(thinned(len(measurements), MAX_MEASUREMENTS))
+    found = fit_channel(measurements, station, method, forgetting_s, loss=loss, intervals=intervals)
+    sample = measurements.take(thinned(len(measurements), MOST_DENSE))
     doubt = line_covariance_m2 if station_method == "line" else joint_covariance_m2
     covariance = doubt(sample, found.parameters)
     x, y = station.position_m

@@ -37,12 +37,12 @@ is then 6.53 dB instead of 6.48."""
 
 def learn_channel(measurements: Measurements, station: Station) -> Predictor:
     """Path loss, shadowing and multipath by restricted likelihood, then Lemma 2."""
-    return channel_predictor(fit_channel(measurements, station), measurements)
+    return channel_predictor(fit_channel(measurements, station, intervals=False), measurements)
 
 
 def learn_marginal(measurements: Measurements, station: Station) -> Predictor:
     """The same with the uncertainty of xi, beta and omega counted."""
-    return marginal_predictor(fit_channel(measurements, station), measurements)
+    return marginal_predictor(fit_channel(measurements, station, intervals=False), measurements)
 
 
 def channel_predictor(fit: ChannelFit, measurements: Measurements) -> Predictor:

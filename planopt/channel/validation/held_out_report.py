@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.prediction import Prediction
 from planopt.channel.validation.calibration import LEVELS, Calibration, calibrate
 from planopt.channel.validation.grouped_ratio import GroupedRatio, grouped_ratio
@@ -25,6 +25,7 @@ from planopt.channel.validation.held_out import (
     learn_path_loss,
     marginal_predictor,
 )
+from planopt.channel.validation.plain_predictors import learn_plain_line, learn_plain_process
 from planopt.channel.validation.reliability import ReliabilityBin, reliability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
@@ -92,24 +93,29 @@ class HeldOutReport:
 def predictors_of(
     fit: Callable[[Measurements], ChannelFit],
 ) -> Callable[[Measurements], dict[str, Predictor]]:
-    """What learns the channel, the channel with its covariance marginalised, and path loss alone.
+    """What learns the channel, what it is compared with, and path loss alone.
 
-    `fit` fits any measurements; once for all three.
+    The channel with its covariance marginalised, and what knows no upper limits: a least-squares
+    line and a Gaussian process (:mod:`planopt.channel.validation.plain_predictors`). `fit` fits any
+    measurements; once for all.
     """
 
     def learn(measurements: Measurements) -> dict[str, Predictor]:
         found = fit(measurements)
+        station = found.parameters.station
         return {
             "channel": channel_predictor(found, measurements),
             "marginal": marginal_predictor(found, measurements),
-            PATH_LOSS: learn_path_loss(measurements, found.parameters.station),
+            PATH_LOSS: learn_path_loss(measurements, station),
+            "plain_line": learn_plain_line(measurements, station),
+            "plain_process": learn_plain_process(measurements),
         }
 
     return learn
 
 
 def held_out_report(
-    measurements: Measurements,
+    measurements: Measurements | Table,
     groups: NDArray[np.intp],
     fold_of: NDArray[np.intp],
     learn: Callable[[Measurements], Mapping[str, Predictor]],
@@ -137,6 +143,7 @@ def held_out_report(
         Measurements, groups and folds do not belong together; a fit of a part of the measurements
         is impossible; or there are upper limits only.
     """
+    measurements = as_measurements(measurements)
     if groups.shape != (len(measurements),):
         raise InputError("there is not one group label a measurement", key="groups")
     predictions = held_out_predictions(measurements, fold_of, learn)

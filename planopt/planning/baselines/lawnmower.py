@@ -1,13 +1,14 @@
 """A baseline that plans nothing: to and fro over all free space, in lanes.
 
-Lanes are rows of the lattice. Where an obstacle interrupts one, and from one to the next, the robot
-takes the shortest way round. Every move is one of the lattice's, so that all of it is clear.
+Lanes are rows of the lattice, about a decorrelation distance of the fitted channel apart: what is
+measured on them tells of all that lies between. Where an obstacle interrupts one, and from one to
+the next, the robot takes the shortest way round. Every move is one of the lattice's, so that all of
+it is clear.
 """
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -17,16 +18,14 @@ from planopt.planning.baselines.baseline import held, released
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
-from planopt.planning.search.road_map import RoadMap, shortest_ways, way_from
+from planopt.planning.search.taut_way import stops_along
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+from planopt.world.road_map import RoadMap, shortest_ways, way_from
 
-ROWS_PER_LANE = 2
-"""Rows of the lattice from lane to lane: about nine tenths of a longest step."""
-
-STRAIGHT_SHARE = 1e-9
-"""Legs turn where their directions differ by more than this."""
+FEWEST_LANES = 3
+"""A fit may find a decorrelation distance beyond all that was measured."""
 
 
 class LawnmowerPlanner:
@@ -57,14 +56,14 @@ class LawnmowerPlanner:
         ahead = self._stops_m[self._next :]
         away = np.linalg.norm(ahead - here, axis=1)
         if self._tour is None or not (away <= STANDSTILL_M).any():
-            self._begin(here)
+            self._begin(here, situation)
         else:
             self._next += int(np.argmax(away <= STANDSTILL_M))
         horizon = self._problem.planner.horizon
         path = self._stops_m[self._next + 1 : self._next + 1 + horizon]
         return released(judge, held(situation, list(path)), begun)
 
-    def _begin(self, here_m: NDArray[np.float64]) -> None:
+    def _begin(self, here_m: NDArray[np.float64], situation: Situation) -> None:
         """Lay the stops of the whole tour, or of what is left of it, from `here_m` (2,)."""
         road_map = self._ground.road_map
         nodes, lengths = first_moves(self._ground, self._problem, here_m)
@@ -72,17 +71,21 @@ class LawnmowerPlanner:
             self._stops_m, self._next = here_m[None], 0
             return
         first = int(nodes[np.argmin(lengths)])
-        self._tour = lawn_tour(road_map, first)
+        apart = min(station.parameters.decorrelation_m for station in situation.stations)
+        self._tour = lawn_tour(road_map, first, apart)
         longest = self._problem.step_length_m - STEP_PAD_M
         corners = np.vstack([here_m, road_map.nodes_m[self._tour]])
         self._stops_m, self._next = stops_along(corners, longest), 0
 
 
-def lawn_tour(road_map: RoadMap, first: int) -> NDArray[np.intp]:
-    """Nodes from `first` on to and fro over all that can be come to; each next one a move away."""
+def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]:
+    """Nodes from `first` on to and fro over all that can be come to; each next one a move away.
+
+    Lanes are about `apart_m` apart, as near as rows of nodes allow.
+    """
     tour = [first]
     low, high = int(road_map.rows.min()), int(road_map.rows.max())
-    lanes = list(range(low, high + 1, ROWS_PER_LANE))
+    lanes = lane_rows(low, high, apart_m / road_map.lattice.spacing_m)
     # From the nearer side on.
     if road_map.rows[first] - low > high - road_map.rows[first]:
         lanes.reverse()
@@ -98,6 +101,14 @@ def lawn_tour(road_map: RoadMap, first: int) -> NDArray[np.intp]:
     return np.asarray(tour, dtype=np.intp)
 
 
+def lane_rows(low: int, high: int, apart: float) -> list[int]:
+    """Rows of lanes about `apart` rows apart, half of that from the first and the last row."""
+    rows = high - low + 1
+    count = min(max(math.ceil(rows / apart), FEWEST_LANES), rows)
+    middles = low + (np.arange(count) + 0.5) * rows / count - 0.5
+    return [int(row) for row in np.rint(middles)]
+
+
 def _way(road_map: RoadMap, here: int, there: int) -> list[int]:
     """Nodes after `here` up to `there`; none if it cannot be come to."""
     moves = road_map.edge_to[road_map.edge_start[here] : road_map.edge_start[here + 1]]
@@ -105,19 +116,3 @@ def _way(road_map: RoadMap, here: int, there: int) -> list[int]:
         return [there]
     way = way_from(road_map, shortest_ways(road_map, there), here, math.inf)
     return [int(node) for node in way[1:]] if way[-1] == there else []
-
-
-def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
-    """Stops at every turn of the way through `corners_m` (n, 2), and evenly between; (s, 2)."""
-    legs = np.diff(corners_m, axis=0)
-    length = np.linalg.norm(legs, axis=1)
-    corners = corners_m[np.concatenate([[True], length > 0.0])]
-    legs, length = legs[length > 0.0], length[length > 0.0]
-    along = legs / length[:, None]
-    turns = np.linalg.norm(np.diff(along, axis=0), axis=1) > STRAIGHT_SHARE
-    corners = corners[np.concatenate([[True], turns, [True]])] if len(legs) else corners
-    stops = [corners[:1]]
-    for start, end in pairwise(corners):
-        steps = math.ceil(float(np.linalg.norm(end - start)) / longest_m)
-        stops.append(start + (end - start) * (np.arange(1, steps + 1) / steps)[:, None])
-    return np.concatenate(stops)

@@ -3,7 +3,8 @@
 Equations (2), the inner layer of (3), and (4) are maximised over places within one step, each of
 them free and, where measuring is what counts, not measured yet (the seed's "q not in Q"). A plan of
 more steps repeats this greedily on what would be known after the earlier ones: each step gains what
-the whole path so far is worth more than before.
+the whole path so far is worth more than before. From a place around which all is measured the robot
+takes the shortest way out.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.moving_moves import steps_apart
+from planopt.planning.search.to_unmeasured import way_to_unmeasured
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import CasadiTerm, LearningTerm, MappingTerm
@@ -60,6 +62,9 @@ class OneStepPlanner:
             if step is None:
                 break
             path.append(step)
+        if not path and self._measures:
+            out = way_to_unmeasured(situation, self._ground)
+            path = [] if out is None else list(out)
         return released(judge, held(situation, path), begun)
 
     def _best_step(

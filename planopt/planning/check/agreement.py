@@ -30,6 +30,7 @@ PREDICTED_NAMES = frozenset(
         "connectivity",
         "deviation_db",
         "predicted_connectivity",
+        "log_det_m",
         "min_connectivity",
         "predicted_db",
         "predicted_min_connectivity",
@@ -39,7 +40,9 @@ PREDICTED_NAMES = frozenset(
         "trace_m_db",
     )
 )
-FITTED_NAMES = frozenset(("parameters", "standard_errors", "theta", "theta_covariance"))
+FITTED_NAMES = frozenset(
+    ("connection_law", "parameters", "standard_errors", "theta", "theta_covariance")
+)
 
 RANGES = {
     **POSSIBLE,

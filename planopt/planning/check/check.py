@@ -152,7 +152,6 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
         relaxed_steps=tuple(step for step, _ in missed),
         relaxation_db=tuple(c.relaxation_db[0] for _, c in missed),
         best_margin_db=tuple(c.best_margin_db[0] for _, c in missed if c.best_margin_db),
-        no_connected_way=any(c.no_connected_way for c in certificates),
         reasons=tuple(reason for c in certificates for reason in c.reasons),
         min_separation_m=least_of(c.min_separation_m for c in certificates),
         min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in certificates),

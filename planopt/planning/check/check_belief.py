@@ -17,11 +17,14 @@ from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
-from planopt.objectives.measuring import SAME_PLACE_M
+from planopt.objectives.measuring import closing_m
 from planopt.planning.check.agreement import Disagreement, disagreements, in_words
 from planopt.planning.files.belief_file import (
+    CALIBRATED_AT,
+    CONNECTION_LAW,
     SavedBelief,
     belief_arrays,
+    calibration_arrays,
     parameter_arrays,
     station_prefix,
 )
@@ -87,7 +90,7 @@ def taken_on_the_way(
 ) -> Taken:
     """Where a run along `track_m` (steps + 1, 2) measures: not near an earlier measurement."""
     known = [[*own.measurements.positions_m[: own.first]] for own in belief.stations]
-    spacing = max(problem.channel.measure_spacing_m, SAME_PLACE_M)
+    spacing = closing_m(problem.channel.measure_spacing_m)
     said = np.diff([*belief.known_before_step, len(belief.measurements)]) > 0
     counts: list[int] = []
     steps: list[int] = []
@@ -165,6 +168,12 @@ def _station_reasons(
         "first_measurements": np.array(len(start)),
         "theta_known": np.array(learnt.posterior.theta_known),
     }
+    if learnt.posterior.outcomes is not None:
+        found |= calibration_arrays(learnt.posterior) | calibration_arrays(posterior)
+        found[CALIBRATED_AT] = np.array(learnt.posterior.outcomes.threshold_dbm)
+    else:
+        for name in (CALIBRATED_AT, CONNECTION_LAW):
+            found.pop(name, None)
     sites = ("values_db", "noise_variance_db2")
     differences = disagreements(
         {

@@ -13,7 +13,7 @@ from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.fault import Fault, faults_of
 from planopt.planning.explain.key import Key
-from planopt.planning.explain.keys import blamed_keys, moving_keys, other_keys
+from planopt.planning.explain.keys import blamed_keys, connection_keys, moving_keys, other_keys
 from planopt.planning.explain.possible import is_possible
 from planopt.planning.free_space import is_joined
 from planopt.planning.plan import Verdict
@@ -91,6 +91,13 @@ def no_way_faults(problem: Problem, explanation: Sequence[Relaxation]) -> list[s
             fits = one.value == problem.planner.step_s and _near(
                 one.shortfall, problem.planner.step_s - relaxed, EXACT
             )
+        elif any(key == each.name for each in connection_keys(problem)):
+            [loosened] = [each for each in connection_keys(problem) if key == each.name]
+            # What is believed is not saved with no plan: only planning again could tell more.
+            helps = problem.constraints.rule.slack_max_db is not None and (
+                relaxed is None or 0.0 < loosened.amount_of(relaxed) <= loosened.most
+            )
+            fits = one.value == loosened.asked and one.shortfall is None
         else:
             named = [o for o in problem.workspace.obstacles if key == f"{OBSTACLE}{o.name})"]
             helps = any(is_joined(problem, asked, without=obstacle) for obstacle in named)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.nearest.place_tree import PlaceTree
+from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.certificate import Certificate
-from planopt.planning.check.agreement import disagreements, in_words
+from planopt.planning.check.agreement import EXACT, disagreements, in_words
 from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
 from planopt.planning.check.check_explanation import explanation_faults
 from planopt.planning.check.check_steps import steps_reasons
@@ -22,9 +28,12 @@ from planopt.planning.files.solution_json import PlanRecord, plan_json
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.holes import holes_on
 from planopt.planning.plan import Plan, Termination
-from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.circumstances import Circumstances, circumstances_of
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.verify import judge
+from planopt.planning.roads import build_roads
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -80,6 +89,7 @@ def check_plan(
         Effort(record.wall_s, record.solve_s, record.iterations),
         drive,
     )
+    plan = replace(plan, **_on_the_way(problem, record, plan, posteriors, circumstances))
     explanation = explanation_again(record.explanation)
     case = Case(problem, 0, posteriors, plan, circumstances.moving)
     found = {
@@ -98,6 +108,34 @@ def check_plan(
     reasons += steps_reasons(steps, steps_of_plan(plan))
     reasons += belief_reasons(problem, belief, posteriors, given, NOTHING_TAKEN, record.seed)
     return [judgement.certificate], reasons
+
+
+def _on_the_way(
+    problem: Problem,
+    record: PlanRecord,
+    plan: Plan,
+    posteriors: Sequence[ChannelPosterior],
+    under: Circumstances,
+) -> dict[str, Any]:
+    """The rest of the way as it is saved, if it leads to the goal, and the holes on it."""
+    if len(record.route.x_m) != len(record.route.y_m):
+        return {}
+    route = np.stack([record.route.x_m, record.route.y_m], axis=1).reshape(-1, 2)
+    if len(route) and not _leads_to_goal(problem, route):
+        return {}
+    places = np.vstack([plan.positions_m, route])
+    power = search_prediction(posteriors[0], places, under.broad)
+    return {"route_m": route, "holes": holes_on(problem, power, places)}
+
+
+def _leads_to_goal(problem: Problem, route_m: NDArray[np.float64]) -> bool:
+    """Whether a route (r, 2) is one over the lattice to the goal."""
+    roads = build_roads(problem, np.asarray(problem.goal_m))
+    nearest, away = PlaceTree(roads.nodes_m).nearest(route_m, 1)
+    nodes = nearest[:, 0]
+    joined = (roads.sources[nodes[1:]] == nodes[:-1, None]).any(axis=1)
+    at_goal = float(np.linalg.norm(route_m[-1] - np.asarray(problem.goal_m)))
+    return bool(away.max() <= EXACT and joined.all() and at_goal <= EXACT)
 
 
 def effort_faults(plan: Plan, where: str) -> list[str]:

@@ -33,6 +33,7 @@ from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_run
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
+from planopt.planning.loop.clairvoyant import COSTS, run_costs
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.rule_metrics import rule_metrics
@@ -42,6 +43,7 @@ from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
+from planopt.planning.roads import build_roads
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 
@@ -82,6 +84,7 @@ def check_run(
     if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: the run does not start at robots[0].start_m")
     truths = () if given is None else given.truths
+    roads = build_roads(problem, np.asarray(problem.goal_m))
     true = true_serving_dbm(problem, truths, track) if truths else steps.numbers["true_db"]
     connected = true[1:] >= problem.stations[0].threshold_dbm
     plans: list[Plan] = []
@@ -89,7 +92,8 @@ def check_run(
     for step, released in enumerate(record.plans, start=1):
         posteriors = posteriors_at(belief, posteriors, step)
         path = np.stack([released.x_m, released.y_m], axis=1)
-        history = history_of(problem, track[:step], connected[: step - 1])
+        proofs = [plan.certificate for plan in plans]
+        history = history_of(problem, track[:step], connected[: step - 1], proofs)
         circumstances = circumstances_of(problem, posteriors, history)
         place = f"plans[{step - 1}].drive"
         drive = drive_of(robot.dynamics, path, released.drive, folder / RUN_FILE, place)
@@ -109,6 +113,10 @@ def check_run(
     log = step_log(problem, track, true, plans)
     taken = taken_on_the_way(problem, belief, track, true)
     outcome, reason, faults = _ended(problem, states, taken, plans)
+    # Without a truth these can only be taken as they stand.
+    said: Mapping[str, float] = data.get("metrics", {})
+    said = {key: said[key] for key in COSTS if key in said}
+    costs = run_costs(problem, roads, index, truths, track, outcome) if truths else said
     run = Run(
         robot=problem.robots[0].name,
         horizon=problem.planner.horizon,
@@ -121,6 +129,7 @@ def check_run(
         metrics=metrics_of(log, plans, outcome, taken.learnt),
         rule=rule_metrics(problem, [log]),
         drive=driven,
+        costs=costs,
     )
     found = {
         **run_json(problem, run),

@@ -12,6 +12,7 @@ from planopt.planning.check.check_team_run import check_team_run
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.team_run_json import TeamRunRecord
 from planopt.planning.given import Given
+from planopt.problems.objective import steers
 
 
 def check_team(saved: SavedTeam, given: Given | None) -> tuple[list[Certificate], list[str]]:
@@ -33,10 +34,10 @@ def not_judged(saved: SavedTeam, given: Given | None) -> list[str]:
     """What nothing but planning again could tell, or what is not to be had without the truth."""
     remarks: list[str] = []
     problem = saved.problem
-    if any(getattr(term, "form", None) == "two_layer" for term in problem.terms):
+    if any(steers(term) for term in problem.terms):
         remarks.append(
-            "the ways that the two-layer form steers along (steering_m, steering_turns_m) are "
-            "taken as they stand"
+            "the ways that a term steers along (steering_m, steering_turns_m) are taken as they "
+            "stand"
         )
     if given is None and isinstance(saved.record, TeamRunRecord):
         remarks.append("knowledge.csv is taken as it stands, because there is no truth")

@@ -297,4 +297,4 @@ def _plan_faults(saved: SavedTeam, record: TeamRunRecord) -> list[str]:
 
 def _channel_as_said(saved: SavedTeam) -> ChannelLog:
     table = saved.tables[KNOWLEDGE_FILE]
-    return ChannelLog(table["rms_db"], table["anmse_db"], table["trace_m_db"])
+    return ChannelLog(table["rms_db"], table["anmse_db"], table["trace_m_db"], table["log_det_m"])

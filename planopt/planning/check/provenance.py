@@ -14,7 +14,13 @@ from planopt.problems.problem import Problem
 from planopt.problems.settings import BASELINES
 
 UNSOLVED = {
-    Termination.LATTICE_ONLY: (Rung.PLAN, Rung.LATTICE, Rung.COLD_RETRY, Rung.RELAXED),
+    Termination.LATTICE_ONLY: (
+        Rung.PLAN,
+        Rung.LATTICE,
+        Rung.COLD_RETRY,
+        Rung.RELAXED,
+        Rung.DIRECT,
+    ),
     Termination.STOPPED: (Rung.SHIFTED, Rung.RESERVED),
     Termination.NO_PATH: (Rung.STOP,),
 }
@@ -27,8 +33,9 @@ SOLVED = (Termination.CONVERGED, Termination.ACCEPTABLE)
 """Terminations of a solver that met its tolerance."""
 
 SOLVED_RESIDUAL, LARGEST_RESIDUAL = 1.0, 1e12
-"""Largest KKT residual of a path that a solver accepted, and of any, for each unit of the
-objective: those of the problem library are below 0.03."""
+"""Largest KKT residual of a path that a solver accepted, for each unit of the objective and of the
+distance from the bounds that its multipliers are multiplied by, and of any path, for each unit of
+the objective: those of the problem library are below 0.03."""
 
 WITHOUT_SEARCH = (Rung.SHIFTED, Rung.RESERVED, Rung.STOP)
 """Rungs whose paths no search found."""
@@ -132,12 +139,19 @@ def _termination_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
         return [("termination", fault)]
     if residual is None:
         return []
-    if rung not in POLISHED:
+    # The shortest path is only polished for a robot that cannot turn or stop at will.
+    if rung not in POLISHED and not (rung is Rung.DIRECT and plan.drive is not None):
         return [("kkt_residual", f"{residual:g}, but no solver found a path of rung {rung.value}")]
-    most = SOLVED_RESIDUAL if termination in SOLVED else LARGEST_RESIDUAL
+    most = SOLVED_RESIDUAL * _widest(problem) if termination in SOLVED else LARGEST_RESIDUAL
     if residual > most * max(1.0, abs(plan.objective)):
         return [("kkt_residual", f"{residual:g}, but the termination is {termination.value}")]
     return []
+
+
+def _widest(problem: Problem) -> float:
+    """How far from its bound a row may be: metres of a place, their squares of a step; from 1."""
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    return max(1.0, np.hypot(x_max - x_min, y_max - y_min), problem.step_length_m**2)
 
 
 def _is_unpolished(problem: Problem) -> bool:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import Prediction
 from planopt.planning.files.run_json import PlannedRecord, ReleasedRecord
 from planopt.planning.files.solution_json import PlanRecord
 from planopt.planning.files.team_solution_json import RobotPlanRecord
@@ -62,9 +65,24 @@ def rebuilt_reach_plan(
     pivot = None
     if record.pivot is not None:
         place = np.array([record.pivot.x_m, record.pivot.y_m])
-        pivot = Pivot(place, record.pivot.cost_m)
-    cost_s = ReachCost(problem, path_m[0], pivot)(path_m[1:], drive)
+        pivot = Pivot(place, record.pivot.cost_m, record.pivot.metre_cost)
+    ahead = None if pivot is None else partial(_pivot_itself, pivot)
+    priced = record.rung != Rung.DIRECT.value
+    cost = ReachCost(problem, path_m[0], _certified(judgement), ahead, priced)
+    cost_s = cost(path_m[1:], drive)
     return rebuilt_plan(problem, path_m, judgement, record, effort, cost_s, pivot, drive)
+
+
+def _certified(judgement: Judgement) -> Callable[[NDArray[np.float64]], Prediction]:
+    """The power along the judged path."""
+    power = judgement.power
+    if power is None:
+        raise AssertionError("places in files are finite")
+    return lambda _: power
+
+
+def _pivot_itself(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
+    return pivot
 
 
 def rebuilt_plan(

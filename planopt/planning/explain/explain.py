@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
+from planopt.planning.explain.blocked import explain_blocked
 from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
 from planopt.planning.explain.no_way import explain_no_way
+from planopt.planning.ground import first_moves
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
+from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
+from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import beside, others_of, planned_motion
@@ -53,7 +59,19 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     except InputError:
         # Without measurements nothing can be solved again; what opens a way can still be said.
         return explain_no_way(problem, lambda _: Verdict.NONE)
-    return explain_no_way(problem, lambda changed: _verdict(_reached(changed, belief)))
+
+    def solve_again(changed: Problem) -> Verdict:
+        return _verdict(_reached(changed, belief))
+
+    try:
+        scene = build_scene(problem)
+    except NoPlanError:
+        return explain_no_way(problem, solve_again)
+    radio, p_min = problem.stations[0], problem.constraints.p_min
+    margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
+    margins.refresh(belief.posterior, broad_prediction(problem, belief.posteriors))
+    first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
+    return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, solve_again)
 
 
 @one_blas_thread()
@@ -88,12 +106,12 @@ def _verdict(plan: Plan | None) -> Verdict:
 
 
 def _reached(problem: Problem, belief: Belief) -> Plan | None:
-    """The plan to the goal of a changed problem; None where obstacles cut it off."""
+    """The plan to the goal of a changed problem; None where nothing leads there."""
     try:
         scene = build_scene(problem)
+        return ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
     except NoPlanError:
         return None
-    return ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
 
 
 def _planned(problem: Problem, solution: TeamSolution, number: int) -> Plan:

@@ -14,7 +14,7 @@ from planopt.planning.explain.case import Case
 from planopt.planning.explain.reach_limits import best_margin_db
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan
-from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
+from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit, is_priced
 from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
@@ -78,7 +78,7 @@ def _connection(case: Case) -> Fault | None:
         return None
     stages = tuple(step for step, _ in missed)
     short_db = max(missing for _, missing in missed)
-    if met_nowhere(case):
+    if met_nowhere(case) or is_priced(problem):
         # The limit of what any plan could keep, unless that is not what is in the way.
         best_db = best_margin_db(problem, case.posteriors)
         short_db = -best_db if best_db < 0.0 else short_db

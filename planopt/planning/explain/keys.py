@@ -36,6 +36,15 @@ LONGEST_HORIZON = 100
 """Longer ones are not tried, unless what is asked is longer."""
 
 
+def connection_keys(problem: Problem) -> list[Key]:
+    """The keys that say how well each step must be connected where that is a hard bound."""
+    keys = [constraint_key(problem, "p_min", "", LEAST_P_MIN)]
+    for number, station in enumerate(problem.stations):
+        keys.append(threshold_key(problem, number, station.threshold_dbm - MOST_DB))
+    slack_db = problem.constraints.rule.slack_max_db or 0.0
+    return [*keys, rule_key(problem, "slack_max_db", "dB", slack_db + MOST_DB)]
+
+
 def blamed_keys(case: Case, fault: Fault) -> list[Key]:
     """The keys that say what is missed: each is named, whether loosening it helps or not."""
     problem = case.problem

@@ -19,7 +19,7 @@ from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.explain.reach_limits import best_by_step
 from planopt.planning.history import BEGINNING
 from planopt.planning.proof.reachability import COARSE_NODES
-from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit
+from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit, is_priced
 from planopt.planning.proof.rules.outage import longest_run
 from planopt.problems.problem import Problem
 
@@ -87,6 +87,7 @@ def _eased(problem: Problem, by_db: float) -> Problem:
     """The problem with thresholds lower, and a robot that turns at will a little faster."""
     stations = tuple(replace(s, threshold_dbm=s.threshold_dbm - by_db) for s in problem.stations)
     robot = problem.robots[0]
-    if robot.dynamics is None:
+    # Where the whole workspace counts the grid must stay the verifier's own.
+    if robot.dynamics is None and not is_priced(problem):
         robot = replace(robot, speed_max_m_s=robot.speed_max_m_s * (1.0 + GRID_ERROR_STEPS))
     return replace(problem, stations=stations, robots=(robot,))

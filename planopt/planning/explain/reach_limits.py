@@ -14,10 +14,11 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.history import BEGINNING
 from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reach_of_dynamics import may_reach_from
 from planopt.planning.proof.reachability import best_margins_by_step
-from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.rules.asked import asked_steps, is_priced
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -50,9 +51,14 @@ def best_by_step(
 ) -> NDArray[np.float64]:
     """Largest score within reach by each step of the horizon, searched for as margins are; (N,).
 
-    Where it is negative, the search looks closer.
+    Where it is negative, the search looks closer. Where steps may miss the bound at a price, the
+    whole workspace is within reach.
     """
     broad = broad_prediction(problem, posteriors)
+    if is_priced(problem):
+        places = build_goal_grid(problem, index_obstacles(problem.workspace)).nodes_m
+        found = score(search_prediction(posteriors[0], places, broad)).max()
+        return np.full(problem.planner.horizon, float(found))
     state = problem.robots[0].start_state
     best = best_margins_by_step(
         index_obstacles(problem.workspace),

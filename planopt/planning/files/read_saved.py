@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
 from planopt.files.regular import read_text
+from planopt.files.result_folder import require_one_result
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
     SavedBelief,
@@ -25,7 +26,7 @@ from planopt.planning.files.belief_file import (
 )
 from planopt.planning.files.drive_table import drive_columns
 from planopt.planning.files.run_json import PlannedRecord, RunRecord
-from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
+from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
 from planopt.planning.files.solution_json import REMEDY, NoPlanRecord, PlanRecord, RobotRecord
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, read_steps
 from planopt.problems.messages import input_error
@@ -86,9 +87,10 @@ def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
     Raises
     ------
     InputError
-        There is none, or it is no JSON object.
+        There is none, it is no JSON object, or its folder holds files of two results.
     """
     file = _json_file(path)
+    require_one_result(file.parent, PLAN_OR_RUN)
     return file, _read_json(file)
 
 

@@ -24,9 +24,11 @@ from planopt.planning.files.solution_json import (
     RobotRecord,
     finite,
     finite_list,
+    holes_json,
     pivot_json,
 )
-from planopt.planning.loop.metrics import run_reliability
+from planopt.planning.loop.clairvoyant import COSTS
+from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.loop.run import Metrics, Outcome, Run
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Plan
@@ -72,7 +74,7 @@ class RunRecord(Record):
 
 
 def simulation_json(simulation: Simulation) -> dict[str, Any]:
-    """The JSON keys of ``simulate`` (design, section 3)."""
+    """The JSON keys of ``simulate``."""
     return run_json(simulation.problem, simulation.run)
 
 
@@ -82,6 +84,7 @@ def run_json(problem: Problem, run: Run) -> dict[str, Any]:
         "problem": problem.name,
         **run_summary(run),
         "reliability": reliability_json(run_reliability([run])),
+        "holes": holes_json(run_holes(run)),
         "robots": [robot_json(run)],
     }
 
@@ -120,8 +123,21 @@ def run_summary(run: Run) -> dict[str, Any]:
 
 
 def released_plans_json(plans: Iterable[Plan]) -> list[dict[str, Any]]:
-    """Released plans in order, with what judging them again needs."""
-    return [{**released_plan_json(plan), "pivot": pivot_json(plan.pivot)} for plan in plans]
+    """Released plans in order, with what judging them again needs, and what they were excused.
+
+    Steps of a plan to a goal that miss the bound are excused by what it costs and what the cheapest
+    path costs that the verifier found.
+    """
+    return [
+        {
+            **released_plan_json(plan),
+            "pivot": pivot_json(plan.pivot),
+            "relaxed_steps": list(plan.certificate.relaxed_steps),
+            "path_cost_m": finite(plan.certificate.path_cost_m),
+            "best_cost_m": finite(plan.certificate.best_cost_m),
+        }
+        for plan in plans
+    ]
 
 
 def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
@@ -134,11 +150,12 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "seed": seed,
         "outcome": Outcome.NO_PLAN.value,
         "message": message,
-        "metrics": {field.name: None for field in fields(Metrics)},
+        "metrics": dict.fromkeys([*(field.name for field in fields(Metrics)), *COSTS]),
         "rungs": {},
         "verified_rate": None,
         "step_s": step_times_json(np.zeros(0)),
         "reliability": [],
+        "holes": [],
         "robots": [],
     }
 

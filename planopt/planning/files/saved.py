@@ -1,6 +1,6 @@
 """A plan or a run as a folder: ``plan.json`` or ``run.json``, ``steps.csv`` and ``belief.npz``.
 
-The JSON file is withdrawn first and written last: where it stands, the other files belong to it.
+The files of a folder are replaced together (:mod:`planopt.files.result_folder`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.errors import OutputError
+from planopt.files.result_folder import ResultFiles, replaced_results
 from planopt.files.whole import strict_text, write_text
 from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
 from planopt.planning.files.run_json import released_plans_json, simulation_json
@@ -20,57 +20,78 @@ from planopt.planning.files.solution_json import solution_json
 from planopt.planning.files.steps_file import STEPS_FILE, steps_of_plan, steps_of_run, steps_text
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.solution import Solution
+from planopt.planning.team.team_tables import KNOWLEDGE_FILE, TARGET_FILE
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_to_dict
 
 PLAN_FILE, RUN_FILE = "plan.json", "run.json"
 
+PLAN_OR_RUN = ResultFiles(
+    "plan_or_run",
+    (
+        *(PLAN_FILE, RUN_FILE, STEPS_FILE, BELIEF_FILE, "belief_*.npz", TARGET_FILE),
+        *(KNOWLEDGE_FILE, "plan.png", "run.png", "series.png", "belief.png"),
+    ),
+)
+"""The files of a plan or run with its pictures: a folder has one of either."""
 
-def withdraw(folder: Path) -> None:
-    """Remove the JSON file of an earlier result, before anything beside it is changed."""
-    try:
-        for name in (PLAN_FILE, RUN_FILE):
-            (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
 
-
-def save_solution(solution: Solution, folder: Path) -> None:
+def save_solution(solution: Solution, folder: Path, *, pictures_follow: bool = False) -> None:
     """Save a plan so that it can be judged from its files alone.
 
+    It replaces the plan or run that the folder had, with its pictures.
+
+    Parameters
+    ----------
+    solution
+        The plan.
+    folder
+        Made if it is missing.
+    pictures_follow
+        Whether pictures will be added (:func:`planopt.files.result_folder.added_results`).
+
     Raises
     ------
     OutputError
-        The folder cannot be written; no JSON file is left in it.
+        The folder cannot be written; what it had is still there.
     """
-    withdraw(folder)
-    write_text(folder / STEPS_FILE, steps_text(steps_of_plan(solution.plan)))
-    write_belief_of_plan(folder / BELIEF_FILE, solution.belief)
-    save_record(solution_json(solution), solution.problem, folder / PLAN_FILE)
+    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
+        write_text(new / STEPS_FILE, steps_text(steps_of_plan(solution.plan)))
+        write_belief_of_plan(new / BELIEF_FILE, solution.belief)
+        write_record(solution_json(solution), solution.problem, new / PLAN_FILE)
 
 
-def save_simulation(simulation: Simulation, folder: Path) -> None:
+def save_simulation(simulation: Simulation, folder: Path, *, pictures_follow: bool = False) -> None:
     """Save a run so that every released plan can be judged from its files alone.
 
+    Parameters and errors are those of :func:`save_solution`.
+    """
+    run = simulation.run
+    data = {**simulation_json(simulation), "plans": released_plans_json(simulation.plans)}
+    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
+        write_text(new / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log, run.drive)))
+        write_belief_of_run(
+            new / BELIEF_FILE,
+            simulation.belief,
+            simulation.first_measurements,
+            run.log.positions_m,
+        )
+        write_record(data, simulation.problem, new / RUN_FILE)
+
+
+def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:
+    """Save that there is no plan, as `PLAN_FILE` or `RUN_FILE`, in place of what there was.
+
     Raises
     ------
     OutputError
-        The folder cannot be written; no JSON file is left in it.
+        The folder cannot be written.
     """
-    withdraw(folder)
-    run = simulation.run
-    write_text(folder / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log, run.drive)))
-    write_belief_of_run(
-        folder / BELIEF_FILE,
-        simulation.belief,
-        simulation.first_measurements,
-        run.log.positions_m,
-    )
-    data = {**simulation_json(simulation), "plans": released_plans_json(simulation.plans)}
-    save_record(data, simulation.problem, folder / RUN_FILE)
+    with replaced_results(folder, PLAN_OR_RUN) as new:
+        write_record(data, problem, new / name)
 
 
-def save_record(data: dict[str, Any], problem: Problem, path: Path) -> None:
+def write_record(data: dict[str, Any], problem: Problem, path: Path) -> None:
     """Write a JSON object with the problem in full beside its keys."""
     write_text(path, strict_text({**data, "problem_file": problem_to_dict(problem)}))
 

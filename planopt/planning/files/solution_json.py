@@ -17,6 +17,7 @@ from planopt.planning.certificate import Certificate
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.explanation_json import RelaxationRecord, explanation_json
+from planopt.planning.holes import Hole
 from planopt.planning.plan import Pivot, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
@@ -59,6 +60,14 @@ class PivotRecord(Record):
     x_m: Number
     y_m: Number
     cost_m: NotNegative
+    metre_cost: float = Field(default=1.0, ge=1, le=1e7)
+
+
+class RouteRecord(Record):
+    """The rest of the way to a goal, as the search found it."""
+
+    x_m: list[Number] = Field(default=[], max_length=10**6)
+    y_m: list[Number] = Field(default=[], max_length=10**6)
 
 
 class PlanRecord(Record):
@@ -73,6 +82,7 @@ class PlanRecord(Record):
     iterations: int = Field(ge=0, le=10**9)
     lattice_objective: float
     pivot: PivotRecord | None
+    route: RouteRecord = RouteRecord()
     certificate: CertificateRecord
     explanation: list[RelaxationRecord]
     robots: list[RobotRecord] = Field(min_length=1, max_length=1)
@@ -100,7 +110,7 @@ def finite_list(values: Iterable[float]) -> list[float | None]:
 
 
 def solution_json(solution: Solution) -> dict[str, Any]:
-    """The JSON keys of ``solve`` (design, section 3).
+    """The JSON keys of ``solve``.
 
     ``bound`` and ``gap`` are null: no lower bound is proven.
     """
@@ -128,6 +138,8 @@ def plan_json(
         "lattice_objective": finite(plan.lattice_objective),
         "polish_gain": finite(plan.polish_gain),
         "pivot": pivot_json(plan.pivot),
+        "route": {"x_m": finite_list(plan.route_m[:, 0]), "y_m": finite_list(plan.route_m[:, 1])},
+        "holes": holes_json(plan.holes),
         "message": plan.message,
         "explanation": explanation_json(explanation),
     }
@@ -145,10 +157,25 @@ def no_plan_json(
         **dict.fromkeys(("objective", "bound", "gap", "wall_s", "solve_s", "iterations")),
         "certificate": no_certificate_json((message,)),
         "robots": [],
-        **dict.fromkeys(("rung", "lattice_objective", "polish_gain", "pivot")),
+        **dict.fromkeys(("rung", "lattice_objective", "polish_gain", "pivot", "route")),
+        "holes": [],
         "message": message,
         "explanation": explanation_json(explanation),
     }
+
+
+def holes_json(holes: Iterable[Hole]) -> list[dict[str, Any]]:
+    """Stretches of a way to a goal that miss the bound on connectivity."""
+    return [
+        {
+            "x_m": [hole.from_m[0], hole.to_m[0]],
+            "y_m": [hole.from_m[1], hole.to_m[1]],
+            "length_m": hole.length_m,
+            "min_connectivity": hole.least_connectivity,
+            "to_end": hole.to_end,
+        }
+        for hole in holes
+    ]
 
 
 def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:
@@ -156,7 +183,7 @@ def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:
     if pivot is None:
         return None
     x_m, y_m = pivot.position_m.tolist()
-    return {"x_m": x_m, "y_m": y_m, "cost_m": pivot.cost_m}
+    return {"x_m": x_m, "y_m": y_m, "cost_m": pivot.cost_m, "metre_cost": pivot.metre_cost}
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
@@ -176,7 +203,10 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
         "relaxed_steps": list(certificate.relaxed_steps),
         "relaxation_db": finite_list(certificate.relaxation_db),
         "best_margin_db": finite_list(certificate.best_margin_db),
-        "no_connected_way": certificate.no_connected_way,
+        "path_cost_m": finite(certificate.path_cost_m),
+        "best_cost_m": finite(certificate.best_cost_m),
+        "step_cost_m": finite(certificate.step_cost_m),
+        "step_excess_m": finite(certificate.step_excess_m),
         "reasons": list(certificate.reasons),
         **({} if rule is None else {"rule": asdict(rule)}),
     }
@@ -199,7 +229,7 @@ def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
         "relaxed_steps": [],
         "relaxation_db": [],
         "best_margin_db": [],
-        "no_connected_way": False,
+        **dict.fromkeys(("path_cost_m", "best_cost_m", "step_cost_m", "step_excess_m")),
         "reasons": list(reasons),
     }
 

@@ -24,7 +24,7 @@ STEPS_FILE = "steps.csv"
 NUMBER_COLUMNS = ("t_s", "x_m", "y_m", "predicted_db", "deviation_db", "connectivity", "true_db")
 LABEL_COLUMNS = ("connected", "rung", "verdict")
 COLUMNS = ("robot", "step", *NUMBER_COLUMNS, *LABEL_COLUMNS)
-"""The columns (design, section 3)."""
+"""The columns."""
 REQUIRED_NUMBERS = ("t_s", "x_m", "y_m")
 
 

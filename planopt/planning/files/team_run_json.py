@@ -54,7 +54,7 @@ class TeamRunRecord(Record):
 
 
 def team_run_json(run: TeamRun) -> dict[str, Any]:
-    """The JSON keys of ``simulate`` (design, section 3), of all robots."""
+    """The JSON keys of ``simulate``, of all robots."""
     return team_record_json(run.problem, team_summary(run), run.runs)
 
 

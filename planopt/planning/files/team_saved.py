@@ -7,16 +7,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from planopt.files.result_folder import replaced_results
 from planopt.files.whole import write_text
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.number_table import table_text
 from planopt.planning.files.saved import (
     PLAN_FILE,
+    PLAN_OR_RUN,
     RUN_FILE,
-    save_record,
-    withdraw,
     write_belief_of_plan,
     write_belief_of_run,
+    write_record,
 )
 from planopt.planning.files.steps_file import (
     STEPS_FILE,
@@ -45,37 +46,33 @@ def belief_files(problem: Problem) -> tuple[str, ...]:
     return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
 
 
-def save_team_solution(solution: TeamSolution, folder: Path) -> None:
+def save_team_solution(
+    solution: TeamSolution, folder: Path, *, pictures_follow: bool = False
+) -> None:
     """Save plans so that they can be judged from their files alone.
 
-    Raises
-    ------
-    OutputError
-        The folder cannot be written; no JSON file is left in it.
+    Parameters and errors are those of :func:`planopt.planning.files.saved.save_solution`.
     """
-    withdraw(folder)
     steps = joined_steps([steps_of_plan(plan) for plan in solution.plans])
-    write_text(folder / STEPS_FILE, steps_text(steps))
-    write_belief_of_plan(folder / BELIEF_FILE, solution.belief)
-    save_record(team_solution_json(solution), solution.problem, folder / PLAN_FILE)
+    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
+        write_text(new / STEPS_FILE, steps_text(steps))
+        write_belief_of_plan(new / BELIEF_FILE, solution.belief)
+        write_record(team_solution_json(solution), solution.problem, new / PLAN_FILE)
 
 
-def save_team_run(run: TeamRun, folder: Path) -> None:
+def save_team_run(run: TeamRun, folder: Path, *, pictures_follow: bool = False) -> None:
     """Save a run so that every released plan can be judged from its files alone.
 
-    Raises
-    ------
-    OutputError
-        The folder cannot be written; no JSON file is left in it.
+    Parameters and errors are those of :func:`planopt.planning.files.saved.save_solution`.
     """
-    withdraw(folder)
     problem = run.problem
     steps = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
-    write_text(folder / STEPS_FILE, steps_text(steps))
-    for name, belief, one in zip(belief_files(problem), run.beliefs, run.runs, strict=True):
-        write_belief_of_run(folder / name, belief, run.first_measurements, one.log.positions_m)
-    if run.target is not None:
-        write_text(folder / TARGET_FILE, table_text(target_table(problem, run.target)))
-    write_text(folder / KNOWLEDGE_FILE, table_text(knowledge_table(problem, run.channel)))
     data = {**team_run_json(run), "plans": team_plans_json(run.plans, run.aims)}
-    save_record(data, problem, folder / RUN_FILE)
+    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
+        write_text(new / STEPS_FILE, steps_text(steps))
+        for name, belief, one in zip(belief_files(problem), run.beliefs, run.runs, strict=True):
+            write_belief_of_run(new / name, belief, run.first_measurements, one.log.positions_m)
+        if run.target is not None:
+            write_text(new / TARGET_FILE, table_text(target_table(problem, run.target)))
+        write_text(new / KNOWLEDGE_FILE, table_text(knowledge_table(problem, run.channel)))
+        write_record(data, problem, new / RUN_FILE)

@@ -72,7 +72,7 @@ class TeamPlanRecord(Record):
 
 
 def team_solution_json(solution: TeamSolution) -> dict[str, Any]:
-    """The JSON keys of ``solve`` (design, section 3), of all robots."""
+    """The JSON keys of ``solve``, of all robots."""
     return team_plan_json(
         solution.problem, solution.seed, solution.plans, solution.aims, solution.explanation
     )

@@ -37,14 +37,19 @@ def theta_variance_db(posteriors: Sequence[ChannelPosterior]) -> float:
     return float(10.0 * np.log10(spread / size))
 
 
+def log_det_m(posteriors: Sequence[ChannelPosterior]) -> float:
+    """Log det M in nats, summed over the stations."""
+    return sum(float(np.linalg.slogdet(each.theta_covariance)[1]) for each in posteriors)
+
+
 def channel_row(
     posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
-) -> tuple[float, float, float]:
-    """A row of the log: RMS, ANMSE and path loss variance of all stations, all in dB."""
-    return *channel_errors_db(posteriors, truths, places_m), theta_variance_db(posteriors)
+) -> tuple[float, float, float, float]:
+    """A row of the log: RMS, ANMSE and path loss variance of all stations in dB, and log det M."""
+    rms, anmse = channel_errors_db(posteriors, truths, places_m)
+    return rms, anmse, theta_variance_db(posteriors), log_det_m(posteriors)
 
 
-def channel_log(rows: Sequence[tuple[float, float, float]]) -> ChannelLog:
-    """The log of rows of RMS, ANMSE and path loss variance."""
-    rms, anmse, theta = np.asarray(rows, dtype=np.float64).T
-    return ChannelLog(rms, anmse, theta)
+def channel_log(rows: Sequence[tuple[float, float, float, float]]) -> ChannelLog:
+    """The log of rows of :func:`channel_row`."""
+    return ChannelLog(*np.asarray(rows, dtype=np.float64).T)

@@ -7,14 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from planopt.channel.one_thread import one_blas_thread
-from planopt.errors import InputError
+from planopt.errors import InputError, NoPlanError
 from planopt.planning.history import history_of
+from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.driven import driven
 from planopt.planning.loop.ending import ending
 from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.loop.rule_metrics import rule_metrics
-from planopt.planning.loop.run import Run
+from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.loop.step_log import step_log
 from planopt.planning.loop.true_serving import true_serving_dbm
@@ -36,6 +37,7 @@ def simulate(
     seed: int = 0,
     scene: Scene | None = None,
     prepared: Prepared | None = None,
+    on_start: Callable[[Plan], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Simulation:
     """Drive a problem's robot in the true channel.
@@ -50,6 +52,8 @@ def simulate(
         Of the truth's fading and of the first measurements.
     scene, prepared
         Geometry, truth and first belief if they are there already, for many runs of one seed.
+    on_start
+        Called with the first plan, before the first step.
     on_step
         Called after every step with its number, for progress display.
     """
@@ -71,8 +75,15 @@ def simulate(
         places = np.array(track)[:, :2]
         here = true_serving_dbm(problem, truths, places[1:])
         connected = here >= problem.stations[0].threshold_dbm
-        history = history_of(problem, places, connected)
-        plan = planning.plan(belief, state, plans[-1] if plans else None, history)
+        proofs = [plan.certificate for plan in plans]
+        history = history_of(problem, places, connected, proofs)
+        try:
+            plan = planning.plan(belief, state, plans[-1] if plans else None, history)
+        except NoPlanError as error:
+            ended = Outcome.NO_PLAN, str(error)
+            break
+        if not plans and on_start is not None:
+            on_start(plan)
         plans.append(plan)
         state = plan.next_state
         track.append(state)
@@ -97,6 +108,7 @@ def simulate(
         metrics=metrics_of(log, plans, outcome, learnt),
         rule=rule_metrics(problem, [log]),
         drive=driven(problem.robots[0], plans),
+        costs=run_costs(problem, scene.road_map, scene.index, truths, places, outcome),
     )
     first = len(prepared.belief.posterior.measurements)
     return Simulation(problem, seed, belief, first, run, tuple(plans), truths[0], truths[1:])

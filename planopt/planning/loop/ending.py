@@ -42,10 +42,12 @@ def ending(
     if is_at_goal(problem, here[:2]) and stands(problem, here):
         where = "the start is within" if plan is None else "within"
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
-    if plan is not None:
-        stalled = standstill(problem, track, learnt, plan)
-        if stalled is not None:
-            return Outcome.STALLED, stalled
+    if plan is not None and not any(learnt[-STALL_STEPS:]):
+        if _circling(track, problem.step_length_m) and not problem.workspace.moving:
+            return Outcome.STALLED, (
+                f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
+                f"with nothing new to learn{_detail(plan)}"
+            )
     if len(learnt) >= problem.planner.max_steps:
         return Outcome.STEP_LIMIT, f"not arrived after {problem.planner.max_steps} steps"
     return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from planopt.channel.belief import Belief
+from planopt.channel.connection.connection_outcomes import calibrate_posterior
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
@@ -13,10 +14,16 @@ from planopt.problems.problem import Problem
 
 
 def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Belief:
-    """Fit the channel of one of the problem's stations to measurements and condition on them."""
+    """Fit the channel of one of the problem's stations to measurements and condition on them.
+
+    Where the problem asks for it, the law of connection is calibrated.
+    """
     site = problem.stations[station].site
-    fit = fit_channel(measurements, site, problem.channel.fit_method)
-    return Belief(fit, condition(fit.parameters, measurements))
+    fit = fit_channel(measurements, site, problem.channel.fit_method, intervals=False)
+    posterior = condition(fit.parameters, measurements)
+    if problem.channel.calibration == "platt":
+        posterior = calibrate_posterior(posterior, problem.stations[station].threshold_dbm)
+    return Belief(fit, posterior)
 
 
 def learn_stations(problem: Problem, given: Given) -> Belief:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.validation.reliability import ReliabilityBin, reliability
+from planopt.planning.holes import Hole, holes_along
 from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
 from planopt.planning.plan import Plan
 
@@ -26,6 +27,9 @@ POSSIBLE = {
     "least_connected_share": (0.0, 1.0),
     "longest_outage_s": (0.0, np.inf),
     "data_mbit": (0.0, np.inf),
+    "realised_cost_m": (0.0, np.inf),
+    "clairvoyant_cost_m": (0.0, np.inf),
+    "cost_ratio": (0.0, np.inf),
 }
 """Least and largest value that a metric can have; one that is not here can have `ANY`."""
 
@@ -62,6 +66,12 @@ def run_reliability(runs: Sequence[Run]) -> tuple[ReliabilityBin, ...]:
     predicted = np.concatenate([run.log.connectivity[1:] for run in runs])
     connected = np.concatenate([run.log.connected[1:] for run in runs])
     return reliability(predicted, connected, np.zeros(len(predicted), dtype=np.intp))
+
+
+def run_holes(run: Run) -> tuple[Hole, ...]:
+    """Stretches of a driven path whose steps missed the bound when they were planned."""
+    log = run.log
+    return holes_along(log.positions_m, log.connectivity, log.relaxation_db > 0.0)
 
 
 def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:

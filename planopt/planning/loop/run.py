@@ -112,6 +112,8 @@ class Run:
         What was kept of a rule of connectivity other than p_min at each step, by metric.
     drive
         States and inputs over the steps; None for the single integrator.
+    costs
+        On the way to a goal: what the run cost at the outage price, by metric.
     """
 
     robot: str
@@ -125,13 +127,14 @@ class Run:
     metrics: Metrics
     rule: dict[str, float] = field(default_factory=dict[str, float])
     drive: Drive | None = None
+    costs: dict[str, float] = field(default_factory=dict[str, float])
 
     __repr__ = short_repr
 
     @property
     def all_metrics(self) -> dict[str, float]:
         """Every metric by name."""
-        return {**asdict(self.metrics), **self.rule}
+        return {**asdict(self.metrics), **self.rule, **self.costs}
 
     @property
     def verified_rate(self) -> float:

@@ -26,7 +26,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 100,
 }
-"""Of every solver (fast.md). Acceptable points are off: their constraint tolerance is 1e-2."""
+"""Of every solver. Acceptable points are off: their constraint tolerance is 1e-2."""
 
 
 def time_limit(budget_s: float | None) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """IPOPT's raw return status as a `Termination`, totally.
 
 CasADi's `unified_return_status` hides infeasible and NaN, and `success` includes acceptable points,
-so the raw string is mapped (design 4.4). An unknown string is a numerical failure.
+so the raw string is mapped. An unknown string is a numerical failure.
 """
 
 from __future__ import annotations

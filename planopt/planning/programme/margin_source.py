@@ -13,7 +13,7 @@ MarginFunction = Callable[[NDArray[np.float64]], StageMargins]
 
 
 class MarginSource:
-    """Margins of all stages at a point, computed once for the point however often it is asked.
+    """Margins and scores of all stages at a point, computed once however often it is asked.
 
     IPOPT asks for value, Jacobian and Hessian at one point in separate calls.
     """
@@ -30,7 +30,7 @@ class MarginSource:
         self._last = None
 
     def at(self, flat: NDArray[np.float64]) -> StageMargins:
-        """Margins at positions flattened to ``(2 N,)``."""
+        """Margins and scores at positions flattened to ``(2 N,)``."""
         key = flat.tobytes()
         if self._last is None or key != self._key:
             if self._evaluate is None:

@@ -115,12 +115,15 @@ def path_callbacks(
     stages
         N.
     values, curved
-        How many numbers its value and its Hessian have.
+        How many numbers its value and its Hessian have. The gradient has two for each stage of
+        each quantity that a stage has.
     evaluate
         From positions (2 N,) to the quantity, quick where it is asked for one place again.
     """
     return PathCallbacks(
         PathCallback(name, stages, values, lambda at: np.asarray(evaluate(at).value)),
-        PathCallback(f"{name}_gradient", stages, 2 * stages, lambda at: evaluate(at).gradient),
+        PathCallback(
+            f"{name}_gradient", stages, 2 * max(values, stages), lambda at: evaluate(at).gradient
+        ),
         PathCallback(f"{name}_hessian", stages, curved, lambda at: evaluate(at).hessian),
     )

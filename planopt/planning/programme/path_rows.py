@@ -2,7 +2,7 @@
 """Rows that every programme over a path has.
 
 With L the longest step and (n, b, a) separating lines, fixed from the start path and applied to
-both ends of a segment, so that the whole segment is clear (design 4.3)::
+both ends of a segment, so that the whole segment is clear::
 
     |q_k - q_{k-1}|^2 <= L^2       k = 1..N            "speed"
     n_kj . q_k     >= b_kj         k = 1..N, all j     "line_end"

@@ -25,6 +25,8 @@ class PathShape:
         Whether connectivity is bounded at stages, or a sum over them is; not both.
     motion
         Of the rows of the robot's dynamics; None for the single integrator.
+    slacked
+        Whether what is bounded may be missed by slacks.
     charged
         Whether the way to a goal is charged, of a robot with dynamics.
     """
@@ -36,10 +38,13 @@ class PathShape:
     summed: bool = False
     motion: MotionShape | None = None
     charged: bool = False
+    slacked: bool = True
 
     @property
     def slacks(self) -> int:
         """Slacks: of each stage's bound, or of the sum's."""
+        if not self.slacked:
+            return 0
         return self.horizon if self.bounded else int(self.summed)
 
     @property

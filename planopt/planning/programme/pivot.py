@@ -8,21 +8,113 @@ length never overestimates the way.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.ground import first_moves
 from planopt.planning.plan import Pivot
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.road_map import way_from
 from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
+from planopt.world.road_map import way_from
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""
 LATTICE_DETOUR = 0.03
 """A lattice path is at most this share longer than the straight one (16 headings: 2.7 %). The pivot
 lies at least that far ahead, or a polished path would come to it and have nowhere to go."""
+
+
+class Ahead:
+    """The rest of the way from wherever a path ends, as a pivot.
+
+    Parameters
+    ----------
+    problem, scene, start
+        What is planned, where, and the cost-to-go.
+    node_margin_db
+        As :func:`find_pivot` takes them.
+
+    Attributes
+    ----------
+    pivot
+        Counts for places near the start path's end which see it. Farther off, what lies between
+        may cost more than the straight line to it.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        scene: Scene,
+        start: GlobalStart,
+        node_margin_db: NDArray[np.float64] | None,
+    ) -> None:
+        self._problem = problem
+        self._scene = scene
+        self._start = start
+        self._node_margin_db = node_margin_db
+        self.pivot = self._seen_from(int(start.nodes[-1]), None)
+
+    def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
+        """The cheaper of the pivot, if it is seen from `end_m` (2,), and nodes within a step.
+
+        The pivot, seen or not, where there is no node.
+        """
+        problem, pivot = self._problem, self.pivot
+        joined = self._joined(end_m)
+        if joined is None:
+            return pivot
+        node, cost_m, metre = joined
+        to_pivot = float(np.linalg.norm(pivot.position_m - end_m))
+        from_end = float(np.linalg.norm(self._start.path_m[-1] - end_m))
+        seen = swept_clearance_m(self._scene.index, np.stack([end_m, pivot.position_m]))
+        is_seen = to_pivot == 0.0 or (
+            from_end <= problem.step_length_m
+            and bool(is_clear(seen, problem.constraints.clearance_m)[0])
+        )
+        if is_seen and to_pivot * pivot.metre_cost + pivot.cost_m <= cost_m:
+            return pivot
+        place = self._scene.road_map.nodes_m[node]
+        return Pivot(place, float(self._start.ways.cost_m[node]), metre)
+
+    def leading(self, end_m: NDArray[np.float64]) -> Pivot:
+        """The pivot of the way on from `end_m` (2,), so far off that a path is drawn on to it.
+
+        A solver that had a place within reach for it could come there at any time, and would put
+        off setting out.
+        """
+        joined = self._joined(end_m)
+        return self.pivot if joined is None else self._seen_from(joined[0], end_m)
+
+    def _joined(self, end_m: NDArray[np.float64]) -> tuple[int, float, float] | None:
+        """The node within a step that the way on from a place is cheapest by, with its metres'.
+
+        Node, cost-to-go of the place in metres, cost of a metre up to the node.
+        """
+        start = self._start
+        nodes, lengths = first_moves(self._scene.ground, self._problem, end_m)
+        if not len(nodes):
+            return None
+        metre = start.metre_cost[nodes]
+        metre = 0.5 * (metre + metre[np.argmin(lengths)])
+        total = lengths * metre + start.ways.cost_m[nodes]
+        best = int(np.argmin(total))
+        return int(nodes[best]), float(total[best]), float(metre[best])
+
+    def _seen_from(self, node: int, origin_m: NDArray[np.float64] | None) -> Pivot:
+        problem = self._problem
+        return find_pivot(
+            self._scene,
+            replace(self._start, nodes=np.append(self._start.nodes[:-1], node)),
+            self._node_margin_db,
+            problem.step_length_m,
+            problem.constraints.clearance_m,
+            origin_m,
+        )
 
 
 def find_pivot(
@@ -41,7 +133,8 @@ def find_pivot(
         Where, and the start path with its cost to go.
     node_margin_db
         Margins of all nodes if the way must keep the bound: then no place seen lies beyond a
-        change between within and below it. None if it need not.
+        change between within and below it, unless the place before it is within reach. None if
+        it need not.
     step_length_m, clearance
         Longest step, and the clearance that a line of sight must keep.
     origin_m
@@ -49,22 +142,28 @@ def find_pivot(
     """
     end = int(start.nodes[-1])
     way = way_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
-    if node_margin_db is not None:
-        within = node_margin_db[way] >= MARGIN_PAD_DB
-        changed = np.nonzero(within != within[0])[0]
-        way = way[: changed[0]] if changed.size else way
     places = scene.road_map.nodes_m[way]
+    origin = places[0] if origin_m is None else origin_m
     chosen = 0
     if len(way) > 1:
-        origin = places[0] if origin_m is None else origin_m
         # Fan of segments from there to each place, as one path origin, p1, origin, p2, ...
         fan = np.empty((2 * (len(way) - 1) + 1, 2))
         fan[0::2] = origin
         fan[1::2] = places[1:]
         seen = is_clear(swept_clearance_m(scene.index, fan)[0::2], clearance)
         farthest_seen = int(np.argmin(seen)) if not seen.all() else len(seen)
+        if node_margin_db is not None:
+            within = node_margin_db[way] >= MARGIN_PAD_DB
+            changed = np.nonzero(within != within[0])[0]
+            farthest_seen = min(farthest_seen, int(changed[0]) - 1 if changed.size else len(way))
         ahead = np.linalg.norm(places - origin, axis=1)
         room = LATTICE_DETOUR * len(start.nodes) * step_length_m
         enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
         chosen = max(farthest_seen, enough)
-    return Pivot(places[chosen], float(start.ways.cost_m[way[chosen]]))
+    cost_m = start.ways.cost_m
+    straight = float(np.linalg.norm(places[chosen] - origin))
+    # From the start path's end both ways of counting agree, whatever lies between.
+    joining = float(np.linalg.norm(places[0] - origin)) * float(start.metre_cost[end])
+    saved = joining + float(cost_m[end] - cost_m[way[chosen]])
+    metre_cost = saved / straight if straight else 1.0
+    return Pivot(places[chosen], float(cost_m[way[chosen]]), max(metre_cost, 1.0))

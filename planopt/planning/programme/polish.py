@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from planopt.planning.programme.kkt import Bounds, kkt_residual
 from planopt.planning.programme.margin_source import MarginFunction
@@ -13,9 +14,29 @@ from planopt.planning.programme.named_multipliers import named_multipliers
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_row_values import path_row_values
 from planopt.planning.programme.polished import Polished
-from planopt.planning.programme.reach_nlp import PIVOT_ROUNDING_M, ReachNlp
+from planopt.planning.programme.reach_nlp import PIVOT_ROUNDING_M, STEP_ROUNDING_M, ReachNlp
+from planopt.planning.programme.stage_kernel import StageMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.separation import SeparatingLines
+
+
+@dataclass(frozen=True)
+class OutagePrice:
+    """What it costs to be out of contact on the way.
+
+    Attributes
+    ----------
+    price_s_m
+        Of a metre that is certainly out of contact.
+    share_before
+        Share of a metre that is charged at the start.
+    charged
+        ``(N,)`` the same after each step, were that certainly out of contact.
+    """
+
+    price_s_m: float
+    share_before: float
+    charged: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -42,13 +63,12 @@ class ReachTask:
     effort_s_m2, rate_s_m
         Cost of squared step length, and of a metre beyond the horizon.
     margins
-        Connectivity margin of each stage by position.
+        Connectivity margin of each stage by position, then the score of each that the probability
+        of connection has.
     bound_db
         ``(N,)`` what the margins must reach.
-    slack_limit_db
-        ``(N,)`` how much of it may be missing; zero where the bound is hard.
-    elastic
-        Minimise the missing dB instead of the cost.
+    outage
+        What it costs to be out of contact after each step.
     """
 
     start_m: NDArray[np.float64]
@@ -63,27 +83,25 @@ class ReachTask:
     rate_s_m: float
     margins: MarginFunction
     bound_db: NDArray[np.float64]
-    slack_limit_db: NDArray[np.float64]
-    elastic: bool = False
-
-
-ELASTIC_COST_SCALE = 1e-4
-"""Weight of the cost beside the missing dB in an elastic solve: only settles ties."""
+    outage: OutagePrice
 
 
 def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
     """Solve the programme from the task's start path."""
     n = nlp.horizon
-    scale, slack_weight = (ELASTIC_COST_SCALE, 1.0) if task.elastic else (1.0, 0.0)
+    outage = task.outage
     head = np.array(
-        [*task.start_m, *task.pivot_m, task.effort_s_m2, task.rate_s_m, scale, slack_weight]
+        [
+            *task.start_m,
+            *task.pivot_m,
+            task.effort_s_m2,
+            task.rate_s_m,
+            outage.price_s_m,
+            outage.share_before,
+        ]
     )
     line = task.lines.rows(task.clearance_m + CLEARANCE_PAD_M)
-    positions = _position_bounds(task, n)
-    variables = Bounds(
-        np.concatenate([positions.lower, np.zeros(n)]),
-        np.concatenate([positions.upper, task.slack_limit_db]),
-    )
+    variables = _position_bounds(task, n)
     plain = n * (2 * nlp.lines) - nlp.lines
     longest = task.step_length_m - STEP_PAD_M
     rows = Bounds(
@@ -91,15 +109,13 @@ def polish(nlp: ReachNlp, task: ReachTask) -> Polished:
         np.concatenate([np.full(n, longest**2), np.full(plain + n, np.inf)]),
     )
     nlp.source.use(task.margins)
-    missing = np.maximum(task.bound_db - task.margins(task.path_m).value, 0.0)
-    start = np.concatenate([task.path_m.ravel(), np.minimum(missing, task.slack_limit_db)])
     point = nlp.solve(
-        start,
-        np.concatenate([head, line.ravel()]),
+        task.path_m.ravel(),
+        np.concatenate([head, outage.charged, line.ravel()]),
         variables,
         rows,
     )
-    residual = _residual(nlp, task, point, head, line, rows, variables)
+    residual = _residual(nlp, task, point, line, rows, variables)
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
@@ -124,7 +140,6 @@ def _residual(
     nlp: ReachNlp,
     task: ReachTask,
     point: NlpPoint,
-    head: NDArray[np.float64],
     line: NDArray[np.float64],
     row_bounds: Bounds,
     variable_bounds: Bounds,
@@ -134,30 +149,41 @@ def _residual(
     if not (np.isfinite(point.positions_m).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
     q = np.vstack([task.start_m, point.positions_m])
-    steps = np.diff(q, axis=0)
-    effort, rate, scale, slack_weight = head[4:]
-    gradient = np.zeros((n, 2))
-    gradient += 2.0 * effort * steps
-    gradient[:-1] -= 2.0 * effort * steps[1:]
-    to_pivot = q[-1] - task.pivot_m
-    gradient[-1] += rate * to_pivot / np.sqrt(to_pivot @ to_pivot + PIVOT_ROUNDING_M**2)
-
     margins = task.margins(point.positions_m)
+    gradient = _gradient(task, q, margins)
     plain, plain_jacobian = path_row_values(q, line)
     stage = np.arange(n)
     connectivity = np.zeros((n, n, 2))
-    connectivity[stage, stage] = margins.gradient
+    connectivity[stage, stage] = margins.gradient[:n]
     jacobian = np.concatenate([plain_jacobian, connectivity.reshape(n, 2 * n)])
-    slack_columns = np.zeros((len(jacobian), n))
-    slack_columns[-n:] = np.eye(n)
-    rows = np.concatenate([plain, margins.value + point.slack_db])
     return kkt_residual(
-        np.concatenate([scale * gradient.ravel(), np.full(n, slack_weight)]),
-        np.hstack([jacobian, slack_columns]),
-        rows,
+        gradient.ravel(),
+        jacobian,
+        np.concatenate([plain, margins.value[:n]]),
         row_bounds,
         point.row_multipliers,
-        np.concatenate([point.positions_m.ravel(), point.slack_db]),
+        point.positions_m.ravel(),
         variable_bounds,
         point.variable_multipliers,
     )
+
+
+def _gradient(
+    task: ReachTask, q: NDArray[np.float64], margins: StageMargins
+) -> NDArray[np.float64]:
+    """Gradient (N, 2) of the cost of places (N + 1, 2), the start first."""
+    outage = task.outage
+    steps = np.diff(q, axis=0)
+    lengths = np.sqrt((steps**2).sum(axis=1) + STEP_ROUNDING_M**2)
+    score = margins.value[len(steps) :]
+    share = np.append(outage.share_before, outage.charged * ndtr(-score))
+    density = np.exp(-0.5 * score**2) / np.sqrt(2.0 * np.pi)
+    slope = -outage.charged * density
+    by_length = outage.price_s_m * 0.5 * (share[:-1] + share[1:])
+    by_step = (2.0 * task.effort_s_m2 + (by_length / lengths)[:, None]) * steps
+    by_share = outage.price_s_m * 0.5 * (lengths + np.append(lengths[1:], 0.0))
+    gradient = by_step + (by_share * slope)[:, None] * margins.gradient[len(steps) :]
+    gradient[:-1] -= by_step[1:]
+    to_pivot = q[-1] - task.pivot_m
+    gradient[-1] += task.rate_s_m * to_pivot / np.sqrt(to_pivot @ to_pivot + PIVOT_ROUNDING_M**2)
+    return gradient

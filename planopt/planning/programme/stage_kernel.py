@@ -43,3 +43,12 @@ def margins_of(
     rows = mean.rows - np.reshape(z, (-1, 1)) * deviation.rows
     rows[:, 0] -= threshold_dbm
     return StageMargins(rows[:, 0], rows[:, 1:3], rows[:, 3:])
+
+
+def joined(margins: StageMargins, scores: Derivatives) -> StageMargins:
+    """Margins of all stages, then the scores of all: ``(2 n,)`` rows."""
+    return StageMargins(
+        np.concatenate([margins.value, scores.value]),
+        np.concatenate([margins.gradient, scores.gradient]),
+        np.concatenate([margins.hessian, scores.hessian]),
+    )

@@ -84,7 +84,7 @@ def broad_prediction(problem: Problem, posteriors: Sequence[ChannelPosterior]) -
     posteriors
         Of each of its stations.
     """
-    if len(posteriors) > 1:
+    if len(posteriors) > 1 or posteriors[0].outcomes is not None:
         thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
         return Serving(tuple(posteriors), thresholds, problem.constraints.p_min)
     (posterior,) = posteriors

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.proof.broad_prediction import Broad, broad_prediction
+from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
@@ -26,15 +27,31 @@ class Circumstances:
     broad
         What the bound rests on where it is not the posterior alone: all parameters are to count as
         uncertain, or there are several stations.
+    goal_grid
+        Where the verifier searches for cheaper paths to the goal; None where it lays the grid when
+        it needs it.
     """
 
     moving: MovingDiscs = NOTHING_MOVES
     history: History = BEGINNING
     broad: Broad | None = None
+    goal_grid: GoalGrid | None = None
+    _goal_costs: list[tuple[ChannelPosterior, GoalGrid, GoalCosts]] = field(
+        default_factory=list[tuple[ChannelPosterior, GoalGrid, GoalCosts]], init=False, repr=False
+    )
 
-
-NOTHING_ELSE = Circumstances()
-"""Nothing moves, nothing has happened, and the posterior says all."""
+    def goal_costs(
+        self,
+        posterior: ChannelPosterior,
+        build: Callable[[], GoalGrid],
+        value: Callable[[GoalGrid], GoalCosts],
+    ) -> tuple[GoalGrid, GoalCosts]:
+        """The verifier's grid and its costs by what is believed, made once for all candidates."""
+        kept = self._goal_costs
+        if not kept or kept[0][0] is not posterior:
+            grid = self.goal_grid or build()
+            kept[:] = [(posterior, grid, value(grid))]
+        return kept[0][1:]
 
 
 def circumstances_of(
@@ -42,6 +59,7 @@ def circumstances_of(
     posteriors: Sequence[ChannelPosterior],
     history: History = BEGINNING,
     moving: MovingDiscs | None = None,
+    goal_grid: GoalGrid | None = None,
 ) -> Circumstances:
     """The circumstances of the step after `history`.
 
@@ -53,7 +71,9 @@ def circumstances_of(
         What has happened before.
     moving
         What moves; None for the problem's moving obstacles alone.
+    goal_grid
+        Of the problem, where it is at hand.
     """
     if moving is None:
         moving = obstacles_ahead(problem, history.steps)
-    return Circumstances(moving, history, broad_prediction(problem, posteriors))
+    return Circumstances(moving, history, broad_prediction(problem, posteriors), goal_grid)

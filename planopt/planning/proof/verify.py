@@ -2,15 +2,15 @@
 
 Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
 keeps the clearance, the workspace and its distance from all that moves, every step keeps the speed,
-and the rule of connectivity holds by the exact posterior and today's deviation (theory 4.1). At
-single steps it may be missed where nothing keeps it
-(:mod:`planopt.planning.proof.rules.single_steps`), but the bound must be met at one step of the
-plan at least: a threshold that cannot be met is an answer, not a plan.
+and the rule of connectivity holds by the exact posterior and today's deviation. Single steps may
+miss it where nothing keeps it, on the way to a goal where no path is cheaper at the outage price
+(:mod:`planopt.planning.proof.rules.single_steps`). A threshold that is met nowhere is an answer,
+not a plan.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.planning.arrival import is_at_goal
 from planopt.planning.certificate import Certificate
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Verdict
@@ -28,9 +29,16 @@ from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_predicti
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
 from planopt.planning.proof.swept_motion import swept_motion
+from planopt.planning.tolerances import STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
+
+UNCOMPARED = (
+    "steps are below constraints.p_min, and the verifier's grid, half a step wide, has no path "
+    "from here to the goal to compare the plan with"
+)
+STANDING = "the plan stands still short of the goal, and nothing that moves is in its way"
 
 
 @dataclass(frozen=True)
@@ -121,9 +129,7 @@ def judge(
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None
     if constraints.rule.by_step:
-        steps = judge_single_steps(
-            problem, under.history, index, posterior, start_m, positions_m, power, under.broad
-        )
+        steps = judge_single_steps(problem, under, index, posterior, start_m, positions_m, power)
         result = steps.result
         reasons += steps.reasons
     else:
@@ -141,15 +147,38 @@ def judge(
         relaxed_steps=() if steps is None else steps.relaxed_steps,
         relaxation_db=() if steps is None else steps.relaxation_db,
         best_margin_db=() if steps is None else steps.best_margin_db,
-        no_connected_way=steps is not None and steps.no_connected_way,
+        path_cost_m=None if steps is None else steps.path_cost_m,
+        best_cost_m=None if steps is None else steps.best_cost_m,
+        step_cost_m=None if steps is None else steps.step_cost_m,
+        step_excess_m=None if steps is None else steps.step_excess_m,
         reasons=tuple(reasons),
         min_separation_m=apart.min_separation_m,
         min_moving_clearance_m=apart.min_moving_clearance_m,
         rule=result,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    missing = [
+        *([UNCOMPARED] if steps is not None and not steps.is_compared else []),
+        *([STANDING] if _gets_nowhere(problem, under, positions_m, drive) else []),
+    ]
+    if missing and not reasons:
+        certificate = replace(certificate, reasons=tuple(missing))
+        verdict = Verdict.FEASIBLE_UNVERIFIED
     sound = not motion.reasons and not apart.reasons
     return Judgement(certificate, verdict, power, sound)
+
+
+def _gets_nowhere(
+    problem: Problem,
+    under: Circumstances,
+    positions_m: NDArray[np.float64],
+    drive: Drive | None,
+) -> bool:
+    """Whether a robot stands still short of its goal, with nothing moving that it waits for."""
+    if problem.task != "reach" or len(under.moving) or is_at_goal(problem, positions_m[0]):
+        return False
+    track = positions_m if drive is None else drive.states
+    return bool(np.abs(track - track[0]).max() <= STANDSTILL_M)
 
 
 def _on_the_edge(problem: Problem, power: Prediction) -> bool:

@@ -1,41 +1,48 @@
-"""The global start of a plan: a lattice path whose connectivity is exact where it matters."""
+"""The global start of a plan to a goal: the cheapest lattice path at the outage price.
+
+The cost-to-go is the length of the cheapest path to the goal, a metre below the bound counting
+``1 + outage_price (1 - P)`` metres; the path of N steps is found by dynamic programming with the
+same charges, so that both agree about every metre. A rule of connectivity over several steps is
+searched for under guides (:mod:`planopt.planning.search.guide`); of the paths that keep it the
+cheapest is taken, unless it comes less than half as near to the goal as the cheapest path of all:
+a robot that keeps its rule by standing still would never arrive.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.reach import cost_rate_s_m
+from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
 from planopt.planning.ground import first_moves
+from planopt.planning.history import History
 from planopt.planning.scene import Scene
-from planopt.planning.search.frontier import OUT_OF_BOUND_FACTOR, Frontier
+from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.lattice_search import search_lattice
-from planopt.planning.search.moving_moves import steps_apart
+from planopt.planning.search.moving_moves import first_steps_apart
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.search.road_map import Ways, shortest_ways, way_from
-from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
+from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.planning.worth.rule_rows import step_rows
+from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-from planopt.world.clearance import inside_bounds, is_clear, swept_clearance_m
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.world.moving_discs import MovingDiscs
+from planopt.world.road_map import Ways, shortest_ways, way_from
 
+FORBIDDEN = 1e6
+"""A metre below the bound costs this many where it must not be driven: more than any path."""
 STAGNANT_STEPS = 0.75
 """A path that stays within this many longest steps of the robot gets nowhere; a lattice path can
 only end on a node, so that even one that wants to stay moves a little."""
-MAX_CLOSINGS = 50
-"""How many gaps may be given up in one step."""
-FINE_PLACES = 6
-"""Places along the radius of a first step that is looked for between the nodes."""
-FINE_TRIALS = 4
-"""How many of them are tried, those nearest to the path first."""
-CROSSING_SHARE = 0.5
-"""What a step through a gap is charged when it must be crossed, as a share of what the cost to go
-charges for a longest step there: less, or crossing would never pay within the horizon."""
+LEAST_PROGRESS = 0.5
+"""A path that keeps a rule must come at least this share as near to the goal as the cheapest."""
 OUT_OF_BOUND_STEP_S = 1e5
-"""Penalty of a step below the bound: no saving of time is worth one."""
+"""Penalty of a step below the level that a guide asks for: no saving of time is worth one."""
 MISSING_DB_S = 1e3
-"""Penalty of a missing dB: among as many steps below the bound, the least missing dB wins."""
+"""Penalty of a missing dB: among as many steps below the level, the least missing dB wins."""
 CORRECTION_ROUNDS = 8
 """How often the search is repeated with exact margins along its path."""
 
@@ -51,229 +58,258 @@ class GlobalStart:
     path_m
         ``(N, 2)`` their places.
     margin_db
-        ``(N,)`` exact connectivity margins there.
+        ``(N,)`` connectivity margins there, of what is asked of each step.
+    route_m
+        ``(r, 2)`` the path beyond its end, to the goal.
     beyond_m
-        ``(b, 2)`` the way beyond its end, as far as it keeps the bound.
+        ``(b, 2)`` its beginning, as far as it keeps the bound and may be come to in N steps.
     ways
-        Cost to go of every node.
-    crossing
-        Whether it crosses a gap on purpose, because no way to the goal keeps the bound.
+        Cost-to-go of every node, in metres.
+    metre_cost
+        ``(n,)`` what a metre costs at every node.
+    is_blocked
+        Whether path or route lead where driving is forbidden.
+    is_direct
+        Whether the robot is to drive this very path, having wandered enough.
     """
 
     nodes: NDArray[np.intp]
     path_m: NDArray[np.float64]
     margin_db: NDArray[np.float64]
+    route_m: NDArray[np.float64]
     beyond_m: NDArray[np.float64]
     ways: Ways
-    crossing: bool
+    metre_cost: NDArray[np.float64]
+    is_blocked: bool
+    is_direct: bool = False
 
 
 class GlobalSearch:
-    """Finds start paths; remembers what it has tried before gaps in connectivity.
+    """Finds start paths; keeps its map of the channel.
 
     Parameters
     ----------
     problem, scene
         What is planned, and where.
+
+    Attributes
+    ----------
     margins
-        Connectivity margins of the nodes, kept up to date by the caller.
+        Connectivity at the lattice nodes, as the last search left it.
     """
 
-    def __init__(self, problem: Problem, scene: Scene, margins: NodeMargins) -> None:
+    def __init__(self, problem: Problem, scene: Scene) -> None:
         self._problem = problem
         self._scene = scene
-        self._margins = margins
-        self._frontier = Frontier(scene.road_map, problem.step_length_m)
-        self._moving = NOTHING_MOVES
+        constraints = problem.constraints
+        threshold = problem.stations[0].threshold_dbm
+        self.margins = NodeMargins(scene.road_map, threshold, constraints.p_min)
         self._rate = cost_rate_s_m(
             problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
         )
+        rule = constraints.rule
+        start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
+        nodes, lengths = first_moves(scene.ground, problem, start)
+        self._direct_m = float((lengths + scene.ways.cost_m[nodes]).min(initial=np.inf))
+        self._forbids = rule.connectivity == "each_step" and rule.slack_max_db is not None
 
-    def find_start(
-        self,
-        position_m: NDArray[np.float64],
-        measured_m: NDArray[np.float64],
-        moving: MovingDiscs = NOTHING_MOVES,
-    ) -> GlobalStart | None:
-        """Search from `position_m`; None if no node is in reach.
-
-        A step below the bound is taken only where every lattice path has one.
+    def find_start(self, situation: Situation) -> GlobalStart | None:
+        """Search from where the robot is; None if no node is in reach.
 
         Parameters
         ----------
-        position_m
-            ``(2,)`` where the robot is.
-        measured_m
-            ``(m, 2)`` where power has been measured.
-        moving
-            What moves during the steps.
+        situation
+            What is known.
         """
-        self._moving = moving
-        if self._problem.reach.cost_to_go == "geodesic":
-            start = self._search(position_m, self._scene.goal_node, self._scene.ways)
-            return self._with_fine_first_step(position_m, start)
-        if self._frontier.crossing:
-            self._frontier.follow(bool(self._margins.at(position_m[None])[0] < 0.0))
-        return self._with_fine_first_step(position_m, self._past_gaps(position_m, measured_m))
+        problem, scene = self._problem, self._scene
+        self.margins.refresh(situation.posterior, situation.circumstances.broad)
+        ways = scene.ways
+        if self._has_wandered(situation.circumstances.history):
+            nodes = self._cheapest(situation, ways, None, priced=False, effort_s2_m2=0.0)
+            return None if nodes is None else self._start(situation, ways, nodes, direct=True)
+        if problem.reach.cost_to_go == "connected":
+            ways = shortest_ways(scene.road_map, scene.goal_node, self._metre_cost())
+        nodes = self._cheapest(situation, ways, None, priced=True)
+        if nodes is None:
+            return None
+        if self._gets_nowhere(situation, nodes):
+            # The fastest path round the obstacles knows of no price, and leads on all the same.
+            nodes = self._cheapest(situation, ways, None, priced=self._forbids, effort_s2_m2=0.0)
+            if nodes is None:
+                return None
+        if problem.constraints.rule.connectivity != "each_step":
+            nodes = self._within_rule(situation, ways, nodes)
+        return self._start(situation, ways, nodes)
 
-    def _past_gaps(
-        self, position_m: NDArray[np.float64], measured_m: NDArray[np.float64]
-    ) -> GlobalStart | None:
-        """Search towards the goal, and decide what to do at a gap that is in the way."""
-        start = self._towards_goal(position_m)
-        for _ in range(MAX_CLOSINGS):
-            if start is None or self._frontier.crossing:
-                break
-            end, outside = int(start.nodes[-1]), self._outside()
-            if not self._frontier.probing:
-                if not self._stagnant(position_m, start):
-                    break
-                if not self._frontier.stand_before_gap(start.ways, end, outside):
-                    break
-            if not self._frontier.still_there(start.ways, end, outside):
-                self._frontier.leave()
-                break
-            factor = self._frontier.node_factor(outside)
-            from_here = shortest_ways(self._scene.road_map, int(start.nodes[0]), factor)
-            probe = self._frontier.probe(from_here, measured_m, outside)
-            if probe is not None:
-                ways = shortest_ways(self._scene.road_map, probe, factor)
-                return self._search(position_m, probe, ways)
-            if not self._frontier.close(outside):
-                self._frontier.cross()
-            start = self._towards_goal(position_m)
-        return start
+    def _has_wandered(self, history: History) -> bool:
+        """Whether a run has gone in circles, or on for longer than the dearest direct path.
 
-    def _towards_goal(self, position_m: NDArray[np.float64]) -> GlobalStart | None:
-        """Search with the `connected` cost to go."""
-        factor = self._frontier.node_factor(self._outside())
-        ways = shortest_ways(self._scene.road_map, self._scene.goal_node, factor)
-        return self._search(position_m, self._scene.goal_node, ways)
+        The shortest path out of contact all the way costs ``1 + outage_price`` times its length. A
+        robot that has driven for as long as that takes drives the shortest path from then on, and
+        arrives: its run is at most ``3 + 2 outage_price`` times as long as the shortest path.
+        """
+        if self._forbids:
+            return False
+        allowed = (1.0 + self._problem.reach.outage_price) * self._direct_m
+        return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
-    def _outside(self) -> NDArray[np.bool_]:
-        return self._margins.margin_db < MARGIN_PAD_DB
+    def _metre_cost(self) -> NDArray[np.float64]:
+        """What a metre costs at every node, in metres."""
+        if self._forbids:
+            return np.where(self.margins.outside, FORBIDDEN, 1.0)
+        return 1.0 + self._problem.reach.outage_price * self.margins.outage_share
 
-    def _stagnant(self, position_m: NDArray[np.float64], start: GlobalStart) -> bool:
-        """Whether a path gets nowhere, short of the goal."""
-        farthest = np.linalg.norm(start.path_m - position_m, axis=1).max()
-        at_goal = int(start.nodes[-1]) == self._scene.goal_node
+    def _within_rule(
+        self, situation: Situation, ways: Ways, cheapest: NDArray[np.intp]
+    ) -> NDArray[np.intp]:
+        """The cheapest path that keeps the rule and comes near enough to the goal; else nearer.
+
+        Where slack is bounded, keeping the rule comes before coming near.
+        """
+        found: dict[bytes, NDArray[np.intp]] = {}
+        places = self._scene.road_map.nodes_m
+
+        def search(guide: Guide) -> list[NDArray[np.float64]]:
+            nodes = self._cheapest(situation, ways, guide, priced=True)
+            if nodes is None:
+                return []
+            path = places[nodes]
+            found[path.tobytes()] = nodes
+            return [path]
+
+        found[places[cheapest].tobytes()] = cheapest
+        find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
+        all_nodes = list(found.values())
+        missing = [round(rule_missing(situation, places[nodes]), 2) for nodes in all_nodes]
+        costs = [self._cost_s(situation, ways, nodes) for nodes in all_nodes]
+        order = sorted(range(len(costs)), key=lambda k: (missing[k], costs[k]))
+        if self._problem.constraints.rule.slack_max_db is not None:
+            return all_nodes[order[0]]
+        begin = self._nearest_cost_m(situation, ways)
+        least = LEAST_PROGRESS * (begin - ways.cost_m[cheapest[-1]])
+        for k in order:
+            if begin - ways.cost_m[all_nodes[k][-1]] >= least:
+                return all_nodes[k]
+        return cheapest
+
+    def _nearest_cost_m(self, situation: Situation, ways: Ways) -> float:
+        """Cost-to-go from where the robot is."""
+        nodes, lengths = first_moves(self._scene.ground, self._problem, situation.position_m)
+        return float((lengths + ways.cost_m[nodes]).min())
+
+    def _cost_s(self, situation: Situation, ways: Ways, nodes: NDArray[np.intp]) -> float:
+        """Cost of a path and of the way on from its end."""
+        problem, road_map = self._problem, self._scene.road_map
+        places = np.vstack([situation.position_m, road_map.nodes_m[nodes]])
+        cost = path_cost_s(
+            places,
+            np.asarray(problem.goal_m),
+            problem.constraints.goal_radius_m,
+            problem.planner.step_s,
+            problem.reach.effort_weight_s2_m2,
+        )
+        _, here = self.margins.at(situation.position_m[None])
+        share = np.concatenate([here, self.margins.outage_share[nodes]])
+        lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        charged = problem.reach.outage_price * charged_length_m(lengths, share)
+        return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
+
+    def _gets_nowhere(self, situation: Situation, nodes: NDArray[np.intp]) -> bool:
+        """Whether a path stays where the robot is, short of the goal."""
+        places = self._scene.road_map.nodes_m[nodes]
+        farthest = np.linalg.norm(places - situation.position_m, axis=1).max()
+        at_goal = int(nodes[-1]) == self._scene.goal_node
         return not at_goal and bool(farthest <= STAGNANT_STEPS * self._problem.step_length_m)
 
-    def _with_fine_first_step(
-        self, position_m: NDArray[np.float64], start: GlobalStart | None
-    ) -> GlobalStart | None:
-        """Look between the nodes for a first step that keeps the bound, where no node does."""
-        if start is None or start.margin_db[0] >= 0.0:
-            return start
-        problem, horizon = self._problem, len(start.nodes)
-        length = problem.step_length_m - STEP_PAD_M
-        offsets = length * np.linspace(-1.0, 1.0, 2 * FINE_PLACES + 1)
-        grid = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-        places = position_m + grid[np.linalg.norm(grid, axis=1) <= length]
-        fan = np.repeat(position_m[None], 2 * len(places) + 1, axis=0)
-        fan[1::2] = places
-        swept = swept_clearance_m(self._scene.index, fan)[0::2]
-        clear = is_clear(swept, problem.constraints.clearance_m)
-        clear &= steps_apart(self._moving, 0, np.broadcast_to(position_m, places.shape), places)
-        places = places[clear & inside_bounds(problem.workspace, places)]
-        margin = self._margins.at(places)
-        places, margin = places[margin >= MARGIN_PAD_DB], margin[margin >= MARGIN_PAD_DB]
-        ahead = start.path_m[min(1, horizon - 1)]
-        for k in np.argsort(np.linalg.norm(places - ahead, axis=1))[:FINE_TRIALS]:
-            first = replace(
-                start,
-                nodes=np.array([self._nearest(places[k])]),
-                path_m=places[k : k + 1],
-                margin_db=margin[k : k + 1],
-            )
-            fine = first if horizon == 1 else self._continued(first, start.ways, horizon - 1)
-            # A gap is not left on the side that it was entered from.
-            behind = start.ways.cost_m[start.nodes[-1]] + problem.step_length_m
-            if fine is not None and not (
-                start.crossing and start.ways.cost_m[fine.nodes[-1]] > behind
-            ):
-                return fine
-        return start
-
-    def _continued(self, first: GlobalStart, ways: Ways, horizon: int) -> GlobalStart | None:
-        """Search on from a first step; None if the rest does not keep the bound throughout."""
-        rest = self._search(first.path_m[0], self._scene.goal_node, ways, horizon)
-        if rest is None or (rest.margin_db < 0.0).any():
-            return None
-        return replace(
-            rest,
-            nodes=np.concatenate([first.nodes, rest.nodes]),
-            path_m=np.vstack([first.path_m, rest.path_m]),
-            margin_db=np.concatenate([first.margin_db, rest.margin_db]),
-        )
-
-    def _nearest(self, place_m: NDArray[np.float64]) -> int:
-        return int(np.argmin(np.linalg.norm(self._scene.road_map.nodes_m - place_m, axis=1)))
-
-    def _search(
+    def _cheapest(
         self,
-        position_m: NDArray[np.float64],
-        target: int,
+        situation: Situation,
         ways: Ways,
-        horizon: int | None = None,
-    ) -> GlobalStart | None:
-        """Search once, with exact margins wherever the path rests on them."""
-        settings, scene, margins = self._problem.planner, self._scene, self._margins
-        first_nodes, first_lengths = first_moves(scene.ground, self._problem, position_m)
-        steps = settings.horizon if horizon is None else horizon
-        first_step = settings.horizon - steps
-        ends = scene.road_map.nodes_m[first_nodes]
-        begins = np.broadcast_to(position_m, ends.shape)
-        kept = steps_apart(self._moving, first_step, begins, ends)
+        guide: Guide | None,
+        *,
+        priced: bool,
+        effort_s2_m2: float | None = None,
+    ) -> NDArray[np.intp] | None:
+        """Nodes (N,) of the cheapest path, with exact margins wherever it rests on them.
+
+        With another weight of effort than the problem's, if one is given.
+        """
+        if effort_s2_m2 is None:
+            effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
+        problem, scene, margins = self._problem, self._scene, self.margins
+        moving: MovingDiscs = situation.circumstances.moving
+        places = scene.road_map.nodes_m
+        first_nodes, first_lengths = first_moves(scene.ground, problem, situation.position_m)
+        kept = first_steps_apart(moving, situation.position_m, places[first_nodes])
         first_nodes, first_lengths = first_nodes[kept], first_lengths[kept]
-        if first_nodes.size == 0:
-            return None
+        margin_here, share_here = margins.at(situation.position_m[None])
+        here = problem.reach.outage_price * share_here
+        if self._forbids:
+            here = np.where(margin_here < 0.0, FORBIDDEN, 0.0)
         nodes: NDArray[np.intp] | None = None
         for _ in range(CORRECTION_ROUNDS):
+            surcharge = self._rate * np.concatenate([self._metre_cost() - 1.0, here])
             found = search_lattice(
                 scene.road_map,
                 first_nodes,
                 first_lengths,
-                steps,
-                settings.step_s,
-                self._problem.reach.effort_weight_s2_m2,
-                target,
-                self._penalty_s(),
+                problem.planner.horizon,
+                problem.planner.step_s,
+                effort_s2_m2,
+                scene.goal_node,
+                np.zeros(len(places)) if guide is None else self._penalty_s(guide),
                 self._rate * ways.cost_m,
-                self._moving,
-                first_step,
+                surcharge if priced else None,
+                moving,
             )
             if found is None:
                 return None
             nodes = found.nodes
-            # Below the bound already at the first step: make sure of every place in reach.
-            doubtful = margins.margin_db[nodes[0]] < MARGIN_PAD_DB
-            if not margins.correct(np.concatenate([nodes, first_nodes]) if doubtful else nodes):
+            if not margins.correct(nodes):
                 break
-        if nodes is None:
-            raise AssertionError("at least one round is searched")
-        places = scene.road_map.nodes_m
-        beyond = self._beyond(ways, int(nodes[-1]))
+        return nodes
+
+    def _penalty_s(self, guide: Guide) -> NDArray[np.float64]:
+        """Penalty of ending each step at each node, ``(N, n)``; negative where it is credited."""
+        margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
+        penalty = np.zeros((len(guide.asked), len(margins.mean_db)))
+        if guide.asked.any():
+            margin = bound_margin_db(margins.mean_db, margins.deviation_db, threshold, guide.level)
+            missing = np.maximum(MARGIN_PAD_DB - margin, 0.0)
+            below = np.where(missing > 0.0, OUT_OF_BOUND_STEP_S, 0.0) + MISSING_DB_S * missing
+            penalty[guide.asked] = below
+        if guide.credit.any():
+            chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
+            step_s = self._rate * self._problem.step_length_m
+            penalty -= step_s * guide.credit[:, None] * chance
+        return penalty
+
+    def _start(
+        self, situation: Situation, ways: Ways, nodes: NDArray[np.intp], *, direct: bool = False
+    ) -> GlobalStart:
+        """What there is to know of a path."""
+        problem, road_map = self._problem, self._scene.road_map
+        route = way_from(road_map, ways, int(nodes[-1]), np.inf)
+        soon = way_from(
+            road_map, ways, int(nodes[-1]), problem.planner.horizon * problem.step_length_m
+        )
+        margin = self.margins.margin_db[nodes]
+        outside = self.margins.outside
+        if problem.constraints.rule.is_plain:
+            below = np.nonzero(outside[soon])[0]
+            soon = soon[1 : below[0]] if below.size else soon[1:]
+        else:
+            path = road_map.nodes_m[nodes]
+            margin = step_rows(situation, path).margins_db(situation.power(path))
+            soon = soon[1:]
         return GlobalStart(
             nodes=nodes,
-            path_m=places[nodes],
-            margin_db=margins.margin_db[nodes],
-            beyond_m=places[beyond],
+            path_m=road_map.nodes_m[nodes],
+            margin_db=margin,
+            route_m=road_map.nodes_m[route[1:]],
+            beyond_m=road_map.nodes_m[soon],
             ways=ways,
-            crossing=self._frontier.crossing,
+            metre_cost=np.ones(len(outside)) if ways is self._scene.ways else self._metre_cost(),
+            is_blocked=self._forbids and bool(outside[nodes].any() or outside[route].any()),
+            is_direct=direct,
         )
-
-    def _penalty_s(self) -> NDArray[np.float64]:
-        """Penalty of a step that ends at each node."""
-        missing = np.maximum(MARGIN_PAD_DB - self._margins.margin_db, 0.0)
-        if self._frontier.crossing:
-            longest = self._rate * OUT_OF_BOUND_FACTOR * self._problem.step_length_m
-            return np.where(missing > 0.0, CROSSING_SHARE * longest, 0.0)
-        return np.where(missing > 0.0, OUT_OF_BOUND_STEP_S, 0.0) + MISSING_DB_S * missing
-
-    def _beyond(self, ways: Ways, end: int) -> NDArray[np.intp]:
-        """Nodes beyond a path's end that a faster path could come to within the horizon."""
-        horizon, length = self._problem.planner.horizon, self._problem.step_length_m
-        way = way_from(self._scene.road_map, ways, end, horizon * length)
-        outside = np.nonzero(self._margins.margin_db[way] < MARGIN_PAD_DB)[0]
-        return way[1 : outside[0]] if outside.size else way[1:]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import MovingMoves, steps_apart
-from planopt.planning.search.road_map import RoadMap
 from planopt.world.lattice import REACH_TOLERANCE_M
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.world.road_map import RoadMap
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ def search_lattice(
     goal_node: int,
     node_penalty_s: NDArray[np.float64],
     terminal_cost_s: NDArray[np.float64],
+    surcharge_s_m: NDArray[np.float64] | None = None,
     moving: MovingDiscs = NOTHING_MOVES,
     first_step: int = 0,
 ) -> LatticePath | None:
@@ -63,6 +64,9 @@ def search_lattice(
         Staying there costs nothing.
     node_penalty_s
         ``(n,)`` added for every step that ends at a node, or ``(N, n)`` for each step its own.
+    surcharge_s_m
+        ``(n + 1,)`` added for a metre at each node, and last where the robot is; a move is charged
+        the mean of its ends. None for none.
     terminal_cost_s
         ``(n,)`` added for the last node.
     moving
@@ -74,6 +78,7 @@ def search_lattice(
         return None
     count = len(road_map.nodes_m)
     penalty_s = np.broadcast_to(node_penalty_s, (horizon, count))
+    half = np.zeros(count + 1) if surcharge_s_m is None else 0.5 * surcharge_s_m
     # A step is at most the longest move, so stage k cannot leave this disc about the first nodes.
     reach = float(road_map.lengths_m.max()) + REACH_TOLERANCE_M
     distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[first_nodes[0]], axis=1)
@@ -85,13 +90,19 @@ def search_lattice(
 
     cost = np.full(count + 1, np.inf)
     cost[first_nodes] = (
-        step_cost_s(first_length_m, step_s, effort_weight_s2_m2) + penalty_s[0, first_nodes]
+        step_cost_s(first_length_m, step_s, effort_weight_s2_m2)
+        + first_length_m * (half[first_nodes] + half[-1])
+        + penalty_s[0, first_nodes]
     )
     came_by: list[NDArray[np.intp]] = []
     stages: list[NDArray[np.intp]] = []
     for k in range(1, horizon):
         stage = near[: np.searchsorted(radius, reach * (k + 2), side="right")]
-        arriving = cost[road_map.sources[stage]] + move_cost
+        sources = road_map.sources[stage]
+        arriving = cost[sources] + move_cost
+        if surcharge_s_m is not None:
+            # A closed move comes from node n, which costs infinity whatever its surcharge.
+            arriving += road_map.lengths_m * (half[sources] + half[stage, None])
         rests = _without_blocked(road_map, moving, first_step + k, stage, arriving, goal_node)
         move = arriving.argmin(axis=1)
         best = arriving[np.arange(len(stage)), move] + penalty_s[k, stage]

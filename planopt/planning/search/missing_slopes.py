@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.channel.connectivity import bound_margin_db, bound_quantile
+from planopt.channel.connectivity import bound_quantile
 from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.serving import connection_law
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.search.way_slopes import Pull, pull_of_power
 from planopt.planning.worth.situation import Situation
@@ -24,7 +25,8 @@ def missing_slope(at: Situation, batch: WayBatch) -> Pull:
     asked = asked_steps(problem, at.circumstances.history, steps)
     if rule == "joint":
         p_min, asked = p_min ** (1.0 / steps), np.ones(steps, dtype=np.bool_)
-    power, threshold = batch.power, problem.stations[0].threshold_dbm
-    margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
+    power, law = batch.power, connection_law(at.posterior)
+    quantile = bound_quantile(p_min) if law is None else law.quantile(p_min)
+    margin = power.mean_db - quantile * power.deviation_db - problem.stations[0].threshold_dbm
     missed = ((margin < 0.0).reshape(count, steps) & asked).astype(np.float64)
-    return pull_of_power(batch, -missed, bound_quantile(p_min) * missed)
+    return pull_of_power(batch, -missed, quantile * missed)

@@ -1,4 +1,4 @@
-"""Connectivity margin at every lattice node: a cached map, corrected where plans touch it.
+"""Connectivity at every lattice node: a cached map, corrected where plans touch it.
 
 The map conditions each tile on the measurements nearest to it, which is fast and slightly off.
 Wherever a path is about to rest on a node's value, the exact posterior's value replaces it.
@@ -9,16 +9,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
+from planopt.objectives.reach import outage_share
 from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.search.lattice_map import LatticeMap
-from planopt.planning.search.road_map import RoadMap
+from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.world.road_map import RoadMap
 
 
 class NodeMargins:
-    """Margins in dB at the nodes of a road map, for one belief at a time.
+    """Margins in dB and probabilities at the nodes of a road map, for one belief at a time.
 
     Parameters
     ----------
@@ -26,18 +29,32 @@ class NodeMargins:
         The nodes.
     threshold_dbm, p_min
         The bound: ``mean - z_p deviation - threshold``.
+
+    Attributes
+    ----------
+    mean_db, deviation_db, margin_db
+        ``(n,)`` of the nodes.
+    outage_share
+        ``(n,)`` what the outage price is charged on there
+        (:func:`planopt.objectives.reach.outage_share`).
     """
 
     def __init__(self, road_map: RoadMap, threshold_dbm: float, p_min: float) -> None:
-        lattice = road_map.lattice
         self._road_map = road_map
         self._threshold_dbm = threshold_dbm
         self._p_min = p_min
-        self._map = LatticeMap(lattice)
-        self.margin_db = np.zeros(len(road_map.nodes_m))
+        self._map = LatticeMap(road_map.lattice)
+        count = len(road_map.nodes_m)
+        self.mean_db, self.deviation_db = np.zeros(count), np.zeros(count)
+        self.margin_db, self.outage_share = np.zeros(count), np.zeros(count)
         self._exact = np.zeros(len(road_map.nodes_m), dtype=bool)
         self._posterior: ChannelPosterior | None = None
         self._broad: Broad | None = None
+
+    @property
+    def outside(self) -> NDArray[np.bool_]:
+        """``(n,)`` which nodes miss the bound, or keep it by less than planners ask for."""
+        return self.margin_db < MARGIN_PAD_DB
 
     def refresh(self, posterior: ChannelPosterior, broad: Broad | None = None) -> None:
         """Follow the belief: recompute what its new measurements changed.
@@ -48,28 +65,35 @@ class NodeMargins:
         self._broad = broad
         self._posterior = posterior
         rows, columns = self._road_map.rows, self._road_map.columns
-        self.margin_db = bound_margin_db(
-            self._map.mean_db[rows, columns],
-            self._map.deviation_db[rows, columns],
-            self._threshold_dbm,
-            self._p_min,
+        self.mean_db = self._map.mean_db[rows, columns]
+        self.deviation_db = self._map.deviation_db[rows, columns]
+        self.margin_db, self.outage_share = self._values(
+            Prediction(self.mean_db, self.deviation_db)
         )
         self._exact[:] = False
 
-    def at(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Margins at any places (n, 2), as good as searches need them."""
-        if self._posterior is None:
-            raise AssertionError("refresh first")
-        power = search_prediction(self._posterior, places_m, self._broad)
-        return bound_margin_db(power.mean_db, power.deviation_db, self._threshold_dbm, self._p_min)
+    def at(self, places_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Margins and outage shares at any places (n, 2), as good as searches need them."""
+        return self._values(self._power(places_m))
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
         """Put exact values at these nodes; true if any of them had not been exact before."""
-        if self._posterior is None:
-            raise AssertionError("refresh first")
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
-        self.margin_db[new] = self.at(self._road_map.nodes_m[new])
+        power = self._power(self._road_map.nodes_m[new])
+        self.mean_db[new], self.deviation_db[new] = power.mean_db, power.deviation_db
+        self.margin_db[new], self.outage_share[new] = self._values(power)
         self._exact[new] = True
         return True
+
+    def _power(self, places_m: NDArray[np.float64]) -> Prediction:
+        if self._posterior is None:
+            raise AssertionError("refresh first")
+        return search_prediction(self._posterior, places_m, self._broad)
+
+    def _values(self, power: Prediction) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        mean, deviation = power.mean_db, power.deviation_db
+        margin = bound_margin_db(mean, deviation, self._threshold_dbm, self._p_min)
+        probability = connection_probability(mean, deviation, self._threshold_dbm)
+        return margin, outage_share(probability, margin < MARGIN_PAD_DB)

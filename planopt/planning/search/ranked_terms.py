@@ -22,6 +22,7 @@ from planopt.objectives.filter_gain import (
 from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.path_loss_learning import theta_information
 from planopt.objectives.tracking import tracking_reward
+from planopt.objectives.until_connected import NOT_TRIED_DB
 from planopt.planning.search.told_batch import ToldBatch
 from planopt.planning.search.way_batch import WayBatch
 from planopt.planning.tolerances import STANDSTILL_M
@@ -139,13 +140,15 @@ def _tracking(term: TrackingTerm, ways: RankedWays) -> NDArray[np.float64]:
 
 def _until_connected(term: UntilConnectedTerm, ways: RankedWays) -> NDArray[np.float64]:
     settings = ways.at.search(term)
+    missing_db = np.where(ways.at.tries.takes(ways.ways_m), 0.0, NOT_TRIED_DB)
     (above, covariance), *further = [
-        (power.mean_db.reshape(ways.shape) - threshold, batch.universal)
+        (power.mean_db.reshape(ways.shape) - threshold - missing_db, batch.universal)
         for power, batch, threshold in zip(
             ways.each, ways.stations, settings.thresholds_dbm, strict=True
         )
     ]
-    return -charged_distances_m(above, covariance, ways.legs_m, settings.beyond_m, further)
+    beyond = ways.at.beyond_m(term, ways.ways_m[:, -1])
+    return -charged_distances_m(above, covariance, ways.legs_m, beyond, further)
 
 
 def _expression(term: CasadiTerm, ways: RankedWays) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.path_back import path_to
 from planopt.planning.search.reward_lattice import RewardSearch
 from planopt.planning.search.stage_rewards import StageRewards, move_values
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
@@ -38,7 +38,7 @@ THOROUGH_ENDS = 3
 """Ends of lattice paths that are then followed, the best of each part of the reachable places."""
 
 ENDS_APART_STEPS = 2.0
-"""How far apart such ends are along an axis, in longest steps (fast.md: 4 m)."""
+"""How far apart such ends are along an axis, in longest steps."""
 
 COUPLED_STARTS = 3
 """The same where terms couple places, and values have more maxima: of these more are followed."""
@@ -125,6 +125,9 @@ class StartSearch:
         paths = self._lattice_paths(situation, 1)
         if shifted_m is not None:
             paths.append(shifted_m)
+        if situation.steering is not None:
+            longest = problem.step_length_m - STEP_PAD_M
+            paths.append(situation.steering.path_m(problem.planner.horizon, longest))
         if self._coupled is not None:
             paths += self._coupled.find_ways(situation, paths)
         if self._ends > 1:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.ground import Ground, first_moves
-from planopt.planning.search.road_map import Ways, shortest_ways, way_from
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, segment_clearance_m
+from planopt.world.road_map import Ways, shortest_ways, way_from
+
+STRAIGHT_SHARE = 1e-9
+"""Legs turn where their directions differ by more than this."""
 
 
 class WaysFrom:
@@ -25,6 +29,8 @@ class WaysFrom:
         Its geometry.
     position_m
         ``(2,)`` where the ways begin.
+    limit_m
+        Nodes farther than this count as those that no way leads to.
 
     Attributes
     ----------
@@ -32,7 +38,13 @@ class WaysFrom:
         ``(n,)`` to each node; infinite where there is no way.
     """
 
-    def __init__(self, problem: Problem, ground: Ground, position_m: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        ground: Ground,
+        position_m: NDArray[np.float64],
+        limit_m: float = math.inf,
+    ) -> None:
         self._ground, self._position_m = ground, position_m
         self._wanted_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
         nodes, lengths = first_moves(ground, problem, position_m)
@@ -40,7 +52,7 @@ class WaysFrom:
         self._ways: Ways | None = None
         if len(nodes):
             nearest = int(np.argmin(lengths))
-            self._ways = shortest_ways(ground.road_map, int(nodes[nearest]))
+            self._ways = shortest_ways(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
             self.length_m = self._ways.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -64,3 +76,19 @@ class WaysFrom:
             last += 1 + (int(seen[-1]) if len(seen) else 0)
             turns.append(corners[last])
         return np.array(turns)
+
+
+def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
+    """Stops at every turn of the way through `corners_m` (n, 2), and evenly between; (s, 2)."""
+    legs = np.diff(corners_m, axis=0)
+    length = np.linalg.norm(legs, axis=1)
+    corners = corners_m[np.concatenate([[True], length > 0.0])]
+    legs, length = legs[length > 0.0], length[length > 0.0]
+    along = legs / length[:, None]
+    turns = np.linalg.norm(np.diff(along, axis=0), axis=1) > STRAIGHT_SHARE
+    corners = corners[np.concatenate([[True], turns, [True]])] if len(legs) else corners
+    stops = [corners[:1]]
+    for start, end in pairwise(corners):
+        steps = math.ceil(float(np.linalg.norm(end - start)) / longest_m)
+        stops.append(start + (end - start) * (np.arange(1, steps + 1) / steps)[:, None])
+    return np.concatenate(stops)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +20,17 @@ from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_seeds import TeamSeeds
 from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.connection_steering import ConnectionSteering
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import Steering
-from planopt.problems.objective import MappingTerm
+from planopt.planning.worth.steering_way import SteeringWay
+from planopt.problems.objective import MappingTerm, UntilConnectedTerm
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+
+Steer = Callable[[Situation], SteeringWay | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +47,8 @@ class Member:
         Its geometry.
     planner
         The one that the problem names.
-    steering
-        None where no term steers.
+    steer
+        From what is known to the way to steer along; None where no term steers.
     region
         Where the map is wanted.
     """
@@ -52,7 +57,7 @@ class Member:
     start: NDArray[np.float64]
     ground: Ground
     planner: Planner
-    steering: Steering | None
+    steer: Steer | None
     region: Region
 
     def plan(
@@ -95,9 +100,8 @@ class Member:
             information=watched.information,
             circumstances=circumstances,
         )
-        if self.steering is not None:
-            way = self.steering.find_way(belief.posterior, position_m)
-            situation = replace(situation, steering=way)
+        if self.steer is not None:
+            situation = replace(situation, steering=self.steer(situation))
         judge = Judge(
             self.problem,
             self.ground.index,
@@ -148,6 +152,16 @@ def _member(
     own = problem_of_robot(problem, number)
     start = own.robots[0].start_state
     ground = build_ground(own, start[:2])
-    steered = [t for t in own.terms if isinstance(t, MappingTerm) and t.form == "two_layer"]
-    steering = Steering(own, ground, steered[0]) if steered else None
-    return Member(own, start, ground, planner_for(own, ground, generator), steering, region)
+    planner = planner_for(own, ground, generator)
+    return Member(own, start, ground, planner, _steer(own, ground), region)
+
+
+def _steer(problem: Problem, ground: Ground) -> Steer | None:
+    """What steers the robot of a problem; None where no term does."""
+    for term in problem.terms:
+        if isinstance(term, MappingTerm) and term.form == "two_layer":
+            steering = Steering(problem, ground, term)
+            return lambda known: steering.find_way(known.posterior, known.position_m)
+        if isinstance(term, UntilConnectedTerm):
+            return ConnectionSteering(problem, ground, term).find_way
+    return None

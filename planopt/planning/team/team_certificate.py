@@ -37,7 +37,6 @@ def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
         relaxed_steps=tuple(sorted(relaxation)),
         relaxation_db=tuple(relaxation[step] for step in sorted(relaxation)),
         best_margin_db=tuple(best[step] for step in sorted(best)),
-        no_connected_way=any(c.no_connected_way for c in all_of_them),
         reasons=tuple(
             f"{robot}: {reason}" for robot, c in certificates.items() for reason in c.reasons
         ),

@@ -60,11 +60,14 @@ class ChannelLog:
         true power comes near 0 dBm, therefore beside `rms_db`.
     theta_variance_db
         ``(steps + 1,)`` trace of M over |theta|^2, in dB (the seed's Fig. 2).
+    log_det_m
+        ``(steps + 1,)`` log det M, nats: what the criterion D lowers, whatever the units of theta.
     """
 
     rms_db: NDArray[np.float64]
     anmse_db: NDArray[np.float64]
     theta_variance_db: NDArray[np.float64]
+    log_det_m: NDArray[np.float64]
 
     __repr__ = short_repr
 
@@ -121,7 +124,7 @@ class TeamRun:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """What the run is judged by, of all robots together (design, section 3)."""
+        """What the run is judged by, of all robots together."""
         return team_metrics(self.problem, self.runs, self.target, self.channel)
 
     @property
@@ -133,7 +136,7 @@ class TeamRun:
 def team_metrics(
     problem: Problem, runs: Sequence[Run], target: TargetLog | None, channel: ChannelLog
 ) -> dict[str, float]:
-    """What a run is judged by, of all robots together, by name (design, section 3)."""
+    """What a run is judged by, of all robots together, by name."""
     found: dict[str, float] = {}
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
@@ -142,6 +145,7 @@ def team_metrics(
     found["rms_db"] = float(channel.rms_db[-1])
     found["anmse_db"] = float(channel.anmse_db[-1])
     found["trace_m_db"] = float(channel.theta_variance_db[-1])
+    found["log_det_m"] = float(channel.log_det_m[-1])
     each = [run.metrics for run in runs]
     found["measured_steps"] = float(sum(m.measured_steps for m in each))
     found["path_m"] = float(sum(m.path_m for m in each))

@@ -13,7 +13,7 @@ from planopt.problems.problem import Problem
 
 TARGET_FILE, KNOWLEDGE_FILE = "target.csv", "knowledge.csv"
 
-KNOWLEDGE_COLUMNS = ("t_s", "rms_db", "anmse_db", "trace_m_db")
+KNOWLEDGE_COLUMNS = ("t_s", "rms_db", "anmse_db", "trace_m_db", "log_det_m")
 
 
 def target_columns(problem: Problem) -> tuple[str, ...]:
@@ -50,5 +50,6 @@ def knowledge_table(problem: Problem, channel: ChannelLog) -> NumberTable:
         channel.rms_db,
         channel.anmse_db,
         channel.theta_variance_db,
+        channel.log_det_m,
     )
     return dict(zip(KNOWLEDGE_COLUMNS, columns, strict=True))

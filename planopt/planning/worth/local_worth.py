@@ -24,6 +24,7 @@ from planopt.objectives.measuring import Gates
 from planopt.objectives.motion_derivatives import path_length_derivatives
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
 from planopt.objectives.tracking_derivatives import connectivity_derivatives
+from planopt.objectives.until_connected import LATER, Search
 from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
 from planopt.planning.programme.path_value import (
     EvaluatePath,
@@ -58,7 +59,7 @@ from planopt.problems.problem import Problem
 from planopt.targets.rounding import Derivatives, rounded_length
 
 JOINT_NEIGHBOURS = 128
-"""Measurements shared by the places of a path in terms that couple them (fast.md: 100 to 200)."""
+"""Measurements shared by the places of a path in terms that couple them."""
 
 LENGTH_ROUNDING_SHARE = 0.01
 """Width of the rounding of a length at zero, as a share of the longest step."""
@@ -91,7 +92,10 @@ def local_worth(
         rule = situation.near_measuring
     # Each place keeps to the turn that its start sees: places that move little see it too.
     steering = situation.steering
-    ahead = None if steering is None else steering.turns_m[steering.next_turns(path_m)]
+    ahead = None if steering is None else steering.next_turns(path_m)
+    tried = None
+    if any(isinstance(term, UntilConnectedTerm) for term in problem.terms):
+        tried = situation.tries.takes(path_m)
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)
@@ -108,7 +112,7 @@ def local_worth(
         parts = [
             _weighted(
                 term.weight,
-                _derivatives(term, situation, places_m, power, each, joint, gates, ahead),
+                _derivatives(term, situation, places_m, power, each, joint, gates, ahead, tried),
             )
             for term in problem.terms
         ]
@@ -163,7 +167,8 @@ def _derivatives(
     each: Sequence[StagePower],
     joint: Sequence[_Joint],
     gates: Gates | None,
-    ahead_m: NDArray[np.float64] | None,
+    ahead: NDArray[np.intp] | None,
+    tried: NDArray[np.bool_] | None,
 ) -> Part:
     match term:
         case TrackingTerm() | TransmissionEnergyTerm() | CasadiTerm():
@@ -171,13 +176,15 @@ def _derivatives(
                 raise AssertionError("the term needs predictions of the stages")
             return stage_term_derivatives(term, at, places_m, power, each)
         case MappingTerm(form="two_layer"):
-            return _steering(at, places_m, ahead_m)
+            return _steering(at, places_m, ahead)
         case MotionEnergyTerm():
             return _motion(term, at, places_m)
         case UntilConnectedTerm():
             width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
             channels = [station.channel for station in joint]
-            found = charged_distance_derivatives(channels, places_m, at.search(term), width)
+            search = at.search(term)
+            beyond = _beyond(at, search, places_m[-1:], ahead)
+            found = charged_distance_derivatives(channels, places_m, search, width, beyond, tried)
             return PathDerivatives(-found.value, -found.gradient, -found.hessian)
         case LearningTerm() | MappingTerm():
             first, *others = [_informed(term, at, places_m, station, gates) for station in joint]
@@ -214,15 +221,28 @@ def _informed(
 
 
 def _steering(
-    at: Situation, places_m: NDArray[np.float64], ahead_m: NDArray[np.float64] | None
+    at: Situation, places_m: NDArray[np.float64], ahead: NDArray[np.intp] | None
 ) -> Derivatives:
-    """Minus the distance of every place to the next turn of its way, `ahead_m` (N, 2)."""
-    if ahead_m is None:
+    """Minus the distance of every place to the next turn of its way, of number `ahead` (N,)."""
+    if ahead is None or at.steering is None:
         count = len(places_m)
         return Derivatives(np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
     width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-    distance = rounded_length(places_m - ahead_m, width)
+    distance = rounded_length(places_m - at.steering.turns_m[ahead], width)
     return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
+
+
+def _beyond(
+    at: Situation, search: Search, end_m: NDArray[np.float64], ahead: NDArray[np.intp] | None
+) -> Derivatives | None:
+    """:meth:`Situation.beyond_m` of a path that ends at `end_m` (1, 2); None if nothing steers."""
+    if ahead is None or at.steering is None:
+        return None
+    turn = ahead[-1:]
+    width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
+    leg = rounded_length(end_m - at.steering.turns_m[turn], width)
+    rest = LATER * (leg.value + at.steering.rest_m[turn]) + search.beyond_m
+    return Derivatives(rest, LATER * leg.gradient, LATER * leg.hessian)
 
 
 def _motion(

@@ -17,7 +17,6 @@ from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import covariance_gain, information_gain, sampled_gain
 from planopt.objectives.mapping import average_reduction, path_information, path_uncertainty
 from planopt.objectives.path_loss_learning import path_loss_gain
-from planopt.objectives.until_connected import charged_distance_m
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.expression_inputs import known_inputs
 from planopt.planning.worth.link_energy import link_energy_j
@@ -73,7 +72,7 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
         case MotionEnergyTerm():
             return -motion_energy_j(term, at, path_m)
         case UntilConnectedTerm():
-            return -charged_distance_m(at.posterior, path_m, at.search(term), at.stations[1:])
+            return -at.charged_distance_m(term, path_m)
         case TransmissionEnergyTerm():
             return -float(link_energy_j(term, at, at.powers(path_m)).sum())
         case CasadiTerm():

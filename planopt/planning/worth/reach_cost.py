@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.reach import cost_rate_s_m, path_cost_s
+from planopt.channel.connectivity import bound_margin_db, connection_probability
+from planopt.channel.prediction import Prediction
+from planopt.objectives.reach import charged_length_m, cost_rate_s_m, outage_share, path_cost_s
 from planopt.planning.plan import Pivot
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
@@ -23,13 +26,26 @@ class ReachCost:
         A problem that is to reach a goal.
     position_m
         ``(2,)`` where the robot is.
-    pivot
-        The way beyond the horizon; None if there is none to be had.
+    power
+        Predicted power at places (n, 2), which tells where a path is below the bound.
+    ahead
+        From where a path ends (2,) to the rest of the way as one point of it; None where nothing
+        is charged for it.
+    priced
+        Whether being out of contact is charged; not to a robot that has wandered and is to drive
+        the shortest path.
     """
 
     problem: Problem
     position_m: NDArray[np.float64]
-    pivot: Pivot | None = None
+    power: Callable[[NDArray[np.float64]], Prediction]
+    ahead: Callable[[NDArray[np.float64]], Pivot] | None = None
+    priced: bool = True
+
+    @property
+    def outage_price(self) -> float:
+        """What a metre out of contact costs besides."""
+        return self.problem.reach.outage_price if self.priced else 0.0
 
     @property
     def rate_s_m(self) -> float:
@@ -39,7 +55,7 @@ class ReachCost:
         )
 
     def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
-        """Cost of a path (N, 2) in seconds, cost to go by the step's pivot included.
+        """Cost of a path (N, 2) in seconds, price of outage and cost-to-go included.
 
         Parameters
         ----------
@@ -51,22 +67,68 @@ class ReachCost:
         """
         problem = self.problem
         resting = None if drive is None else resting_places_m(drive)
+        places = np.vstack([self.position_m, path_m])
         cost = path_cost_s(
-            np.vstack([self.position_m, path_m]),
+            places,
             np.asarray(problem.goal_m),
             problem.constraints.goal_radius_m,
             problem.planner.step_s,
             problem.reach.effort_weight_s2_m2,
             resting,
         )
-        if self.pivot is None:
+        if self.priced:
+            cost += self.rate_s_m * self.outage_price * self._charged_m(places)
+        if self.ahead is None:
             return cost
         end = path_m[-1] if resting is None else resting[-1]
-        to_pivot = float(np.linalg.norm(end - self.pivot.position_m))
+        pivot = self.ahead(end)
+        to_pivot = float(np.linalg.norm(end - pivot.position_m))
         if drive is not None:
-            x, y = self.pivot.position_m
+            x, y = pivot.position_m
             cost += float(drive.dynamics.turning_s(tuple(drive.states[-1]), (x, y)))
-        return cost + self.rate_s_m * (to_pivot + self.pivot.cost_m)
+        return cost + self.rate_s_m * (pivot.metre_cost * to_pivot + pivot.cost_m)
+
+    def pivot_of(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> Pivot | None:
+        """The pivot that a path (N, 2) is charged by."""
+        end = path_m[-1] if drive is None else resting_places_m(drive)[-1]
+        return None if self.ahead is None else self.ahead(end)
+
+    @property
+    def threshold_dbm(self) -> float:
+        """Power from which on a place is connected, less the slack that is allowed."""
+        slack_db = self.problem.constraints.rule.slack_max_db or 0.0
+        return self.problem.stations[0].threshold_dbm - slack_db
+
+    def _charged_m(self, places_m: NDArray[np.float64]) -> float:
+        """Metres of a path (N + 1, 2) that the outage price is charged on."""
+        lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+        return charged_length_m(lengths, self._outage_share(places_m))
+
+    def _outage_share(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        power, threshold = self.power(places_m), self.threshold_dbm
+        mean, deviation = power.mean_db, power.deviation_db
+        chance = connection_probability(mean, deviation, threshold)
+        return outage_share(chance, self._is_below(places_m))
+
+    def metre_costs(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What a metre counts where the robot is and along a path (N, 2), in metres; (N + 1,)."""
+        places = np.vstack([self.position_m, path_m])
+        return 1.0 + self.outage_price * self._outage_share(places)
+
+    def outage_charges(self, path_m: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """What of a metre is charged where the robot is, and what would be along a path (N, 2).
+
+        The second as if connection were impossible there; (N,).
+        """
+        certain = outage_share(np.zeros(len(path_m)), self._is_below(path_m))
+        return float(self._outage_share(self.position_m[None])[0]), certain
+
+    def _is_below(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        power = self.power(places_m)
+        margin = bound_margin_db(
+            power.mean_db, power.deviation_db, self.threshold_dbm, self.problem.constraints.p_min
+        )
+        return margin < 0.0
 
 
 def resting_places_m(drive: Drive) -> NDArray[np.float64]:

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connection.any_score import any_score_derivatives
-from planopt.channel.connection.serving_power import LEAST_DEVIATION_DB, serving_prediction
+from planopt.channel.connection.connection_law import LEAST_DEVIATION_DB, ConnectionLaw
+from planopt.channel.connection.serving_power import Laws
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
@@ -46,14 +47,14 @@ class ServingStages:
 
     def __init__(self, serving: Serving, path_m: NDArray[np.float64], neighbours: int) -> None:
         self._thresholds_dbm = serving.thresholds_dbm
+        self._laws = serving.laws
         self._stations = [
             StagePredictor(neighbour_model(posterior, path_m, neighbours))
             for posterior in serving.posteriors
         ]
         powers = [predict(path_m) for predict in self._stations]
         about = [Prediction(mean.value, deviation.value) for mean, deviation in powers]
-        law = serving_prediction(about, self._thresholds_dbm, serving.p_min)
-        self._scale_db = law.deviation_db
+        self._scale_db = serving.law(about).deviation_db
 
     def each(self, positions_m: NDArray[np.float64]) -> list[StagePower]:
         """Mean and deviation of each station's power of stage k at ``positions_m[k]``, (N, 2)."""
@@ -61,7 +62,7 @@ class ServingStages:
 
     def law(self, powers: Sequence[StagePower]) -> StagePower:
         """Mean and deviation of the serving power, from those of each station's."""
-        return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
+        return serving_derivatives(powers, self._thresholds_dbm, self._scale_db, self._laws)
 
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
         """Mean and deviation of the serving power."""
@@ -72,6 +73,7 @@ def serving_derivatives(
     powers: Sequence[StagePower],
     thresholds_dbm: Sequence[float],
     scale_db: NDArray[np.float64],
+    laws: Laws | None = None,
 ) -> StagePower:
     """Mean and deviation of the serving power of m stations, its deviation held at `scale_db`.
 
@@ -87,10 +89,14 @@ def serving_derivatives(
         ``(m,)``.
     scale_db
         ``(N,)`` c.
+    laws
+        Each station's law of connection; None where all powers are normal.
     """
     scores = [
-        _score(mean, deviation, threshold)
-        for (mean, deviation), threshold in zip(powers, thresholds_dbm, strict=True)
+        scores_of(mean, deviation, threshold, law)
+        for (mean, deviation), threshold, law in zip(
+            powers, thresholds_dbm, laws or [None] * len(powers), strict=True
+        )
     ]
     z, weight, bend = any_score_derivatives(np.stack([score.value for score in scores]))
     gradient = np.stack([score.gradient for score in scores])
@@ -104,14 +110,24 @@ def serving_derivatives(
     return mean, Derivatives(scale_db, np.zeros_like(first), np.zeros_like(second))
 
 
-def _score(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -> Derivatives:
-    """How many deviations the mean of a station is above its threshold."""
+def scores_of(
+    mean: Derivatives,
+    deviation: Derivatives,
+    threshold_dbm: float,
+    law: ConnectionLaw | None = None,
+) -> Derivatives:
+    """How many deviations the mean of every stage is above a threshold, as a normal score."""
     spread = np.maximum(deviation.value, LEAST_DEVIATION_DB)
     z, by = (mean.value - threshold_dbm) / spread, (1.0 / spread)[:, None]
     first = by * (mean.gradient - z[:, None] * deviation.gradient)
     second = by * (mean.hessian - z[:, None] * deviation.hessian)
     add_products(second, first, -by * deviation.gradient)
-    return Derivatives(z, first, second)
+    if law is None:
+        return Derivatives(z, first, second)
+    normal, slope, bend = law.normal_score_derivatives(z)
+    second *= slope[:, None]
+    add_products(second, first, 0.5 * bend[:, None] * first)
+    return Derivatives(normal, slope[:, None] * first, second)
 
 
 def stage_predictor(

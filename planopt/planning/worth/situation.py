@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.energy import Radio
 from planopt.objectives.mapping import Region, Uncertainty
-from planopt.objectives.measuring import MeasuringRule
+from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
 from planopt.objectives.path_loss_learning import Criterion, goal_criterion
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
-from planopt.objectives.until_connected import Search
-from planopt.planning.proof.circumstances import NOTHING_ELSE, Circumstances
+from planopt.objectives.until_connected import LATER, Search, charged_distance_m, search_length_m
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.serving import Serving
 from planopt.planning.worth.region import region_near
@@ -54,8 +55,8 @@ class Situation:
     region
         Where the map is wanted, for the terms that look at the workspace.
     steering
-        The way that the two-layer form steers along; None if no place is above the threshold, or
-        nothing steers.
+        The way that the two-layer form steers along, or that leads to a try for connection; None
+        if there is no such place, or nothing steers.
     information
         ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
     circumstances
@@ -69,7 +70,7 @@ class Situation:
     region: Region
     steering: SteeringWay | None = None
     information: NDArray[np.float64] | None = None
-    circumstances: Circumstances = NOTHING_ELSE
+    circumstances: Circumstances = field(default_factory=Circumstances)
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -78,6 +79,14 @@ class Situation:
     )
     _tracking: dict[TrackingTerm, Tracking] = field(
         default_factory=dict[TrackingTerm, Tracking], init=False, repr=False
+    )
+
+    _after: dict[UntilConnectedTerm, float] = field(
+        default_factory=dict[UntilConnectedTerm, float], init=False, repr=False
+    )
+
+    _charged: dict[tuple[UntilConnectedTerm, bytes], float] = field(
+        default_factory=dict[tuple[UntilConnectedTerm, bytes], float], init=False, repr=False
     )
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
@@ -120,7 +129,7 @@ class Situation:
 
     def powers(self, places_m: NDArray[np.float64]) -> list[Prediction]:
         """Predictions of each station's power at `places_m` (n, 2), as searches look at them."""
-        if len(self.stations) == 1:
+        if not isinstance(self.circumstances.broad, Serving):
             return [self.power(places_m)]
         return [search_prediction(station, places_m) for station in self.stations]
 
@@ -168,20 +177,103 @@ class Situation:
         return FilteredTracking(self.tracking(term), model, self.information)
 
     def search(self, term: UntilConnectedTerm) -> Search:
-        """The settings of a search for connection.
+        """The settings of a search for connection that ends where a try at the way's end failed.
 
-        What was measured where the robot is stands in the posterior, and needs no condition.
+        Where the robot is is no try (:attr:`tries`), and needs no condition.
         """
         x, y = self.position_m
-        x_min, y_min, x_max, y_max = self.problem.workspace.bounds_m
-        beyond = math.hypot(x_max - x_min, y_max - y_min)
+        if term not in self._after:
+            self._after[term] = self._after_try_m(term)
         return Search(
             (float(x), float(y)),
             self.problem.stations[0].threshold_dbm,
             disconnected_now=False,
-            beyond_m=beyond if term.beyond_m is None else term.beyond_m,
+            beyond_m=self._after[term],
             further_thresholds_dbm=tuple(r.threshold_dbm for r in self.problem.stations[1:]),
         )
+
+    @cached_property
+    def tries(self) -> MeasuringRule:
+        """Which places a search for connection tries.
+
+        None near measurements without connection: multipath is known there. Nor where the robot
+        is, unless its last step was connected.
+        """
+        history = self.circumstances.history
+        lost = history.steps == 0 or history.outage_steps > 0
+        here = self.position_m[None] if lost else np.zeros((0, 2))
+        known = [
+            np.vstack([own.positions_m[own.power_dbm < radio.threshold_dbm], here])
+            for own, radio in zip(
+                (station.measurements for station in self.stations),
+                self.problem.stations,
+                strict=True,
+            )
+        ]
+        spacing = max(self.problem.channel.measure_spacing_m, SAME_PLACE_M)
+        return MeasuringRule(spacing, tuple(known))
+
+    def _chance(self, place_m: NDArray[np.float64]) -> float:
+        """Chance of a connection at a place (2,)."""
+        power = self.law([search_prediction(each, place_m[None]) for each in self.stations])
+        threshold = self.problem.stations[0].threshold_dbm
+        return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])
+
+    def _after_try_m(self, term: UntilConnectedTerm) -> float:
+        """What is expected beyond the end of the way that the robot is steered along, in metres.
+
+        (1 - P) (L + R) of :func:`planopt.objectives.until_connected.search_length_m`, from the way
+        alone, so that a saved plan has the same.
+        """
+        way = self.steering
+        if way is None:
+            return self.workspace_diagonal_m if term.beyond_m is None else term.beyond_m
+        chance = np.array([self._chance(way.end_m)])
+        after = self.search_length_m(term, way.rest_m[:1], chance) - way.rest_m[0]
+        return max(float(after[0]), 0.0)
+
+    def search_length_m(
+        self, term: UntilConnectedTerm, length_m: NDArray[np.float64], chance: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the expected length of a search by tries at places so far away; ``(k,)``.
+
+        :func:`planopt.objectives.until_connected.search_length_m`, or D + (1 - P) `beyond_m`.
+        """
+        if term.beyond_m is not None:
+            return length_m + (1.0 - chance) * term.beyond_m
+        return search_length_m(length_m, chance, self.decorrelation_m, self.workspace_diagonal_m)
+
+    def beyond_m(
+        self, term: UntilConnectedTerm, ends_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """What a plan is charged that ends at each of some places (n, 2) without connection; (n,).
+
+        The way that is left to where the robot is steered to, and what is expected from there.
+        """
+        after = np.full(len(ends_m), self.search(term).beyond_m)
+        return after if self.steering is None else after + LATER * self.steering.distance_m(ends_m)
+
+    def charged_distance_m(self, term: UntilConnectedTerm, path_m: NDArray[np.float64]) -> float:
+        """Return what a search along a path (N, 2) is charged, integrated once for each path."""
+        key = term, path_m.tobytes()
+        if key not in self._charged:
+            beyond = float(self.beyond_m(term, path_m[-1:])[0])
+            settings = replace(self.search(term), beyond_m=beyond)
+            self._charged[key] = charged_distance_m(
+                self.posterior, path_m, settings, self.stations[1:], self.tries.takes(path_m)
+            )
+        return self._charged[key]
+
+    @property
+    def workspace_diagonal_m(self) -> float:
+        """From corner to corner of the bounds."""
+        x_min, y_min, x_max, y_max = self.problem.workspace.bounds_m
+        return math.hypot(x_max - x_min, y_max - y_min)
+
+    @property
+    def decorrelation_m(self) -> float:
+        """The longest decorrelation distance of the stations' shadowing."""
+        return max(station.parameters.decorrelation_m for station in self.stations)
 
     def radio(self, term: TransmissionEnergyTerm, station: int = 0) -> Radio:
         """The settings of a link; the predicted gain is that of the station's own sending."""

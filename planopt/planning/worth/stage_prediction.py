@@ -1,6 +1,6 @@
 """Predicted power and deviation of every stage with exact derivatives, all stages at once.
 
-From the measurements nearest to each stage (design 4.1) and with the uncertainty of theta counted.
+From the measurements nearest to each stage and with the uncertainty of theta counted.
 Two things differ from the exact posterior, both only here: the kernel's cusp at a measured position
 is rounded (:mod:`planopt.objectives.rounded_kernel`), and fewer measurements are used. The verifier
 uses neither.

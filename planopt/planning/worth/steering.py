@@ -15,7 +15,6 @@ from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
 from planopt.planning.ground import Ground
-from planopt.planning.search.road_map import shortest_ways
 from planopt.planning.search.taut_way import WaysFrom
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.region import workspace_region
@@ -23,6 +22,7 @@ from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, segment_clearance_m
+from planopt.world.road_map import shortest_ways
 
 TILE = 1
 """Places of the region are far apart: each has its own neighbours."""

@@ -7,6 +7,7 @@ their corners.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -69,6 +70,19 @@ class SteeringWay:
         """How far it is from each place (n, 2) to the end of the way; (n,)."""
         turns = self.next_turns(places_m)
         return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
+
+    def path_m(self, steps: int, longest_m: float) -> NDArray[np.float64]:
+        """Where a robot is that drives the way, ending a step at every turn; ``(steps, 2)``."""
+        found: list[NDArray[np.float64]] = []
+        here = self.turns_m[0]
+        for turn in self.turns_m[1:]:
+            count = max(math.ceil(float(np.linalg.norm(turn - here)) / longest_m), 1)
+            found += [here + (turn - here) * k / count for k in range(1, count + 1)]
+            here = turn
+            if len(found) >= steps:
+                break
+        found += [here] * (steps - len(found))
+        return np.array(found[:steps])
 
     def gained_m(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """By how much the places of ways (..., N, 2) are nearer than the start, summed; (...)."""

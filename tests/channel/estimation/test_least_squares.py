@@ -11,6 +11,7 @@ from simulated_channel import simulated
 from planopt.channel.estimation.least_squares import coefficient_covariance, least_squares
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.mean_model import mean_model
+from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 1e-3, 1.0, 4.0, Station((50.0, 50.0), 10.0))
@@ -78,3 +79,29 @@ def test_coefficient_covariance_is_the_sandwich():
             outer @ dense @ outer.T,
             rtol=1e-6,
         )
+
+
+def test_covariance_where_offsets_hide_the_slope():
+    """It is positive semidefinite, and no rounding of a place moves it, though ill conditioned.
+
+    Two receivers, neither the reference: at equal distances one of them, slightly farther the
+    other, so that the slope shows in the ridge on their offsets alone.
+    """
+    rng = np.random.default_rng(5)
+    station = Station((0.0, 0.0), 5.0)
+    places = 35.65 * np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 1.0]])
+    parameters = dataclasses.replace(CHANNEL, station=station, shadow_std_db=6.0)
+    found = []
+    for _ in range(40):
+        measurements = Measurements(
+            places * (1.0 + 1e-15 * rng.standard_normal(places.shape)),
+            np.full(3, -70.0),
+            np.zeros(3, dtype=bool),
+            receiver=np.array([2, 2, 1]),
+        )
+        covariance = coefficient_covariance(
+            model_of(measurements, station), measurements, parameters
+        )
+        assert np.linalg.eigvalsh(covariance)[0] >= 0.0
+        found.append(covariance)
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], (40, 2, 2)), rtol=1e-6)

@@ -15,7 +15,6 @@ from planopt.channel.estimation.least_squares import least_squares
 from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.profile import CUT_95, Profile
 from planopt.channel.estimation.profile_likelihood import (
-    MAX_MEASUREMENTS,
     profile_likelihood,
     profiles_around,
 )
@@ -109,14 +108,6 @@ def test_interval_of_a_normal_likelihood():
     np.testing.assert_allclose(curve, -0.5 * (np.log(fine / 2.0) / 0.25) ** 2, atol=1e-12)
     inner = Profile("decorrelation_m", values[1:4], 0.1 * drop[1:4], 2.0, 10)
     assert inner.interval_95() == (0.0, math.inf)
-
-
-def test_many_measurements_are_thinned():
-    """Above the limit the profile rests on a fixed draw, and says of how many."""
-    measurements = simulated(CHANNEL, 4, MAX_MEASUREMENTS + 20, 300.0)
-    found = profile_likelihood(measurements, CHANNEL.station, "multipath_std_db", np.array([2.0]))
-    assert found.measurements == MAX_MEASUREMENTS
-    assert len(found.values) == 2
 
 
 @pytest.mark.parametrize(

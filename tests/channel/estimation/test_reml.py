@@ -9,7 +9,8 @@ from simulated_channel import simulated, subset
 from planopt.channel.estimation.covariance_fit import covariance_bounds
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.likelihood_data import likelihood_data
-from planopt.channel.estimation.reml import START_MEASUREMENTS, reml_fit, thinned
+from planopt.channel.estimation.likelihood_starts import START_MEASUREMENTS, thinned
+from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.mean_model import mean_model
 from planopt.channel.one_thread import one_blas_thread
@@ -45,7 +46,7 @@ def test_nothing_on_a_grid_is_more_likely(count, share):
         for om2 in grids[1]
         for beta in grids[2]
     ]
-    assert found.log_likelihood >= max(values) - 1e-6
+    assert found.best.log_likelihood >= max(values) - 1e-6
     estimate = found.covariance
     at = evaluate(
         data,
@@ -55,8 +56,8 @@ def test_nothing_on_a_grid_is_more_likely(count, share):
             estimate.decorrelation_m,
         ),
     )
-    assert at.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-6)
-    np.testing.assert_allclose(at.coefficients, found.coefficients, rtol=1e-5)
+    assert at.log_likelihood == pytest.approx(found.best.log_likelihood, abs=1e-6)
+    np.testing.assert_allclose(at.coefficients, found.best.coefficients, rtol=1e-5)
 
 
 def test_scaling_units():
@@ -94,7 +95,7 @@ def test_standard_errors_are_the_spread_over_channels():
     errors = [fit.covariance.standard_errors[1] for fit in fits]
     assert np.std(omegas) == pytest.approx(np.median(errors), rel=0.35)
     z = [
-        (fit.coefficients[1] - CHANNEL.n_pl) / math.sqrt(fit.coefficient_covariance[1, 1])
+        (fit.best.coefficients[1] - CHANNEL.n_pl) / math.sqrt(fit.best.coefficient_covariance[1, 1])
         for fit in fits
     ]
     assert 0.7 < np.std(z) < 1.4
@@ -113,5 +114,5 @@ def test_the_order_of_measurements_does_not_matter():
     measurements = simulated(CHANNEL, 3, 80, 300.0, 0.25)
     shuffled = subset(measurements, np.random.default_rng(0).permutation(80))
     first, second = fitted(measurements)[2], fitted(shuffled)[2]
-    assert second.log_likelihood == pytest.approx(first.log_likelihood, abs=1e-4)
-    np.testing.assert_allclose(second.coefficients, first.coefficients, rtol=1e-2)
+    assert second.best.log_likelihood == pytest.approx(first.best.log_likelihood, abs=1e-4)
+    np.testing.assert_allclose(second.best.coefficients, first.best.coefficients, rtol=1e-2)

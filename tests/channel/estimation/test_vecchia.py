@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from planopt.channel.estimation.vecchia import (
-    EARLIER_NEIGHBOURS,
+    added_products,
     nearest_earlier,
     whitened_products,
 )
 from planopt.channel.measurement_covariance import Origins, own_covariance_db2
 from planopt.channel.nearest.place_index import PlaceIndex
+from planopt.channel.nearest.windows import BESIDE, BLOCK
 from planopt.channel.parameters import ChannelParameters, Station
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
@@ -28,9 +29,9 @@ def dense(origins, noise, columns):
     return columns.T @ np.linalg.solve(covariance, columns)
 
 
-@pytest.mark.parametrize("count", [0, 1, EARLIER_NEIGHBOURS, EARLIER_NEIGHBOURS + 1])
+@pytest.mark.parametrize("count", [0, 1, BLOCK + 1, BESIDE + 20])
 def test_with_all_earlier_ones_it_is_exact(count):
-    """Nothing is left out while there are no more than `EARLIER_NEIGHBOURS` before any."""
+    """Nothing is left out while there are no more than `BESIDE` before any block."""
     given = scene(count)
     np.testing.assert_allclose(
         whitened_products(PARAMETERS, *given), dense(*given), rtol=1e-10, atol=1e-10
@@ -50,21 +51,24 @@ def test_rows_add_up(cut):
     """In the order given, the last rows add what the first ones lack of all."""
     origins, noise, columns = scene(650)
     head = slice(cut)
-    first = whitened_products(PARAMETERS, origins.at(head), noise[head], columns[head], 0)
-    rest = whitened_products(PARAMETERS, origins, noise, columns, cut)
-    whole = whitened_products(PARAMETERS, origins, noise, columns, 0)
+    first = added_products(PARAMETERS, origins.at(head), noise[head], columns[head], 0)
+    rest = added_products(PARAMETERS, origins, noise, columns, cut)
+    whole = added_products(PARAMETERS, origins, noise, columns, 0)
     np.testing.assert_allclose(first + rest, whole, rtol=1e-11)
 
 
-def test_the_order_of_a_batch_does_not_change_with_time():
-    """The same batch gives the same bits."""
-    given = scene(300)
-    np.testing.assert_array_equal(
-        whitened_products(PARAMETERS, *given), whitened_products(PARAMETERS, *given)
+def test_the_order_of_a_batch_does_not_matter():
+    """Products depend on the places, not on the order of the rows."""
+    origins, noise, columns = scene(300)
+    order = np.random.default_rng(1).permutation(300)
+    np.testing.assert_allclose(
+        whitened_products(PARAMETERS, origins.at(order), noise[order], columns[order]),
+        whitened_products(PARAMETERS, origins, noise, columns),
+        rtol=1e-9,
     )
 
 
-def test_random_order_serves_a_path_better():
+def test_blocks_serve_a_path_better():
     """Of a path of dense rows the information of theta is nearer to exact than in its order."""
     generator = np.random.default_rng(4)
     along, row = np.arange(1500) % 50, np.arange(1500) // 50
@@ -77,10 +81,10 @@ def test_random_order_serves_a_path_better():
         np.abs(np.diag(np.linalg.inv(found)) / np.diag(expected) - 1.0).max()
         for found in (
             whitened_products(PARAMETERS, *given),
-            whitened_products(PARAMETERS, *given, done=0),
+            added_products(PARAMETERS, *given, 0),
         )
     ]
-    assert errors[0] < 0.3 * errors[1]
+    assert errors[0] < 0.6 * errors[1]
     assert errors[0] < 0.1
 
 

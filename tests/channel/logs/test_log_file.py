@@ -5,7 +5,8 @@ import pytest
 
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.logs.log_file import at_file_line, parse_station, read_log, read_power_log
-from planopt.channel.logs.log_format import LogFormat, parse_columns
+from planopt.channel.logs.log_format import LogFormat, parse_columns, parse_rows
+from planopt.channel.logs.log_groups import parse_groups, read_groups
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
 
@@ -142,6 +143,58 @@ def test_an_index_becomes_a_line(tmp_path):
     assert (error.file, error.row) == (str(path), 6)
     assert "log of zero distance" in str(error)
     assert at_file_line(InputError("no row"), path).row is None
+
+
+TRANSMITTERS = """x_m,y_m,power_dbm,tx,day
+1,2,-70,1,mon
+0,0,-50,2,mon
+3,4,x,3,mon
+5,6,-80, 1 ,tue
+7,8,-90,2,tue
+9,9,-91,2,wed
+"""
+
+
+def test_only_some_rows(tmp_path):
+    """One of several transmitters is read as a log of its own is; other rows are not looked at."""
+    path = written(tmp_path, TRANSMITTERS)
+    for rows, lines in (
+        ("tx=1", (1, 4)),
+        ("tx=2", (2, 5, 6)),
+        ("tx=2,day=tue", (5,)),
+        ("day=wed", (6,)),
+    ):
+        chosen = LogFormat(rows=parse_rows(rows.split(",")))
+        own = tmp_path / "own.csv"
+        text = TRANSMITTERS.splitlines()
+        own.write_text("\n".join([text[0], *(text[line] for line in lines)]))
+        found, expected = read_log(path, chosen), read_log(own)
+        np.testing.assert_array_equal(found.positions_m, expected.positions_m)
+        np.testing.assert_array_equal(found.power_dbm, expected.power_dbm)
+        groups = parse_groups("day")
+        np.testing.assert_array_equal(
+            read_groups(path, groups, chosen), read_groups(own, groups, LogFormat())
+        )
+
+
+def test_a_line_among_some_rows(tmp_path):
+    """An index counts the rows that were read, a line all of them."""
+    path = written(tmp_path, TRANSMITTERS)
+    chosen = LogFormat(rows=(("tx", "2"),))
+    with pytest.raises(InputError) as caught:
+        examine(read_log(path, chosen), Station((7.0, 8.0)))
+    assert at_file_line(caught.value, path, chosen).row == 6
+
+
+def test_rows_that_are_not_there(tmp_path):
+    """What the column has instead is said; so is a column that is missing, and a bad option."""
+    path = written(tmp_path, TRANSMITTERS)
+    error = refused(path, rows=(("tx", "4"),))
+    assert error.message == "no row has tx=4" and error.remedy == "tx has 1, 2, 3"
+    assert "column 'receiver' is missing" in refused(path, rows=(("receiver", "4"),)).message
+    for text in ("tx", "tx=", "=4", ""):
+        with pytest.raises(InputError, match="key --where: cannot read"):
+            parse_rows([text])
 
 
 def test_columns_option():

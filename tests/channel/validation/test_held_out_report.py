@@ -18,6 +18,7 @@ from planopt.channel.validation.held_out import deal, learn_path_loss
 from planopt.channel.validation.held_out_report import held_out_report, predictors_of
 from planopt.errors import InputError
 
+PREDICTORS = ["channel", "marginal", "path_loss", "plain_line", "plain_process"]
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
 CAMPUS = Path(__file__).parents[4] / "shared" / "data" / "campus"
 
@@ -76,8 +77,9 @@ def test_channel_and_marginal_beat_path_loss():
 
     fold_of = deal(groups, 4, np.random.default_rng(1))
     found = held_out_report(measurements, groups, fold_of, predictors_of(fit))
-    assert list(found.scores) == ["channel", "marginal", "path_loss"]
+    assert list(found.scores) == PREDICTORS
     assert len(fits) == 4 and sum(fits) == 3 * 160
+    assert found.scores["plain_process"].rmse_db.value > found.scores["channel"].rmse_db.value
     for name in ("channel", "marginal"):
         score = found.scores[name]
         assert score.of_path_loss.high < 1.0

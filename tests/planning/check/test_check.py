@@ -14,11 +14,12 @@ from planopt import load
 from planopt.errors import InputError
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.check import CheckResult, check
-from planopt.planning.files.saved import save_record, save_simulation, save_solution
+from planopt.planning.files.saved import save_simulation, save_solution, write_record
 from planopt.planning.files.solution_json import no_plan_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.proof.verify import STANDING
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve
@@ -154,8 +155,8 @@ def test_rejects_a_start_elsewhere(plan_folder: Path) -> None:
         (lambda d: d["problem_file"]["planner"].update(step_s=3.0), ["steps.csv", "t_s is 2"]),
         (lambda d: d["problem_file"]["constraints"].update(clearance_m=3.0), ["clearance_m is 3"]),
         (
-            lambda d: d["problem_file"]["stations"][0].update(threshold_dbm=-30.0),
-            ["constraints.p_min"],
+            lambda d: d["problem_file"]["stations"][0].update(threshold_dbm=20.0),
+            ["constraints.p_min", "met nowhere"],
         ),
         (
             lambda d: d["problem_file"]["stations"][0].update(height_m=9.0),
@@ -208,7 +209,7 @@ def test_a_plan_that_was_not_verified_stays_so(tmp_path: Path) -> None:
 def test_no_plan_is_nothing_to_judge(tmp_path: Path, solution: Solution) -> None:
     """The record of a search that found nothing gets verdict none and says why."""
     data = no_plan_json(solution.problem, 0, "cut off")
-    save_record(data, solution.problem, tmp_path / "plan.json")
+    write_record(data, solution.problem, tmp_path / "plan.json")
     result = check(tmp_path)
     assert result.verdict is Verdict.NONE and result.certificate is None
     assert "cut off" in result.reasons[0]
@@ -316,7 +317,7 @@ def test_a_harder_bound_is_rejected(plan_folder: Path) -> None:
         lambda d: d["problem_file"]["constraints"].update(p_min=0.9999),
     )
     rejected(plan_folder, "plan.json, key certificate.relaxed_steps: 0 values, found 2 values")
-    rejected(plan_folder, "plan.json, key message", "the connectivity bound cannot be met")
+    rejected(plan_folder, "plan.json, key message", "miss the connectivity bound")
 
 
 def test_a_bound_that_nobody_proved_is_rejected(plan_folder: Path) -> None:
@@ -422,7 +423,7 @@ def test_solving_takes_a_part_of_planning(plan_folder: Path, times: dict, words:
 def test_a_record_of_no_plan_must_be_one(tmp_path: Path, solution: Solution) -> None:
     """It has no objective."""
     data = no_plan_json(solution.problem, 0, "cut off")
-    save_record({**data, "objective": 3.0}, solution.problem, tmp_path / "plan.json")
+    write_record({**data, "objective": 3.0}, solution.problem, tmp_path / "plan.json")
     assert "plan.json, key objective: 3, found null" in check(tmp_path).reasons
 
 
@@ -453,6 +454,7 @@ def test_a_plan_that_stops_where_it_stands(tmp_path: Path, monkeypatch: pytest.M
     found = solve(load("open_field"), horizon=3)
     assert found.plan.rung is Rung.STOP and found.plan.pivot is None
     save_solution(found, tmp_path)
-    assert check(tmp_path).verdict is Verdict.VERIFIED
+    assert found.plan.verdict is Verdict.FEASIBLE_UNVERIFIED
+    assert check(tmp_path).reasons == (STANDING,)
     edit_json(tmp_path, "plan.json", lambda d: d.update(rung="plan"))
     rejected(tmp_path, "plan.json, key pivot: null, but the rung is plan")

@@ -11,13 +11,14 @@ import pytest
 
 from planopt import load
 from planopt.errors import InputError, OutputError
+from planopt.files.result_folder import MIXED
 from planopt.planning.files import saved as saved_module
 from planopt.planning.files.read_saved import read_saved
 from planopt.planning.files.saved import (
+    PLAN_OR_RUN,
     known_before_steps,
     save_simulation,
     save_solution,
-    withdraw,
 )
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.simulation import Simulation
@@ -110,25 +111,33 @@ def test_an_earlier_result_is_withdrawn(run_folder: Path, solution: Solution) ->
     assert read_saved(run_folder).file.name == "plan.json"
 
 
-def test_nothing_half_written_stands_as_a_result(
-    plan_folder: Path, solution: Solution, monkeypatch: pytest.MonkeyPatch
+def test_an_earlier_result_stays_until_the_new_one_is_whole(
+    run_folder: Path, solution: Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """If saving fails on the way, no JSON file is left that would vouch for the rest."""
+    """If saving fails on the way, the folder is as it was, to the byte."""
+    before = {file.name: file.read_bytes() for file in run_folder.iterdir()}
 
     def fail(*_: object) -> None:
         raise OutputError("disk full")
 
     monkeypatch.setattr(saved_module, "write_belief", fail)
     with pytest.raises(OutputError):
-        save_solution(solution, plan_folder)
-    assert {f.name for f in plan_folder.iterdir()} == {"steps.csv", "belief.npz"}
+        save_solution(solution, run_folder)
+    assert {file.name: file.read_bytes() for file in run_folder.iterdir()} == before
 
 
-def test_withdrawing_from_no_folder(tmp_path: Path) -> None:
+def test_a_folder_of_two_results_is_not_judged(plan_folder: Path) -> None:
+    """The marker that a killed process leaves is an error, not a verdict."""
+    (plan_folder / PLAN_OR_RUN.marker).write_text(MIXED)
+    with pytest.raises(InputError, match="holds files of two results"):
+        read_saved(plan_folder)
+
+
+def test_saving_into_no_folder(tmp_path: Path, solution: Solution) -> None:
     """A file where the folder should be is an error of output."""
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
-        withdraw(tmp_path / "file")
+        save_solution(solution, tmp_path / "file")
 
 
 def edit_json(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:

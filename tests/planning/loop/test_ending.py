@@ -36,22 +36,11 @@ def test_on_the_way() -> None:
     assert ending(PROBLEM, places(5.0, 7.0), [False], PLAN) is None
 
 
-@pytest.mark.parametrize(("learnt", "rung"), [(True, Rung.PLAN), (False, Rung.SHIFTED)])
-def test_waiting_is_no_stall(learnt: bool, rung: Rung) -> None:
-    """Who measures, or waits out the rest of an older plan, will plan anew."""
-    plan = replace_rung(rung)
-    assert ending(PROBLEM, places(7.0, 7.0), [learnt], plan) is None
-
-
-def replace_rung(rung: Rung) -> SimpleNamespace:
-    """A plan from that rung."""
-    return SimpleNamespace(rung=rung, message="cut off")
-
-
-def test_standing_still_is_a_stall() -> None:
-    """The same place and belief give the same plan; its message says why."""
-    stalled = ending(PROBLEM, places(7.0, 7.0), [False], replace_rung(Rung.STOP))
-    assert stalled == (Outcome.STALLED, "standing still with nothing new to learn: cut off")
+@pytest.mark.parametrize("rung", list(Rung))
+def test_waiting_is_no_stall(rung: Rung) -> None:
+    """Who stands for some steps will lead on: going in circles makes plans direct."""
+    plan = SimpleNamespace(rung=rung, message="cut off")
+    assert ending(PROBLEM, places(*[7.0] * STALL_STEPS), [False] * (STALL_STEPS - 1), plan) is None
 
 
 def test_circling_is_a_stall() -> None:

@@ -5,26 +5,39 @@ import pytest
 import shapely
 from scenes import small_problem
 
-from planopt.planning.programme.pivot import LATTICE_DETOUR, LOOKAHEAD_STEPS, find_pivot
+from planopt.planning.programme.pivot import (
+    LATTICE_DETOUR,
+    LOOKAHEAD_STEPS,
+    Ahead,
+    find_pivot,
+)
 from planopt.planning.scene import build_scene
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.road_map import shortest_ways, way_from
+from planopt.planning.tolerances import STEP_PAD_M
+from planopt.world.road_map import shortest_ways, way_from
 
 WALL = shapely.box(19.0, -1.0, 21.0, 22.0)
 BLOCK = shapely.Polygon([(26.0, 8.0), (31.0, 12.0), (27.0, 17.0)])
 
 
-def start_at(scene, node, ways=None, horizon=4):
+def start_at(scene, node, ways=None, horizon=4, metre_cost=None):
     """A start path that ends at a node; how it came there does not matter."""
     nodes = np.full(horizon, node)
     return GlobalStart(
         nodes=nodes,
         path_m=scene.road_map.nodes_m[nodes],
         margin_db=np.zeros(horizon),
+        route_m=np.zeros((0, 2)),
         beyond_m=np.zeros((0, 2)),
         ways=scene.ways if ways is None else ways,
-        crossing=False,
+        metre_cost=np.ones(len(scene.road_map.nodes_m)) if metre_cost is None else metre_cost,
+        is_blocked=False,
     )
+
+
+def to_go_m(pivot, place):
+    """What a pivot says the way on from a place costs."""
+    return pivot.cost_m + pivot.metre_cost * float(np.linalg.norm(pivot.position_m - place))
 
 
 def sight(scene_polygons, a, b):
@@ -53,7 +66,8 @@ def test_from_every_node(polygons, horizon):
         index = int(on_way[0])
         assert pivot.cost_m == scene.ways.cost_m[way[index]]
         ahead = np.linalg.norm(places[way] - places[node], axis=1)
-        assert pivot.cost_m + ahead[index] <= scene.ways.cost_m[node] + 1e-9
+        assert to_go_m(pivot, places[node]) == pytest.approx(scene.ways.cost_m[node], rel=1e-12)
+        assert 1.0 <= pivot.metre_cost <= (1.0 + LATTICE_DETOUR if index <= 1 else np.inf)
         in_sight = [sight(polygons, places[node], p) >= clearance for p in places[way]]
         last_seen = (in_sight.index(False) if False in in_sight else len(way)) - 1
         assert index >= last_seen
@@ -109,16 +123,87 @@ def test_behind_a_wall_the_pivot_is_before_its_corner():
 
 
 def test_weighted_ways_keep_the_cost_consistent():
-    """With factors of 1 and more on the nodes the pivot's cost plus distance is still no more."""
+    """With prices on the nodes: from the path's end the pivot says what the cost-to-go says."""
     problem = small_problem(BLOCK)
     scene = build_scene(problem)
     places = scene.road_map.nodes_m
-    factor = 1.0 + 4.0 * (places[:, 1] > 12.0)
-    ways = shortest_ways(scene.road_map, scene.goal_node, factor)
+    metre_cost = 1.0 + 4.0 * (places[:, 1] > 12.0)
+    ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+    metres = []
     for node in range(5, len(places), 101):
-        pivot = find_pivot(scene, start_at(scene, node, ways), None, 2.0, 0.5)
-        ahead = float(np.linalg.norm(pivot.position_m - places[node]))
-        assert pivot.cost_m + ahead <= ways.cost_m[node] + 1e-9
+        start = start_at(scene, node, ways, metre_cost=metre_cost)
+        pivot = find_pivot(scene, start, None, 2.0, 0.5)
+        assert to_go_m(pivot, places[node]) == pytest.approx(ways.cost_m[node], rel=1e-12)
+        assert pivot.metre_cost >= 1.0
+        metres.append(pivot.metre_cost)
+    assert min(metres) < 1.1 and max(metres) > 4.5
+
+
+def test_from_beside_the_path_the_joining_metres_count_too():
+    """Seen from elsewhere: the metres to the path's end, at what they cost there, and the rest."""
+    problem = small_problem()
+    scene = build_scene(problem)
+    places = scene.road_map.nodes_m
+    metre_cost = np.where(places[:, 0] < 14.0, 3.0, 1.0)
+    ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+    node = int(np.argmin(np.linalg.norm(places - [10.0, 15.0], axis=1)))
+    start = start_at(scene, node, ways, metre_cost=metre_cost)
+    for beside in ([9.3, 15.4], [10.5, 14.0], [8.4, 15.0]):
+        pivot = find_pivot(scene, start, None, 2.0, 0.5, np.array(beside))
+        joining = 3.0 * np.linalg.norm(places[node] - beside)
+        assert to_go_m(pivot, beside) == pytest.approx(joining + ways.cost_m[node], rel=1e-12)
+
+
+@pytest.mark.parametrize("price", [0.0, 4.0])
+def test_the_way_on_against_every_node_within_a_step(price):
+    """Cheapest of all nodes seen within a step by hand, unless the pivot is seen and cheaper."""
+    problem = small_problem(WALL, BLOCK)
+    scene = build_scene(problem)
+    places, step = scene.road_map.nodes_m, problem.step_length_m
+    metre_cost = 1.0 + price * (np.hypot(places[:, 0] - 12.0, places[:, 1] - 20.0) < 5.0)
+    ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+    generator, by_pivot, by_node = np.random.default_rng(1), 0, 0
+    for around in ([8.0, 16.0], [16.0, 21.0], [24.0, 20.0]):
+        node = int(np.argmin(np.linalg.norm(places - around, axis=1)))
+        ahead = Ahead(problem, scene, start_at(scene, node, ways, 4, metre_cost), None)
+        assert to_go_m(ahead(places[node]), places[node]) <= ways.cost_m[node] + 1e-9
+        for end in places[node] + generator.uniform(-3.0, 3.0, (40, 2)):
+            length = np.linalg.norm(places - end, axis=1)
+            near = [
+                k
+                for k in np.flatnonzero(length <= step - STEP_PAD_M)
+                if sight((WALL, BLOCK), end, places[k]) >= 0.5
+            ]
+            if not near:
+                assert ahead(end) is ahead.pivot
+                continue
+            nearest = min(near, key=lambda k, length=length: length[k])
+            metre = 0.5 * (metre_cost[near] + metre_cost[nearest])
+            expected = (metre * length[near] + ways.cost_m[near]).min()
+            found, pivot = to_go_m(ahead(end), end), ahead.pivot
+            in_view = sight((WALL, BLOCK), end, pivot.position_m) >= 0.5
+            if in_view and np.linalg.norm(places[node] - end) <= step:
+                by_pivot += to_go_m(pivot, end) < expected
+                expected = min(expected, to_go_m(pivot, end))
+            else:
+                by_node += 1
+            assert found == pytest.approx(expected, rel=1e-9)
+    assert by_pivot > 5 and by_node > 5
+
+
+def test_the_leading_pivot_is_ahead_of_a_whole_horizon():
+    """It is farther off than a path could come to early, or the goal, and costs what is to go."""
+    problem = small_problem(WALL)
+    scene = build_scene(problem)
+    places, horizon = scene.road_map.nodes_m, 40
+    node = int(np.argmin(np.linalg.norm(places - [6.0, 9.0], axis=1)))
+    ahead = Ahead(problem, scene, start_at(scene, node, horizon=horizon), None)
+    room = LATTICE_DETOUR * horizon * problem.step_length_m
+    for end in ([6.3, 9.2], [15.2, 20.1], [25.7, 18.3], [33.1, 15.2]):
+        pivot = ahead.leading(np.array(end))
+        is_goal = np.allclose(pivot.position_m, problem.robots[0].goal_m)
+        assert is_goal or np.linalg.norm(pivot.position_m - end) >= room
+        assert to_go_m(pivot, end) == pytest.approx(to_go_m(ahead(np.array(end)), end), rel=0.05)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -137,21 +222,26 @@ def test_no_pivot_beyond_a_change_of_connectivity(sign):
     np.testing.assert_array_equal(same.position_m, free.position_m)
 
 
-def test_an_end_cut_off_by_the_bound_is_its_own_pivot():
-    """Where the very next place of the way changes sides, the pivot is the end itself."""
+def test_beyond_a_change_only_as_far_as_a_path_may_come():
+    """Where the very next place of the way changes sides, the pivot is the first out of reach."""
     problem = small_problem()
     scene = build_scene(problem)
-    places = scene.road_map.nodes_m
+    places, step = scene.road_map.nodes_m, problem.step_length_m
     node = int(np.argmin(np.linalg.norm(places - [10.0, 15.0], axis=1)))
     margin = np.full(len(places), -1.0)
     margin[node] = 1.0
-    pivot = find_pivot(scene, start_at(scene, node), margin, 2.0, 0.5)
-    np.testing.assert_array_equal(pivot.position_m, places[node])
-    assert pivot.cost_m == scene.ways.cost_m[node]
+    for horizon in (4, 40):
+        start = start_at(scene, node, horizon=horizon)
+        pivot = find_pivot(scene, start, margin, step, 0.5)
+        way = places[way_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)]
+        ahead = np.linalg.norm(way - places[node], axis=1)
+        first = way[np.argmax(ahead >= LATTICE_DETOUR * horizon * step)]
+        np.testing.assert_array_equal(pivot.position_m, first)
+        assert to_go_m(pivot, places[node]) == pytest.approx(scene.ways.cost_m[node], rel=1e-12)
 
 
 def test_a_mirrored_scene_keeps_the_costs():
-    """Turning the world upside down keeps the cost to go, which bounds the pivot's in both."""
+    """Turning the world upside down keeps the cost to go, and the pivot's with it."""
     flip = [shapely.transform(p, lambda xy: xy * [1.0, -1.0] + [0.0, 30.0]) for p in (WALL, BLOCK)]
     here, there = build_scene(small_problem(WALL, BLOCK)), build_scene(small_problem(*flip))
     a, b = here.road_map.nodes_m, there.road_map.nodes_m
@@ -160,10 +250,6 @@ def test_a_mirrored_scene_keeps_the_costs():
         two = int(np.argmin(np.linalg.norm(b - (a[one] * [1.0, -1.0] + [0.0, 30.0]), axis=1)))
         first = find_pivot(here, start_at(here, one), None, 2.0, 0.5)
         second = find_pivot(there, start_at(there, two), None, 2.0, 0.5)
-        to_go = [
-            p.cost_m + np.linalg.norm(p.position_m - at)
-            for p, at in ((first, a[one]), (second, b[two]))
-        ]
         # Among ways of equal length either may be taken, and they differ in what they see.
         assert here.ways.cost_m[one] == pytest.approx(there.ways.cost_m[two])
-        assert max(to_go) <= here.ways.cost_m[one] + 1e-9
+        assert to_go_m(first, a[one]) == pytest.approx(to_go_m(second, b[two]))

@@ -15,11 +15,14 @@ from reach_tasks import (
     bowl_margins,
     constant_margins,
     no_lines,
+    outage_of,
     reach_task,
+    scored,
     slope_margins,
     with_line,
 )
 from scipy.optimize import brentq, minimize
+from scipy.stats import norm
 from stage_margins_of import stage_margins
 
 from planopt.channel.connectivity import bound_margin_db, bound_quantile
@@ -31,7 +34,11 @@ from planopt.channel.posterior import condition
 from planopt.planning.plan import Termination
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.polish import polish
-from planopt.planning.programme.reach_nlp import build_reach_nlp
+from planopt.planning.programme.reach_nlp import (
+    PIVOT_ROUNDING_M,
+    STEP_ROUNDING_M,
+    build_reach_nlp,
+)
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 from planopt.world.separation import pack_pieces, separating_lines
@@ -268,7 +275,7 @@ def test_a_mirrored_task_has_a_mirrored_path(nlp):
         N,
         LINES,
         pivot_m=np.array([9.0, 4.0]),
-        margins=bowl_margins([2.0, 2.0], 9.0),
+        margins=scored(bowl_margins([2.0, 2.0], 9.0)),
         bound_db=np.full(N, 3.0),
         lines=with_line(no_lines(N, LINES), 1, [-0.6, 0.8], 0.2),
     )
@@ -276,7 +283,7 @@ def test_a_mirrored_task_has_a_mirrored_path(nlp):
     mirrored = replace(
         task,
         pivot_m=task.pivot_m * flip,
-        margins=bowl_margins([2.0, -2.0], 9.0),
+        margins=scored(bowl_margins([2.0, -2.0], 9.0)),
         path_m=task.path_m * flip,
         lines=with_line(no_lines(N, LINES), 1, [-0.6, -0.8], 0.2),
     )
@@ -290,21 +297,23 @@ def test_a_mirrored_task_has_a_mirrored_path(nlp):
 
 def test_a_slope_stops_the_path_where_the_bound_does(nlp):
     """Margin 6 - x with 2 dB asked for: x_3 = 4, and the multipliers balance the cost."""
-    task = reach_task(N, LINES, margins=slope_margins([-1.0, 0.0], 6.0), bound_db=np.full(N, 2.0))
+    task = reach_task(
+        N, LINES, margins=scored(slope_margins([-1.0, 0.0], 6.0)), bound_db=np.full(N, 2.0)
+    )
     polished = solved(nlp, task)
     np.testing.assert_allclose(polished.path_m, 4.0 / 3.0 * ALONG, atol=1e-3)
     # d/dx_3: 2 effort step - rate + lambda * slope = 0, lambda negative at a lower bound.
     expected = 2.0 * 0.1 * 4.0 / 3.0 - 1.0
     assert polished.multipliers["connectivity"][-1] == pytest.approx(expected, abs=1e-3)
     assert np.abs(polished.multipliers["connectivity"][:-1]).max() < 1e-3
-    assert polished.slack_db.max() <= 1e-6
+    assert polished.slack_db.size == 0
 
 
 def test_a_bound_of_one_stage_only(nlp):
     """The bound is each stage's own: asked of the second only, the path bends there."""
     bound = np.array([-np.inf, 2.0, -np.inf])
     task = reach_task(
-        N, LINES, margins=slope_margins([0.0, 1.0], 0.0), bound_db=bound, step_length_m=5.0
+        N, LINES, margins=scored(slope_margins([0.0, 1.0], 0.0)), bound_db=bound, step_length_m=5.0
     )
     polished = solved(nlp, task)
     assert polished.path_m[1, 1] == pytest.approx(2.0, abs=1e-4)
@@ -316,7 +325,7 @@ def test_inside_a_circle(nlp):
     task = reach_task(
         N,
         LINES,
-        margins=bowl_margins([0.0, 0.0], 9.0),
+        margins=scored(bowl_margins([0.0, 0.0], 9.0)),
         bound_db=np.full(N, 5.0),
         pivot_m=np.array([30.0, 40.0]),
         path_m=0.1 * ALONG,
@@ -347,7 +356,7 @@ def test_a_field_of_one_measurement(nlp):
         path_m=path,
         step_length_m=20.0,
         effort_s_m2=0.01,
-        margins=lambda q: stage_margins(model, q, threshold, z),
+        margins=scored(lambda q: stage_margins(model, q, threshold, z)),
     )
     polished = solved(nlp, task)
     assert polished.path_m[-1, 0] == pytest.approx(end, abs=0.02)
@@ -355,82 +364,175 @@ def test_a_field_of_one_measurement(nlp):
     np.testing.assert_allclose(polished.path_m[:, 1], 0.0, atol=1e-3)
 
 
-# Elastic.
-
-
-def test_elastic_minimises_the_missing_db(nlp):
-    """A peak out of reach: every stage as near to it as speed allows, the rest is slack."""
-    task = reach_task(
-        N,
-        LINES,
-        margins=bowl_margins([0.0, 10.0], 0.0),
-        bound_db=np.zeros(N),
-        slack_limit_db=np.full(N, np.inf),
-        elastic=True,
-    )
-    polished = solved(nlp, task)
-    np.testing.assert_allclose(polished.path_m, ALONG[:, ::-1] * 2.0, atol=1e-3)
-    np.testing.assert_allclose(polished.slack_db, [64.0, 36.0, 16.0], atol=0.02)
-    np.testing.assert_allclose(polished.multipliers["connectivity"], -1.0, atol=1e-3)
-
-
-def test_elastic_misses_nothing_where_nothing_is_missing(nlp):
-    """With the bound within reach the slack is zero, although the start misses it."""
-    task = reach_task(
-        N,
-        LINES,
-        path_m=ALONG + np.array([0.0, 2.0]),
-        margins=slope_margins([0.0, -1.0], 0.5),
-        slack_limit_db=np.full(N, np.inf),
-        elastic=True,
-    )
-    polished = solved(nlp, task)
-    assert polished.slack_db.max() < 1e-4
-    assert (polished.path_m[:, 1] <= 0.5 + 1e-4).all()
-
-
-def test_elastic_gives_only_where_it_may(nlp):
-    """A stage without slack keeps its bound; the others miss what the compromise costs."""
-    task = reach_task(
-        N,
-        LINES,
-        margins=slope_margins([0.0, 1.0], -3.0),
-        slack_limit_db=np.array([np.inf, 0.0, np.inf]),
-        elastic=True,
-    )
-    polished = solved(nlp, task)
-    assert polished.slack_db[1] <= 1e-6
-    assert polished.path_m[1, 1] >= 3.0 - 1e-5
-    # Its own two metres are all that the first step can climb.
-    np.testing.assert_allclose(polished.slack_db[[0, 2]], [1.0, 0.0], atol=1e-3)
-
-
 def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
-    """Without slack the same is refused, and by how much is in the residual."""
+    """It is refused, and by how much is in the residual."""
     task = reach_task(N, LINES, bound_db=np.full(N, 11.0))
     polished = polish(nlp, task)
     assert polished.termination is Termination.INFEASIBLE
     assert polished.kkt_residual >= 0.99
 
 
-def test_slack_up_to_a_limit(nlp):
-    """Half a dB may be missing: the path goes that much farther down the slope."""
+# Price of outage.
+
+
+def outage_cost(task, flat):
+    """The cost of a task in NumPy and SciPy, lengths rounded at a centimetre as the solver's."""
+    n = len(task.path_m)
+    q = np.vstack([task.start_m, flat.reshape(n, 2)])
+    score = task.margins(q[1:]).value[n:]
+    share = np.append(task.outage.share_before, task.outage.charged * norm.sf(score))
+    lengths = np.hypot(np.linalg.norm(np.diff(q, axis=0), axis=1), STEP_ROUNDING_M)
+    charged_m = (lengths * 0.5 * (share[1:] + share[:-1])).sum()
+    effort = task.effort_s_m2 * (np.diff(q, axis=0) ** 2).sum()
+    to_pivot = np.hypot(np.linalg.norm(q[-1] - task.pivot_m), PIVOT_ROUNDING_M)
+    return effort + task.rate_s_m * to_pivot + task.outage.price_s_m * charged_m
+
+
+@pytest.mark.parametrize("chance", [1e-9, 0.3, 0.9])
+@pytest.mark.parametrize("price", [0.5, 0.8])
+def test_a_uniform_outage_shortens_steps(nlp, chance, price):
+    """Where every metre costs price (1 - P) more, a step is (rate - that) / (2 effort) long."""
     task = reach_task(
         N,
         LINES,
-        margins=slope_margins([-1.0, 0.0], 6.0),
-        bound_db=np.full(N, 2.0),
-        slack_limit_db=np.full(N, 0.5),
+        effort_s_m2=0.3,
+        step_length_m=5.0,
+        margins=scored(constant_margins(10.0), constant_margins(norm.ppf(chance))),
+        outage=outage_of(N, price, 1.0 - chance),
     )
     polished = solved(nlp, task)
-    assert polished.path_m[-1, 0] == pytest.approx(4.5, abs=1e-3)
-    assert polished.slack_db.max() <= 0.5 + 1e-6
+    length = (1.0 - price * (1.0 - chance)) / (2.0 * 0.3)
+    # The rounding of lengths takes half a thousandth off the price of the shortest step here.
+    np.testing.assert_allclose(polished.path_m, length * ALONG, atol=3e-3)
+
+
+def test_only_charged_steps_are_shortened(nlp):
+    """With the middle step's place alone charged, each of its two steps pays half of the price."""
+    task = reach_task(
+        N,
+        LINES,
+        effort_s_m2=0.3,
+        step_length_m=5.0,
+        margins=scored(constant_margins(10.0), constant_margins(-40.0)),
+        outage=outage_of(N, 0.6, 0.0, np.array([0.0, 1.0, 0.0])),
+    )
+    lengths = np.diff(np.append(0.0, solved(nlp, task).path_m[:, 0]))
+    np.testing.assert_allclose(lengths, np.array([1.0, 0.7, 0.7]) / 0.6, atol=1e-3)
+
+
+PRICED = {
+    "effort_s_m2": 0.9,
+    "rate_s_m": 3.0,
+    "step_length_m": 5.0,
+    "margins": scored(constant_margins(10.0), slope_margins([0.2, 0.6], -1.0)),
+    "outage": outage_of(N, 2.0, 0.4),
+    "pivot_m": np.array([9.0, 4.0]),
+}
+
+
+def test_the_priced_path_is_the_best_that_another_solver_finds(nlp):
+    """Scores rise upwards: the path goes round by the better side, as BFGS has it."""
+    task = reach_task(N, LINES, **PRICED)
+    polished = solved(nlp, task)
+    other = minimize(
+        lambda flat: outage_cost(task, flat), task.path_m.ravel(), options={"gtol": 1e-7}
+    )
+    assert outage_cost(task, polished.path_m.ravel()) <= other.fun + 1e-6
+    np.testing.assert_allclose(polished.path_m.ravel(), other.x, atol=2e-3)
+    free = solved(nlp, replace(task, outage=outage_of(N)))
+    assert (polished.path_m[:, 1] > free.path_m[:, 1] + 0.2).all()
+
+
+def test_the_residual_of_a_priced_path_by_differences(nlp):
+    """Gradient of the cost plus multipliers times the rows' Jacobian, by central differences."""
+    shape = {"margins": scored(bowl_margins([2.0, 2.0], 9.0), bowl_margins([1.0, 2.0], 4.0))}
+    priced = {"rate_s_m": 3.0, "outage": outage_of(N, 1.5, 0.5)}
+    task = reach_task(N, LINES, **HARD | shape | priced)
+    polished = solved(nlp, task, 1e-5)
+    at = polished.path_m.ravel()
+
+    def rows(flat):
+        q = np.vstack([task.start_m, flat.reshape(N, 2)])
+        lines = task.lines.normals[:, :, None] @ q[1:, None, :, None]
+        starts = task.lines.normals[1:, :, None] @ q[1:-1, None, :, None]
+        squares = (np.diff(q, axis=0) ** 2).sum(1)
+        margins = task.margins(q[1:]).value[:N]
+        return np.concatenate([squares, lines.ravel(), starts.ravel(), margins])
+
+    def slopes(function):
+        return np.stack(
+            [(function(at + h) - function(at - h)) / 2e-5 for h in 1e-5 * np.eye(2 * N)]
+        )
+
+    names = ("speed", "line_end", "line_start", "connectivity")
+    multipliers = np.concatenate([polished.multipliers[name].ravel() for name in names])
+    assert np.abs(multipliers).max() > 0.1
+    lagrangian = slopes(lambda flat: outage_cost(task, flat)) + slopes(rows) @ multipliers
+    np.testing.assert_allclose(lagrangian, 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("step", range(N))
+def test_a_point_moved_along_the_outage_shows_in_the_residual(nlp, monkeypatch, step):
+    """The residual knows the slope of the outage at every step."""
+    call = ipopt.call_nlp
+
+    def moved(*arguments):
+        point = call(*arguments)
+        places = point.positions_m.copy()
+        places[step, 1] += 0.1
+        return replace(point, positions_m=places)
+
+    task = reach_task(N, LINES, **PRICED)
+    residual = solved(nlp, task, 1e-5).kkt_residual
+    monkeypatch.setattr(ipopt, "call_nlp", moved)
+    found = polish(nlp, task)
+    assert found.kkt_residual > max(0.01, 100.0 * residual)
+    at = found.path_m.ravel()
+    slope = [
+        (outage_cost(task, at + h) - outage_cost(task, at - h)) / 2e-5 for h in 1e-5 * np.eye(2 * N)
+    ]
+    assert found.kkt_residual == pytest.approx(np.abs(slope).max(), rel=1e-3)
+
+
+def test_scores_that_nothing_is_charged_on_change_nothing(nlp):
+    """Without a price, or with no step charged, the path is that of the task without outage."""
+    task = reach_task(N, LINES, **PRICED)
+    free = solved(nlp, replace(task, margins=scored(constant_margins(10.0)), outage=outage_of(N)))
+    for outage in (outage_of(N), outage_of(N, 3.0, 0.0, 0.0)):
+        np.testing.assert_allclose(
+            solved(nlp, replace(task, outage=outage)).path_m, free.path_m, atol=1e-6
+        )
+
+
+def test_a_dearer_outage_is_less_of_it(nlp):
+    """Metres charged fall as the price rises."""
+    charged = []
+    for price in (0.0, 0.5, 1.0, 2.0):
+        task = reach_task(N, LINES, **PRICED | {"outage": outage_of(N, price, 0.4)})
+        at = solved(nlp, task).path_m.ravel()
+        doubled = replace(task, outage=outage_of(N, price + 1.0, 0.4))
+        charged.append(outage_cost(doubled, at) - outage_cost(task, at))
+    assert (np.diff(charged) < -1e-2).all()
+
+
+def test_a_mirrored_priced_task_has_a_mirrored_path(nlp):
+    """Turning pivot and scores upside down turns the path."""
+    flip = np.array([1.0, -1.0])
+    task = reach_task(N, LINES, **PRICED)
+    mirrored = replace(
+        task,
+        pivot_m=task.pivot_m * flip,
+        margins=scored(constant_margins(10.0), slope_margins([0.2, -0.6], -1.0)),
+    )
+    np.testing.assert_allclose(
+        solved(nlp, task).path_m * flip, solved(nlp, mirrored).path_m, atol=1e-5
+    )
 
 
 # Residual and reuse.
 
 HARD = {
-    "margins": bowl_margins([2.0, 2.0], 9.0),
+    "margins": scored(bowl_margins([2.0, 2.0], 9.0)),
     "bound_db": np.full(N, 3.0),
     "lines": with_line(no_lines(N, LINES), 1, [-0.6, 0.8], 0.2),
     "pivot_m": np.array([9.0, 4.0]),
@@ -455,7 +557,7 @@ def test_a_perturbed_multiplier_shows_in_the_residual(nlp, monkeypatch, which):
 
 
 def test_a_moved_point_shows_in_the_residual(nlp, monkeypatch):
-    """So it would for a place or a slack that is not the solution's."""
+    """So it would for a place that is not the solution's."""
     call = ipopt.call_nlp
 
     def moved(*arguments):
@@ -476,7 +578,10 @@ def test_the_same_solve_twice_is_the_same(nlp):
 
 
 FAILURES = {
-    "margins not a number": ({"margins": constant_margins(np.nan)}, Termination.NUMERICAL_FAILURE),
+    "margins not a number": (
+        {"margins": scored(constant_margins(np.nan))},
+        Termination.NUMERICAL_FAILURE,
+    ),
     "bound out of reach": ({"bound_db": np.full(N, 1e3)}, Termination.INFEASIBLE),
     "start not a number": ({"path_m": np.full((N, 2), np.nan)}, Termination.NUMERICAL_FAILURE),
     "start far off": (
@@ -509,7 +614,7 @@ def test_a_failed_solve_leaves_nothing_behind(nlp, name):
 
 def test_margins_that_are_not_a_number_have_no_residual(nlp):
     """Nothing says how far from a solution such a point is."""
-    polished = polish(nlp, reach_task(N, LINES, margins=constant_margins(np.nan)))
+    polished = polish(nlp, reach_task(N, LINES, margins=scored(constant_margins(np.nan))))
     assert polished.kkt_residual == np.inf
 
 
@@ -520,7 +625,7 @@ def test_margins_that_turn_into_no_number_on_the_way(nlp):
         here = constant_margins(10.0)(positions_m)
         return replace(here, value=np.where(positions_m[:, 0] < 3.5, here.value, np.nan))
 
-    polished = polish(nlp, reach_task(N, LINES, margins=ends))
+    polished = polish(nlp, reach_task(N, LINES, margins=scored(ends)))
     assert np.isfinite(polished.path_m).all()
     assert polished.termination is not Termination.CONVERGED or polished.path_m[:, 0].max() < 3.5
 

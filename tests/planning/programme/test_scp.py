@@ -4,7 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reach_tasks import bowl_margins, constant_margins, reach_task
+from reach_tasks import (
+    bowl_margins,
+    constant_margins,
+    outage_of,
+    reach_task,
+    scored,
+    slope_margins,
+)
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -52,7 +59,7 @@ def test_the_circle_and_the_line():
 def test_it_finds_what_ipopt_finds(solvers, bound_db):
     """Path and multipliers, with the connectivity bound slack and tight."""
     task = reach_task(
-        N, LINES, margins=bowl_margins([3.0, 1.5], 4.0), bound_db=np.full(N, bound_db)
+        N, LINES, margins=scored(bowl_margins([3.0, 1.5], 4.0)), bound_db=np.full(N, bound_db)
     )
     by_ipopt, by_scp = (polish(nlp, task) for nlp in solvers)
     assert by_scp.termination is Termination.CONVERGED
@@ -62,9 +69,27 @@ def test_it_finds_what_ipopt_finds(solvers, bound_db):
     assert by_scp.kkt_residual < 1e-2
 
 
+def test_it_finds_what_ipopt_finds_at_a_price_of_outage(solvers):
+    """The same where the path is bent by what a metre out of contact costs."""
+    task = reach_task(
+        N,
+        LINES,
+        effort_s_m2=0.3,
+        step_length_m=3.0,
+        margins=scored(constant_margins(10.0), slope_margins([0.2, 0.6], -1.0)),
+        outage=outage_of(N, 2.0, 0.4),
+        pivot_m=np.array([15.0, 4.0]),
+    )
+    by_ipopt, by_scp = (polish(nlp, task) for nlp in solvers)
+    assert by_ipopt.termination is by_scp.termination is Termination.CONVERGED
+    np.testing.assert_allclose(by_scp.path_m, by_ipopt.path_m, atol=2e-2)
+    free = polish(solvers[0], replace(task, outage=outage_of(N)))
+    assert np.abs(by_ipopt.path_m - free.path_m).max() > 0.3
+
+
 def test_rows_that_cannot_be_kept(solvers):
     """A bound above what any place has: infeasible, not converged."""
-    task = reach_task(N, LINES, margins=constant_margins(-5.0), bound_db=np.zeros(N))
+    task = reach_task(N, LINES, margins=scored(constant_margins(-5.0)), bound_db=np.zeros(N))
     assert polish(solvers[1], task).termination is Termination.INFEASIBLE
 
 
@@ -75,7 +100,7 @@ def test_no_numbers(solvers):
     for spoilt in (
         replace(task, path_m=np.full((N, 2), np.nan)),
         replace(task, bound_db=np.full(N, np.nan)),
-        replace(task, margins=constant_margins(np.nan), bound_db=np.zeros(N)),
+        replace(task, margins=scored(constant_margins(np.nan)), bound_db=np.zeros(N)),
     ):
         lost = polish(solvers[1], spoilt)
         assert lost.termination is Termination.NUMERICAL_FAILURE

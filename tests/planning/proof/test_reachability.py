@@ -1,18 +1,16 @@
-"""What can be met at all: the two searches against brute force and exact geometry."""
+"""The best place that could be reached: against brute force and exact geometry."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy.ndimage
 import shapely
-from scenes import RING, WALL, bad_band, small_problem
+from scenes import RING, WALL, small_problem
 
 from planopt.planning.proof.reachability import best_margins_by_step
-from planopt.planning.proof.ways_to_goal import connected_way_exists, least_outage_m
 from planopt.world.clearance import index_obstacles
 
-START, GOAL = np.array([5.0, 15.0]), np.array([35.0, 15.0])
+START = np.array([5.0, 15.0])
 BOUNDS = (0.0, 0.0, 40.0, 30.0)
 
 
@@ -24,11 +22,6 @@ def index_of(*polygons):
 def best_margin_within_reach(index, margin, start, radius, clearance, bounds=(-60, -60, 100, 90)):
     """The best margin by the first step of this length."""
     return best_margins_by_step(index, bounds, margin, start, radius, np.array([1]), clearance)[0]
-
-
-def way_exists(index, bounds, margin, start, goal, clearance, step, within_m=0.0):
-    """Whether there is a way from the start itself, or from near it."""
-    return connected_way_exists(index, bounds, margin, start, goal, clearance, step, within_m)
 
 
 def nearness_to(place):
@@ -88,137 +81,6 @@ def test_start_too_near_to_an_obstacle():
     assert best == pytest.approx(0.0)
 
 
-def boxes(rng, count):
-    """Boxes of at least 3 m that leave start and goal alone."""
-    found = []
-    while len(found) < count:
-        x, y = rng.uniform((0, -10), (34, 24))
-        box = shapely.box(x, y, x + rng.uniform(3, 8), y + rng.uniform(3, 30))
-        if min(box.distance(shapely.Point(START)), box.distance(shapely.Point(GOAL))) > 3.0:
-            found.append(box)
-    return found
-
-
-def margin_outside(bad):
-    """A positive margin outside a geometry, a negative one in it."""
-    shapely.prepare(bad)
-    return lambda q: np.where(shapely.contains(bad, shapely.points(q)), -1.0, 1.0)
-
-
-def joined(forbidden, grown_m):
-    """Whether start and goal are in one part of the workspace less a grown or shrunk geometry."""
-    free = shapely.box(*BOUNDS).difference(forbidden.buffer(grown_m))
-    parts = shapely.get_parts(free)
-    here = [k for k, p in enumerate(parts) if p.distance(shapely.Point(START)) < 1e-9]
-    there = [k for k, p in enumerate(parts) if p.distance(shapely.Point(GOAL)) < 1e-9]
-    return bool(set(here) & set(there))
-
-
-def test_flood_against_exact_geometry():
-    """Parts of the exact free space decide, but for ways as narrow as the grid: 120 scenes."""
-    rng = np.random.default_rng(11)
-    answers = []
-    for _ in range(120):
-        obstacles, bad = boxes(rng, 4), shapely.union_all(boxes(rng, 5))
-        found = way_exists(index_of(*obstacles), BOUNDS, margin_outside(bad), START, GOAL, 0.5, 2.0)
-        forbidden = shapely.union_all([bad, *obstacles])
-        wide, narrow = joined(forbidden, 1.5), joined(forbidden, -0.8)
-        if wide:
-            assert found
-        if not narrow:
-            assert not found
-        answers.append((wide, narrow))
-    assert answers.count((True, True)) >= 10
-    assert answers.count((False, False)) >= 10
-
-
-def test_flood_against_labelled_pixels():
-    """A random field thresholded at half: the same answer as labelling its very pixels."""
-    rng = np.random.default_rng(5)
-    seen = set()
-    for _ in range(40):
-        field = scipy.ndimage.gaussian_filter(rng.normal(size=(31, 41)), 2.0)
-        field -= np.quantile(field, 0.45)
-        field[15, 5] = 1.0
-
-        def margin(q, field=field):
-            return field[np.rint(q[:, 1]).astype(int), np.rint(q[:, 0]).astype(int)]
-
-        labels, _ = scipy.ndimage.label(field >= 0.0, np.ones((3, 3)))
-        around = [labels[15, 35], labels[14, 35], labels[16, 35], labels[15, 34], labels[15, 36]]
-        expected = labels[15, 5] in around
-        found = way_exists(index_of(), BOUNDS, margin, START, GOAL, 0.5, 2.0)
-        assert found == expected
-        seen.add(expected)
-    assert seen == {True, False}
-
-
-def test_start_below_the_bound_is_no_obstacle_to_itself():
-    """The start is where the robot is, whatever is predicted there; a hole beyond it closes."""
-    around = nearness_to(START)
-
-    def open_at_once(q):
-        return np.where(around(q) > -0.4, -1.0, 1.0)
-
-    def open_far_out(q):
-        return np.where(around(q) > -3.0, -1.0, 1.0)
-
-    assert way_exists(index_of(), BOUNDS, open_at_once, START, GOAL, 0.5, 2.0)
-    assert not way_exists(index_of(), BOUNDS, open_far_out, START, GOAL, 0.5, 2.0)
-
-
-def test_goal_below_the_bound_can_be_come_to():
-    """Within a grid spacing of the goal is near enough; two below is not."""
-    near = nearness_to(GOAL)
-    assert way_exists(
-        index_of(), BOUNDS, lambda q: np.where(near(q) > -0.9, -1.0, 1.0), START, GOAL, 0.5, 2.0
-    )
-    assert not way_exists(
-        index_of(), BOUNDS, lambda q: np.where(near(q) > -2.0, -1.0, 1.0), START, GOAL, 0.5, 2.0
-    )
-
-
-@pytest.mark.parametrize("clearance", [0.0, 0.1, 0.5, 2.0])
-def test_no_way_through_a_building(clearance):
-    """A block across the workspace closes it, however small the clearance is against the grid."""
-    block = index_of(shapely.box(15, 0, 25, 30))
-
-    def good(q):
-        return np.ones(len(q))
-
-    assert not way_exists(block, BOUNDS, good, START, GOAL, clearance, 2.0)
-    gate = index_of(shapely.box(15, 0, 25, 12), shapely.box(15, 18, 25, 30))
-    assert way_exists(gate, BOUNDS, good, START, GOAL, clearance, 2.0)
-
-
-def test_way_along_the_border():
-    """The grid is anchored at the start and reaches every border."""
-    bad = shapely.box(15, 1.2, 25, 30)
-    for start in ((5.0, 15.0), (5.3, 14.6), (4.9, 15.5)):
-        assert way_exists(index_of(), BOUNDS, margin_outside(bad), np.array(start), GOAL, 0.5, 2.0)
-
-
-def test_ways_that_begin_near_the_start():
-    """From a hole the way begins at its rim, if that is near enough; a moat about it closes it."""
-    away = nearness_to(START)
-
-    def hole(q):
-        return np.where(away(q) > -3.0, -1.0, 1.0)
-
-    def moat(q):
-        return np.where((away(q) < -5.0) & (away(q) > -8.0), -1.0, hole(q))
-
-    for margin, within_m, expected in (
-        (hole, 0.0, False),
-        (hole, 2.0, False),
-        (hole, 4.0, True),
-        (moat, 4.0, False),
-        (moat, 9.0, True),
-    ):
-        found = way_exists(index_of(), BOUNDS, margin, START, GOAL, 0.5, 2.0, within_m)
-        assert found == expected
-
-
 def test_places_outside_the_workspace_are_out_of_reach():
     """The peak lies beyond the border: the best place is on it."""
     best = best_margin_within_reach(
@@ -237,23 +99,6 @@ def test_more_steps_are_never_worse():
     assert (np.diff(bests) >= 0.0).all()
     assert bests[0] < 0.0 < bests[3]
     assert bests[-1] == pytest.approx(3.0, abs=0.5)
-
-
-def test_least_outage_of_a_band():
-    """A band across the workspace costs its width, from either side of it nothing more or less."""
-    places = np.array([START, [20.0, 15.0], [30.0, 15.0]])
-    below = bad_band(18.0, 24.0)
-    outage = least_outage_m(index_of(), BOUNDS, lambda q: below(q) + 83.0, places, GOAL, 0.5, 1.0)
-    assert outage == pytest.approx([6.0, 4.0, 0.0], abs=0.6)
-
-
-def test_least_outage_takes_the_way_round():
-    """Where the band is open at one end nothing need be driven below the bound."""
-    below = bad_band(18.0, 24.0, open_above_m=20.0)
-    outage = least_outage_m(
-        index_of(), BOUNDS, lambda q: below(q) + 83.0, START[None], GOAL, 0.5, 1.0
-    )
-    assert outage[0] < 0.1
 
 
 def spot(x, y, radius):

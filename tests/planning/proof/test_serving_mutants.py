@@ -52,7 +52,7 @@ MUTANTS = (
         "return found[0][0]",
     ),
     (BROAD, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
-    (BROAD, "if len(posteriors) > 1:", "if len(posteriors) > 2:"),
+    (BROAD, "if len(posteriors) > 1 or", "if len(posteriors) > 2 or"),
     (
         WHOLE,
         "broad.probability(positions_m[1:], slack_db)",
@@ -62,7 +62,7 @@ MUTANTS = (
     (DRAWS, "threshold_dbm - slack_db", "threshold_dbm + slack_db"),
     (DRAWS, "least_dbm >=", "least_dbm <"),
     (DRAWS, "broad).min(axis=1)", "broad).max(axis=1)"),
-    (DRAWS, "path_prediction(station, path_m), number", "path_prediction(station, path_m), 0"),
+    (DRAWS, "path_m, threshold), number", "path_m, threshold), 0"),
 )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from hypothesis import strategies as st
 from scenes import (
     CUP,
     RING,
+    THRESHOLD_DBM,
     WALL,
     bad_band,
     bad_disc,
@@ -25,14 +28,18 @@ from scenes import (
     small_problem,
     straight_path,
 )
+from unpriced import unpriced
 
 import planopt.planning.proof.predictions as predictions
+import planopt.planning.proof.rules.single_steps as single_steps
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.planning.certificate import Certificate
+from planopt.planning.history import History
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.verify import judge, verify
+from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.verify import STANDING, UNCOMPARED, judge, verify
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -150,7 +157,7 @@ def test_good_plan():
     assert certificate.dynamics_defect <= 0.0
     assert certificate.relaxed_steps == certificate.relaxation_db == ()
     assert certificate.best_margin_db == ()
-    assert certificate.no_connected_way is False
+    assert certificate.path_cost_m is certificate.best_cost_m is None
 
 
 def test_no_obstacles_is_infinite_clearance():
@@ -278,24 +285,24 @@ AVOIDABLE = bad_disc(9.0, 15.0, 2.5)
     ],
 )
 def test_avoidable_place_below_the_bound(path):
-    """Midway, at the last step, at the first: a better place was in reach, and a way round."""
+    """Midway, at the last step, at the first: a better place was in reach."""
     certificate = assert_rejected(
-        judged(small_problem(), path, AVOIDABLE), "constraints.p_min", "within reach"
+        judged(unpriced(small_problem()), path, AVOIDABLE), "constraints.p_min", "within reach"
     )
     assert certificate.relaxed_steps
-    assert not certificate.no_connected_way
     assert max(certificate.best_margin_db) > 0.0
+    assert certificate.path_cost_m is certificate.best_cost_m is None
 
 
 def test_margin_to_a_hundredth_of_a_db():
     """A threshold a hundredth of a dB too high for the only step is seen; as much lower is kept."""
-    problem = small_problem(horizon=1)
     path = np.array([(5.0, 15.0), (6.0, 16.0)])
+    problem = small_problem(horizon=1)
     mean, deviation = kriged(belief_of(problem), path[1:])
     limit = float(mean[0] - scipy.stats.norm.ppf(0.9) * deviation[0])
 
     def at(threshold_dbm):
-        return judged(small_problem(horizon=1, threshold_dbm=threshold_dbm), path)
+        return judged(unpriced(small_problem(horizon=1, threshold_dbm=threshold_dbm)), path)
 
     # The belief's mean is the usual threshold, whatever this problem's own is.
     certificate, verdict = at(limit + 0.01)
@@ -307,18 +314,17 @@ def test_margin_to_a_hundredth_of_a_db():
 
 def test_start_below_the_bound_leaves_by_the_first_step_that_can():
     """What no place in reach could meet is not held against the plan."""
-    problem = small_problem()
-    path = straight_path(problem, 2.0)
+    problem = unpriced(small_problem())
+    path = straight_path(small_problem(), 2.0)
     certificate = assert_verified(judged(problem, path, bad_disc(5.0, 15.0, 3.5)))
     assert certificate.relaxed_steps == (1,)
     assert certificate.relaxation_db[0] > 0.0
     assert certificate.best_margin_db[0] < 0.0
-    assert not certificate.no_connected_way
 
 
 def test_dawdling_below_the_bound():
-    """The place next door keeps the bound, and so does a way from there: it must be taken."""
-    problem = small_problem()
+    """The place next door keeps the bound: it must be taken."""
+    problem = unpriced(small_problem())
     around = bad_disc(5.0, 15.0, 1.0)
     leaves = [(5.0, 15.0), (6.4, 16.4), (8.0, 16.4)]
     dawdles = [(5.0, 15.0), (5.0, 15.0), (6.4, 16.4)]
@@ -327,45 +333,160 @@ def test_dawdling_below_the_bound():
 
 
 def test_dawdling_deep_below_the_bound():
-    """The bound can be met from step 3 on, and a way from there keeps it: step 8 is too late."""
-    problem = small_problem(horizon=8)
+    """The bound can be met from step 3 on: step 8 is too late."""
+    problem = unpriced(small_problem(horizon=8))
     x = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 7.0, 9.0, 11.0]
     path = np.column_stack([x, np.full(9, 15.0)])
     certificate, verdict = judged(problem, path, bad_disc(5.0, 15.0, 5.0))
     assert max(certificate.best_margin_db) > 10.0
     assert verdict is Verdict.VIOLATED
-    assert not certificate.no_connected_way
     x = [5.0, 7.0, 9.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
     leaving = judged(problem, np.column_stack([x, np.full(9, 15.0)]), bad_disc(5.0, 15.0, 5.0))
     assert assert_verified(leaving).relaxed_steps == (1, 2)
 
 
-CROSSING = np.column_stack([np.linspace(16.0, 26.0, 6), np.full(6, 15.0)])
+def priced(price: float, *polygons: shapely.Polygon, **keys: Any) -> Problem:
+    """The small problem at a price of outage."""
+    problem = small_problem(*polygons, **keys)
+    return replace(problem, objective=replace(problem.objective, outage_price=price))
 
 
-def test_gap_without_a_way_round_may_be_crossed():
-    """A band across the whole workspace: missing the bound in it is allowed, and said."""
-    certificate = assert_verified(judged(small_problem(), CROSSING, bad_band(19.0, 23.0)))
-    assert certificate.relaxed_steps
-    assert certificate.no_connected_way
-    assert max(certificate.best_margin_db) > 0.0
+def along(*x: float, y: float = 15.0) -> np.ndarray:
+    """Places in a row."""
+    return np.column_stack([x, np.full(len(x), y)])
 
 
-def test_gap_with_a_way_round_may_not_be_crossed():
-    """The same band, open at its upper end."""
+CROSSING = along(10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30)
+WIDE, OPEN_WIDE = bad_band(15.0, 25.0), bad_band(15.0, 25.0, open_above_m=20.0)
+
+
+def test_hole_without_a_way_round_may_be_crossed():
+    """A band across the workspace: missing the bound in it is allowed, and said with its cost."""
+    certificate = assert_verified(judged(small_problem(), CROSSING, WIDE))
+    assert certificate.relaxed_steps == (3, 4, 5, 6, 7)
+    assert certificate.best_margin_db == ()
+    assert certificate.best_cost_m == pytest.approx(certificate.path_cost_m, abs=10.0)
+
+
+def test_hole_with_a_way_round_may_not_be_crossed():
+    """The same band, open at its upper end: a few metres more would have kept the bound."""
     certificate = assert_rejected(
-        judged(small_problem(), CROSSING, bad_band(19.0, 23.0, open_above_m=20.0)), "p_min"
+        judged(small_problem(), CROSSING, OPEN_WIDE), "p_min", "outage_price", "m was found"
     )
-    assert not certificate.no_connected_way
+    assert certificate.relaxed_steps == (3, 4, 5, 6, 7)
+    assert certificate.best_cost_m < 40.0 < 100.0 < certificate.path_cost_m
+
+
+def test_path_cost_is_the_plans_by_hand():
+    """Metres driven, those of steps below the bound by 1 + price (1 - P), and the rest."""
+    problem, power = priced(3.0), WIDE
+    certificate = assert_verified(judged(problem, CROSSING, power))
+    mean, deviation = kriged(belief_of(problem, power), CROSSING)
+    score = (mean - THRESHOLD_DBM) / deviation
+    share = np.where(score < scipy.stats.norm.ppf(0.9), scipy.stats.norm.sf(score), 0.0)
+    lengths = np.linalg.norm(np.diff(CROSSING, axis=0), axis=1)
+    driven = (lengths * (1.0 + 3.0 * (share[1:] + share[:-1]) / 2.0)).sum()
+    assert certificate.path_cost_m == pytest.approx(driven + 5.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("price", [0.0, 0.3, 10.0])
+def test_the_price_decides_whether_a_hole_may_be_crossed(price):
+    """Across costs 10 metres times the price; round its end some 8."""
+    problem = priced(price)
+    _, verdict = judged(problem, CROSSING, OPEN_WIDE)
+    assert (verdict is Verdict.VERIFIED) == (price * 10.0 < 8.0)
+
+
+def test_without_a_price_only_metres_count():
+    """A plan below the bound must not be longer than the shortest path by more than a little."""
+    away = np.vstack([CROSSING[:6], along(18, 16, 14, 12, 10, 8, 6, 4, 2)])
+    assert_verified(judged(priced(0.0), CROSSING, WIDE))
+    assert_rejected(judged(priced(0.0), away, WIDE), "p_min", "outage_price 0")
+
+
+@pytest.mark.parametrize("beyond_m", [-0.1, 0.1])
+def test_just_as_much_dearer_as_is_tolerated(monkeypatch, beyond_m):
+    """Whatever the tolerance is: cost equal to it is excused, a little more is not."""
+    certificate = assert_verified(judged(small_problem(), CROSSING, WIDE))
+    over = certificate.path_cost_m / certificate.best_cost_m - 1.0
+    monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", 0.0)
+    monkeypatch.setattr(single_steps, "COST_TOLERANCE", over - beyond_m / 100.0)
+    _, verdict = judged(small_problem(), CROSSING, WIDE)
+    assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
+
+
+@pytest.mark.parametrize("beyond_m", [-0.1, 0.1])
+def test_the_leeway_is_of_steps_out_of_contact(monkeypatch, beyond_m):
+    """So many longest steps, each metre of them at the whole price."""
+    certificate = assert_verified(judged(small_problem(), CROSSING, WIDE))
+    over = certificate.path_cost_m - certificate.best_cost_m
+    step = small_problem().step_length_m * 11.0
+    monkeypatch.setattr(single_steps, "COST_TOLERANCE", 0.0)
+    monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", (over - beyond_m) / step)
+    _, verdict = judged(small_problem(), CROSSING, WIDE)
+    assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
+
+
+@pytest.mark.parametrize("beyond_m", [-0.01, 0.01])
+def test_a_run_may_not_waste_more_than_one_plan(beyond_m):
+    """What steps below the bound have cost beyond the cheapest paths counts for all of the run."""
+    problem = small_problem()
+    certificate = assert_verified(judged(problem, CROSSING, WIDE))
+    leeway = single_steps.COST_LEEWAY_STEPS * problem.step_length_m * 11.0
+    driven = 70.0 + certificate.step_cost_m
+    left = single_steps.COST_TOLERANCE * driven + leeway - certificate.step_excess_m
+    history = History(crossing_cost_m=70.0, crossing_excess_m=left + beyond_m)
+    index, belief = index_obstacles(problem.workspace), belief_of(problem, WIDE)
+    judgement = judge(
+        problem,
+        index,
+        belief.posterior,
+        CROSSING[0],
+        CROSSING,
+        circumstances=Circumstances(history=history),
+    )
+    assert (judgement.verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
+    assert all("of the run so far" in reason for reason in judgement.certificate.reasons)
+    # A plan that keeps the bound is not held to account for what has been.
+    free = judge(
+        problem,
+        index,
+        belief_of(problem).posterior,
+        CROSSING[0],
+        CROSSING,
+        circumstances=Circumstances(history=history),
+    )
+    assert free.verdict is Verdict.VERIFIED
+
+
+def test_into_a_hole_and_back_is_not_excused():
+    """Where nothing leads round it: but driving in it to and fro is dear."""
+    back = along(16, 18, 20, 22, 20, 18, 16, 18, 20, 22, 20, 18, 16)
+    assert_rejected(judged(small_problem(), back, WIDE), "p_min", "outage_price")
 
 
 def test_way_round_that_obstacles_close():
     """Open at its upper end, but a building stands there: no way again."""
-    block = shapely.box(17.0, 18.0, 25.0, 30.0)
-    certificate = assert_verified(
-        judged(small_problem(block), CROSSING, bad_band(19.0, 23.0, open_above_m=20.0))
-    )
-    assert certificate.no_connected_way
+    block = shapely.box(13.0, 18.0, 27.0, 30.0)
+    certificate = assert_verified(judged(small_problem(block), CROSSING, OPEN_WIDE))
+    assert certificate.best_cost_m > 100.0
+
+
+@pytest.mark.parametrize("path", [CROSSING, along(16, 18, 20), along(20, 20.5, 21, 20.5)])
+def test_a_mirrored_hole_is_judged_the_same(path):
+    """Start and goal exchanged, left and right: costs and verdict stay."""
+
+    def mirrored(q):
+        return np.asarray(q) * (-1.0, 1.0) + (40.0, 0.0)
+
+    problem = small_problem()
+    robot = replace(problem.robots[0], start_m=(35.0, 15.0), goal_m=(5.0, 15.0))
+    other = replace(problem, robots=(robot,))
+    one, verdict = judged(problem, path, OPEN_WIDE)
+    two, other_verdict = judged(other, mirrored(path), lambda q: OPEN_WIDE(mirrored(q)))
+    assert verdict is other_verdict
+    assert one.path_cost_m == pytest.approx(two.path_cost_m)
+    assert one.best_cost_m == pytest.approx(two.best_cost_m)
 
 
 def test_better_place_behind_a_wall_is_not_in_reach():
@@ -375,30 +496,55 @@ def test_better_place_behind_a_wall_is_not_in_reach():
     )
     power = bad_where(lambda x, y: (x > 8) & (x < 16) & (y > 8) & (y < 22))
     path = np.column_stack([np.linspace(10.0, 20.0, 6), np.full(6, 15.0)])
-    inside = assert_verified(judged(small_problem(yard, clearance_m=1.0), path, power))
+    walled = unpriced(small_problem(yard, clearance_m=1.0))
+    inside = assert_verified(judged(walled, path, power))
     assert inside.relaxed_steps == (1, 2, 3)
     assert max(inside.best_margin_db) < 0.0
     # Without the walls the place to the left of the start is near enough by step 3.
-    assert max(judged(small_problem(), path, power)[0].best_margin_db) > 0.0
+    assert max(judged(unpriced(small_problem()), path, power)[0].best_margin_db) > 0.0
 
 
 def test_bound_that_is_met_nowhere():
-    """Every step is below, none could be better: an answer with its number, not a plan."""
+    """Every step is below, no place is better: an answer with its number, not a plan."""
     problem = small_problem()
     certificate = assert_rejected(
-        judged(problem, straight_path(problem), bad_everywhere), "none of the 4 steps", "dB"
+        judged(problem, straight_path(problem), bad_everywhere), "met nowhere", "dB"
     )
     assert certificate.relaxed_steps == (1, 2, 3, 4)
+    everywhere = np.stack(np.meshgrid(np.arange(41.0), np.arange(31.0)), axis=-1).reshape(-1, 2)
+    mean, deviation = kriged(belief_of(problem, bad_everywhere), everywhere)
+    margin = (mean - scipy.stats.norm.ppf(0.9) * deviation).max() - THRESHOLD_DBM
+    said = float(re.search(r"by ([0-9.]+) dB", certificate.reasons[0])[1])
+    assert said == pytest.approx(-margin, abs=0.01)
+
+
+def test_bound_that_is_met_nowhere_within_reach():
+    """A plan without a price of outage has its number, too."""
+    path = straight_path(small_problem())
+    certificate = assert_rejected(
+        judged(unpriced(small_problem()), path, bad_everywhere), "none of the 4 steps", "dB"
+    )
     assert max(certificate.best_margin_db) < -10.0
 
 
 def test_bound_that_is_never_met_again():
-    """Even where no way keeps it, a plan that stays below throughout is none."""
-    problem = small_problem(start_m=(20.0, 15.0))
+    """Even where nothing in reach keeps it, a plan that stays below throughout is none."""
+    problem = unpriced(small_problem(start_m=(20.0, 15.0)))
     path = np.column_stack([np.full(5, 20.0), 15.0 + np.arange(5.0)])
     certificate, verdict = judged(problem, path, bad_band(17.0, 23.0))
     assert verdict is Verdict.VIOLATED
     assert any("none of the 4 steps" in reason for reason in certificate.reasons)
+
+
+def test_standing_still_is_no_verified_progress():
+    """Short of the goal with nothing moving: feasible, not verified; at the goal it is."""
+    stand = np.tile((5.0, 15.0), (5, 1))
+    certificate, verdict = judged(small_problem(), stand)
+    assert verdict is Verdict.FEASIBLE_UNVERIFIED
+    assert certificate.reasons == (STANDING,)
+    assert_verified(judged(small_problem(), np.tile((34.5, 15.0), (5, 1))))
+    assert_verified(judged(unpriced(small_problem()), stand))
+    assert_verified(judged(small_problem(), stand + np.arange(5.0)[:, None] * (0.01, 0.0)))
 
 
 def test_posterior_of_neighbours_beyond_the_limit(monkeypatch):
@@ -427,8 +573,8 @@ def test_posterior_of_neighbours_beyond_the_limit(monkeypatch):
 
 def test_searches_by_nearby_measurements(monkeypatch):
     """Beyond their own limit the searches look at fewer: the best place is much the same."""
-    problem = small_problem()
-    path = straight_path(problem)
+    problem = unpriced(small_problem())
+    path = straight_path(small_problem())
     power = bad_disc(5.0, 15.0, 3.5)
     exact = assert_verified(judged(problem, path, power))
     monkeypatch.setattr(predictions, "SEARCH_EXACT_LIMIT", 10)
@@ -475,3 +621,19 @@ def test_moving_the_scene_changes_no_judgement(seed):
     assert flipped.min_clearance_m == pytest.approx(certificate.min_clearance_m, abs=1e-9)
     assert flipped.min_connectivity == pytest.approx(certificate.min_connectivity, abs=1e-9)
     assert flipped.relaxed_steps == certificate.relaxed_steps
+
+
+@pytest.mark.parametrize("start_x_m", [8.0, 12.0])
+def test_nothing_to_compare_with_is_neither_refused_nor_verified(start_x_m):
+    """In a corridor that no place of the verifier's grid is in: begun before it, and within."""
+    walls = shapely.box(10, 16.1, 30, 27), shapely.box(10, -1, 30, 14.9)
+    problem = small_problem(*walls, start_m=(start_x_m, 15.5))
+    path = np.column_stack([start_x_m + 1.9 * np.arange(5), np.full(5, 15.5)])
+    hole = belief_of(problem, bad_disc(start_x_m + 3.0, 15.5, 2.0))
+    index = index_obstacles(problem.workspace)
+    certificate, verdict = verify(problem, index, hole.posterior, path[0], path)
+    assert certificate.relaxed_steps
+    assert verdict is Verdict.FEASIBLE_UNVERIFIED
+    assert certificate.reasons == (UNCOMPARED,)
+    clear = belief_of(problem)
+    assert verify(problem, index, clear.posterior, path[0], path)[1] is Verdict.VERIFIED

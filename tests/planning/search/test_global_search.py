@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import networkx as nx
 import numpy as np
 import pytest
 import scipy.stats
@@ -14,9 +17,12 @@ from scenes import (
     good_everywhere,
     kriged,
     search_of,
+    situation_of,
     small_problem,
 )
 
+from planopt.objectives.reach import outage_share
+from planopt.planning.history import BEGINNING
 from planopt.planning.proof.verify import verify
 from planopt.planning.search.global_search import GlobalStart
 
@@ -24,9 +30,7 @@ from planopt.planning.search.global_search import GlobalStart
 def found(problem, power_at=good_everywhere) -> GlobalStart:
     """The start path from the problem's start."""
     search, belief, _ = search_of(problem, power_at)
-    start = search.find_start(
-        np.asarray(problem.robots[0].start_m), belief.posterior.measurements.positions_m
-    )
+    start = search.find_start(situation_of(problem, belief, np.asarray(problem.robots[0].start_m)))
     assert start is not None
     return start
 
@@ -38,14 +42,14 @@ def test_path_is_one_that_can_be_driven(cost_to_go, horizon):
     problem = small_problem(CUP, cost_to_go=cost_to_go, horizon=horizon, start_m=(18.0, 15.0))
     search, belief, scene = search_of(problem)
     at = np.asarray(problem.robots[0].start_m)
-    start = search.find_start(at, belief.posterior.measurements.positions_m)
+    start = search.find_start(situation_of(problem, belief, at))
     assert start.path_m.shape == (horizon, 2)
     assert (scene.road_map.nodes_m[start.nodes] == start.path_m).all()
     certificate, _ = verify(
         problem, scene.index, belief.posterior, at, np.vstack([at, start.path_m])
     )
     assert certificate.reasons == ()
-    assert not start.crossing
+    assert not start.is_direct and not start.is_blocked
 
 
 def test_margins_are_exact_along_the_path():
@@ -86,9 +90,9 @@ def test_beyond_ends_where_the_bound_does():
 
 def test_no_node_in_reach():
     """From far outside there is no first move."""
-    search, belief, _ = search_of(small_problem())
-    measured = belief.posterior.measurements.positions_m
-    assert search.find_start(np.array([90.0, 90.0]), measured) is None
+    problem = small_problem()
+    search, belief, _ = search_of(problem)
+    assert search.find_start(situation_of(problem, belief, np.array([90.0, 90.0]))) is None
 
 
 def test_geodesic_goes_straight_connected_goes_round():
@@ -103,20 +107,74 @@ def test_geodesic_goes_straight_connected_goes_round():
     assert ends["connected"][1] > ends["geodesic"][1] + 2.0
 
 
-def test_gap_without_a_way_round_is_measured_then_crossed():
-    """Standing before it again and again, learning nothing: in the end it is crossed."""
+@pytest.mark.parametrize("price", [0.0, 0.5, 10.0])
+def test_cost_to_go_against_networkx(price):
+    """Every node's, with the price of its own P(connected) written out."""
+    problem = small_problem(CUP, start_m=(12.0, 15.0), horizon=3)
+    problem = replace(problem, objective=replace(problem.objective, outage_price=price))
+    power = bad_disc(20.0, 4.0, 6.0)
+    search, belief, scene = search_of(problem, power)
+    start = search.find_start(situation_of(problem, belief, np.array([12.0, 15.0])))
+    road_map = scene.road_map
+    corrected = search.margins
+    z = (corrected.mean_db + 80.0) / corrected.deviation_db
+    share = outage_share(scipy.stats.norm.cdf(z), z < scipy.stats.norm.ppf(0.9) + 1e-9)
+    graph = nx.DiGraph()
+    for node, sources in enumerate(road_map.sources.tolist()):
+        for move, source in enumerate(sources):
+            if source < len(share):
+                mean_share = 0.5 * (share[source] + share[node])
+                metres = road_map.lengths_m[move] * (1.0 + price * mean_share)
+                graph.add_edge(node, source, weight=metres)
+    lengths = nx.single_source_dijkstra_path_length(graph, scene.goal_node)
+    expected = np.array([lengths.get(node, np.inf) for node in range(len(road_map.nodes_m))])
+    assert start.ways.cost_m == pytest.approx(expected, rel=0.01)
+
+
+def test_gap_without_a_way_round_is_crossed_at_once():
+    """Nothing is measured first: the cheapest path leads across, and says that it does."""
     problem = small_problem(
         bounds_m=(0.0, 0.0, 28.0, 6.0), start_m=(5.0, 3.0), goal_m=(25.0, 3.0), horizon=6
     )
     search, belief, _ = search_of(problem, bad_band(6.0, 10.0))
-    measured = belief.posterior.measurements.positions_m
-    at, crossed = np.array([5.0, 3.0]), False
-    for _ in range(60):
-        start = search.find_start(at, measured)
-        crossed = crossed or start.crossing
+    at = np.array([5.0, 3.0])
+    for _ in range(6):
+        start = search.find_start(situation_of(problem, belief, at))
         at = start.path_m[0]
-        measured = np.vstack([measured, at])
-        if at[0] > 11.0:
-            break
-    assert crossed
     assert at[0] > 11.0
+
+
+@pytest.mark.parametrize("width_m", [2.0, 12.0])
+def test_a_gap_is_crossed_where_the_way_round_costs_more(width_m):
+    """Each metre across counts eleven, the way round as many as it has."""
+    problem = small_problem(start_m=(12.0, 5.0), goal_m=(35.0, 5.0), horizon=10, speed_max_m_s=3.0)
+    start = found(problem, bad_band(18.0, 18.0 + width_m, open_above_m=20.0))
+    goes_round = bool((start.route_m[:, 1] > 18.0).any() or (start.path_m[:, 1] > 18.0).any())
+    assert goes_round == (width_m > 10.0)
+
+
+def test_a_hard_bound_is_never_crossed():
+    """Where slack is bounded at each step a start that leads across says that it is blocked."""
+    problem = small_problem(start_m=(9.0, 15.0))
+    rule = replace(problem.constraints.rule, slack_max_db=0.0)
+    problem = replace(problem, constraints=replace(problem.constraints, rule=rule))
+    assert found(problem, bad_band(18.0, 24.0)).is_blocked
+    assert not found(problem, bad_band(18.0, 24.0, open_above_m=20.0)).is_blocked
+
+
+def test_who_has_wandered_drives_the_shortest_path():
+    """After as many steps as the dearest direct path has, and after going in circles."""
+    problem = small_problem(start_m=(9.0, 15.0), horizon=5)
+    power = bad_band(18.0, 24.0, open_above_m=20.0)
+    search, belief, _ = search_of(problem, power)
+    here = np.array([9.0, 15.0])
+    most = int(11.0 * 26.0 / problem.step_length_m)
+    for history, direct in (
+        (BEGINNING, False),
+        (replace(BEGINNING, steps=most - 1), False),
+        (replace(BEGINNING, steps=most + 2), True),
+        (replace(BEGINNING, has_circled=True), True),
+    ):
+        start = search.find_start(situation_of(problem, belief, here, history))
+        assert start.is_direct == direct
+    assert start.path_m[:, 1] == pytest.approx(15.0, abs=2.0)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scenes import small_road_map
 
 from planopt.planning.search.lattice_search import search_lattice
-from planopt.planning.search.road_map import build_road_map, shortest_ways
 from planopt.world.lattice import MOVES, Lattice
+from planopt.world.road_map import build_road_map, shortest_ways
 
 STEP_S, WEIGHT = 0.8, 0.3
 

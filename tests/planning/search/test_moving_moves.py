@@ -128,7 +128,7 @@ def test_cheapest_path_to_a_goal_against_enumeration_by_stages(horizon):
     terminal = scene.ways.cost_m
     none = np.zeros(len(road_map.nodes_m))
     found = search_lattice(
-        road_map, nodes, lengths, horizon, 1.0, 0.1, scene.goal_node, none, terminal, discs
+        road_map, nodes, lengths, horizon, 1.0, 0.1, scene.goal_node, none, terminal, None, discs
     )
     assert found is not None
     cost = dict(zip(nodes.tolist(), (1.0 + 0.1 * lengths**2).tolist(), strict=True))

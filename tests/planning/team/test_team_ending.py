@@ -10,6 +10,7 @@ import pytest
 import shapely
 from terms_scene import CONNECT, LEARNING, SENDING, TRACKING, judge_of, situation_of, terms_problem
 
+import planopt.planning.baselines.one_step as one_step_module
 from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_run
 from planopt.planning.loop.ending import STALL_STEPS
@@ -228,8 +229,9 @@ def test_a_run_that_goes_on_is_rejected(tmp_path, monkeypatch) -> None:
     assert any("goes on after step 1, connected after step 1" in reason for reason in reasons)
 
 
-def test_a_stalled_run_is_judged_from_disk(tmp_path) -> None:
-    """One step ahead among places that are all measured: named, saved and found again."""
+def test_a_stalled_run_is_judged_from_disk(tmp_path, monkeypatch) -> None:
+    """One step ahead among measured places, with no way out: named, saved and found again."""
+    monkeypatch.setattr(one_step_module, "way_to_unmeasured", lambda *_: None)
     problem = terms_problem(LEARNING, horizon=1, name="one_step", max_steps=20)
     problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=9.0))
     run = simulate_team(problem, seed=0)

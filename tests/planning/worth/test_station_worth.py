@@ -19,7 +19,7 @@ from planopt.channel.joint import joint_prediction
 from planopt.channel.semidefinite import semidefinite_factor
 from planopt.objectives.energy import expected_transmit_power_w
 from planopt.objectives.filter_gain import covariance_gain, sensing_of
-from planopt.planning.proof.circumstances import NOTHING_ELSE
+from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
@@ -37,7 +37,7 @@ def alone(situation: Situation, station: int) -> Situation:
     """What is known, with one of the stations."""
     problem = replace(situation.problem, stations=(situation.problem.stations[station],))
     posterior = situation.stations[station]
-    return replace(situation, problem=problem, posterior=posterior, circumstances=NOTHING_ELSE)
+    return replace(situation, problem=problem, posterior=posterior, circumstances=Circumstances())
 
 
 def raised(situation: Situation, by_db: float) -> Situation:

@@ -45,3 +45,11 @@ def data_asked_mbit(
 def connected_steps_asked(problem: Problem, history: History, count: int) -> float:
     """How many of a plan's steps must be connected, for the average over the run and the plan."""
     return problem.constraints.p_min * (history.steps + count) - history.connected_steps
+
+
+def is_priced(problem: Problem) -> bool:
+    """Whether single steps may miss the bound at a price: of a robot that is to reach a goal.
+
+    A stated time is asked for itself: the price is of metres, and a robot may wait in contact.
+    """
+    return problem.task == "reach" and problem.constraints.rule.is_plain

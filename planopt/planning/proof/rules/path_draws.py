@@ -1,7 +1,9 @@
 """What depends on all steps of a path together, by the law of one station or of several.
 
 One station's powers along a path are jointly normal. The serving power of several is not: their
-channels are drawn, each by itself, as many each time and from the same seeds.
+channels are drawn, each by itself, as many each time and from the same seeds. A calibrated law of
+connection changes how probable each place is, and leaves how places depend on each other as the
+posterior has it (a Gaussian copula).
 """
 
 from __future__ import annotations
@@ -12,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connection.serving_power import serving_power_dbm
+from planopt.channel.joint import JointPrediction
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
 from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.rules.joint import joint_result, path_prediction
 from planopt.planning.proof.rules.probable_data import DRAWN, drawn_powers_dbm, share_at_least
-from planopt.planning.proof.serving import Serving
+from planopt.planning.proof.serving import Serving, connection_law
 from planopt.planning.rule_result import RuleResult
 from planopt.problems.problem import Problem
 
@@ -28,10 +32,29 @@ def path_draws_dbm(
     if not isinstance(broad, Serving):
         return drawn_powers_dbm(path_prediction(posterior, path_m))
     each = [
-        drawn_powers_dbm(path_prediction(station, path_m), number)
-        for number, station in enumerate(broad.posteriors)
+        drawn_powers_dbm(calibrated_path(station, path_m, threshold), number)
+        for number, (station, threshold) in enumerate(
+            zip(broad.posteriors, broad.thresholds_dbm, strict=True)
+        )
     ]
     return serving_power_dbm(np.stack(each), broad.thresholds_dbm)
+
+
+def calibrated_path(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], threshold_dbm: float
+) -> JointPrediction:
+    """Return powers at the places (N, 2) of a path together, each by the station's own law.
+
+    Where the law is calibrated, means and deviations are those of the normal laws that give the
+    calibrated probabilities of at least `threshold_dbm`; correlations stay.
+    """
+    raw = path_prediction(posterior, path_m)
+    law = connection_law(posterior)
+    if law is None:
+        return raw
+    found = law.prediction(Prediction(raw.mean_db, raw.deviation_db), threshold_dbm)
+    ratio = found.deviation_db / raw.deviation_db
+    return JointPrediction(found.mean_db, raw.covariance_db2 * np.outer(ratio, ratio))
 
 
 def joint_by_slack(
@@ -52,8 +75,8 @@ def joint_by_slack(
     path_m
         ``(N, 2)`` places after each step.
     """
-    if not isinstance(broad, Serving):
-        prediction = path_prediction(posterior, path_m)
+    if not isinstance(broad, Serving) or len(broad.posteriors) == 1:
+        prediction = calibrated_path(posterior, path_m, problem.stations[0].threshold_dbm)
         return lambda slack_db: joint_result(problem, prediction, slack_db)
     least_dbm = path_draws_dbm(posterior, path_m, broad).min(axis=1)
 

@@ -1,8 +1,9 @@
-"""The bound on single steps: where it is missed, whether it could be met, and what that means.
+"""The bound on single steps: where it is missed, and what excuses that.
 
-A step may miss the bound for one of two reasons. No place within reach meets it by then; or no way
-to the goal keeps it at all and the steps below it lead across a gap by about the least length there
-is. Both are proven, not assumed. Where slack is bounded it is the only excuse.
+On the way to a goal a step may miss the bound where leaving contact is worth its price: no path to
+the goal that the verifier finds is cheaper by more than a little
+(:mod:`planopt.planning.proof.goal_paths`). Elsewhere it may where no place within reach meets the
+bound by then. Both are searched for, not assumed. Where slack is bounded it is the only excuse.
 """
 
 from __future__ import annotations
@@ -13,16 +14,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db
+from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
+from planopt.objectives.reach import outage_share
 from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import Broad
+from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.goal_paths import (
+    PricedPath,
+    build_goal_grid,
+    goal_costs,
+    price_path,
+)
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reach_of_dynamics import may_reach_from
 from planopt.planning.proof.reachability import best_margins_by_step
-from planopt.planning.proof.rules.asked import asked_steps
-from planopt.planning.proof.ways_to_goal import connected_way_exists, least_outage_m
+from planopt.planning.proof.rules.asked import asked_steps, is_priced
 from planopt.planning.rule_result import RuleResult
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
@@ -31,8 +39,12 @@ from planopt.world.clearance import ObstacleIndex
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """From positions (n, 2) to margins (n,) in dB."""
 
-OUTAGE_LEEWAY_STEPS = 2.0
-"""How much longer, in longest steps, a way through a gap may be than the least one."""
+COST_TOLERANCE = 0.05
+"""By what share a plan may cost more than the cheapest path that the verifier finds; and all steps
+of a run, each by what was known then."""
+COST_LEEWAY_STEPS = 2.0
+"""And by so many longest steps out of contact, once for a plan and once for a run: steps end where
+they end, the grid is as it is."""
 
 
 @dataclass(frozen=True)
@@ -41,36 +53,43 @@ class StepsFinding:
 
     Attributes
     ----------
-    relaxed_steps, relaxation_db, best_margin_db, no_connected_way, reasons
+    relaxed_steps, relaxation_db, best_margin_db, path_cost_m, best_cost_m
+        As in :class:`planopt.planning.certificate.Certificate`.
+    step_cost_m, step_excess_m, reasons
         As in :class:`planopt.planning.certificate.Certificate`.
     result
         None for the plain rule: at each step where possible.
+    is_compared
+        Whether what it costs to miss the bound could be compared with anything.
     """
 
-    relaxed_steps: tuple[int, ...]
-    relaxation_db: tuple[float, ...]
-    best_margin_db: tuple[float, ...]
-    no_connected_way: bool
-    reasons: tuple[str, ...]
-    result: RuleResult | None
+    relaxed_steps: tuple[int, ...] = ()
+    relaxation_db: tuple[float, ...] = ()
+    best_margin_db: tuple[float, ...] = ()
+    path_cost_m: float | None = None
+    best_cost_m: float | None = None
+    step_cost_m: float | None = None
+    step_excess_m: float | None = None
+    reasons: tuple[str, ...] = ()
+    result: RuleResult | None = None
+    is_compared: bool = True
 
 
 def judge_single_steps(
     problem: Problem,
-    history: History,
+    under: Circumstances,
     index: ObstacleIndex,
     posterior: ChannelPosterior,
     state: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     power: Prediction,
-    broad: Broad | None = None,
 ) -> StepsFinding:
     """Judge the bound at the steps of a path (N + 1, 2) that it is asked of.
 
     Parameters
     ----------
-    problem, history
-        What is asked, and what has happened.
+    problem, under
+        What is asked, and what is known besides.
     index
         Of its obstacles.
     posterior
@@ -79,54 +98,58 @@ def judge_single_steps(
         ``(s,)`` the robot's state, its place first.
     positions_m, power
         The path and the prediction along it, its first place included.
-    broad
-        What the bound rests on where it is not the posterior alone.
     """
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     # Without a bound every margin is infinite.
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
-    asked = asked_steps(problem, history, len(margins))
+    asked = asked_steps(problem, under.history, len(margins))
     missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & asked)[0] + 1
+    steps = tuple(missed.tolist())
     relaxation = tuple(float(-margins[step - 1]) for step in missed)
     result = _result(problem, asked, relaxation)
     if constraints.rule.slack_max_db is not None:
         reasons = _beyond_slack(problem, missed, relaxation)
-        return StepsFinding(tuple(missed.tolist()), relaxation, (), False, tuple(reasons), result)
-    here = bound_margin_db(
-        power.mean_db[:1], power.deviation_db[:1], radio.threshold_dbm, constraints.p_min
-    )
-    margin_db = _margins_of(problem, posterior, broad)
-    best, no_connected_way = _what_is_possible(
-        problem,
+        return StepsFinding(steps, relaxation, reasons=tuple(reasons), result=result)
+    if missed.size == 0:
+        return StepsFinding(result=result)
+    if is_priced(problem):
+        priced, best_margin_db = _priced(problem, under, index, posterior, positions_m)
+        return StepsFinding(
+            steps,
+            relaxation,
+            path_cost_m=priced.cost_m,
+            best_cost_m=priced.best_m,
+            step_cost_m=priced.step_m,
+            step_excess_m=priced.excess_m,
+            reasons=tuple(_too_dear(problem, under.history, priced, best_margin_db)),
+            is_compared=priced.is_compared,
+            result=result,
+        )
+    best = best_margins_by_step(
         index,
-        margin_db,
-        state,
+        problem.workspace.bounds_m,
+        _margins_of(problem, posterior, under.broad),
+        state[:2],
+        problem.step_length_m,
         missed,
-        starts_within=bool(here[0] >= 0.0),
+        constraints.clearance_m,
+        may_reach_from(problem, state),
     )
-    reasons: list[str] = []
-    if not no_connected_way:
-        reasons += [
-            f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "
-            f"although a place with {margin:.2f} dB to spare is within reach"
-            + (", and so is a way to the goal that keeps it" if problem.task == "reach" else "")
-            for step, margin in zip(missed, best, strict=True)
-            if margin >= 0.0
-        ][:1]
-    if no_connected_way:
-        avoidable = missed[np.asarray(best) >= 0.0]
-        reasons += _needless_outage(problem, index, margin_db, positions_m, avoidable)
+    reasons = [
+        f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "
+        f"although a place with {margin:.2f} dB to spare is within reach"
+        for step, margin in zip(missed, best, strict=True)
+        if margin >= 0.0
+    ][:1]
     count = int(asked.sum())
-    if len(missed) == count and count:
+    if len(missed) == count:
         reasons.append(
             f"constraints.p_min {constraints.p_min:g} is met at none of the {count} steps"
             f"{'' if count == len(margins) else ' that it is asked of'}, "
             f"the best place found within reach has a margin of {max(best):.2f} dB"
         )
-    return StepsFinding(
-        tuple(missed.tolist()), relaxation, best, no_connected_way, tuple(reasons), result
-    )
+    return StepsFinding(steps, relaxation, best, reasons=tuple(reasons), result=result)
 
 
 def _result(
@@ -163,82 +186,64 @@ def _beyond_slack(
     ]
 
 
-def _what_is_possible(
+def _priced(
     problem: Problem,
+    under: Circumstances,
     index: ObstacleIndex,
-    margin_db: MarginAt,
-    state: NDArray[np.float64],
-    missed: NDArray[np.intp],
-    starts_within: bool,
-) -> tuple[tuple[float, ...], bool]:
-    """Best margin within reach at each missed step; whether no way to the goal keeps the bound.
-
-    The second is only searched for where there is a goal and some missed step could have been met.
-    Ways begin at the start if that keeps the bound, else at
-    the places nearest to it that do: those within reach by the first step that meets the bound or
-    could.
-    """
-    constraints, length = problem.constraints, problem.step_length_m
-    start_m = state[:2]
-    if missed.size == 0:
-        return (), False
-    best = best_margins_by_step(
-        index,
-        problem.workspace.bounds_m,
-        margin_db,
-        start_m,
-        length,
-        missed,
-        constraints.clearance_m,
-        may_reach_from(problem, state),
-    )
-    if best[-1] < 0.0 or problem.task != "reach":
-        return best, False
-    possible = {int(step) for step, margin in zip(missed, best, strict=True) if margin >= 0.0}
-    impossible = set(missed.tolist()) - possible
-    first = next(step for step in range(1, int(missed[-1]) + 1) if step not in impossible)
-    return best, not connected_way_exists(
-        index,
-        problem.workspace.bounds_m,
-        margin_db,
-        start_m,
-        np.asarray(problem.goal_m),
-        constraints.clearance_m,
-        length,
-        within_m=0.0 if starts_within else first * length,
-    )
-
-
-def _needless_outage(
-    problem: Problem,
-    index: ObstacleIndex,
-    margin_db: MarginAt,
+    posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
-    missed: NDArray[np.intp],
-) -> list[str]:
-    """Object to missed steps that lead across no gap, where no way to the goal keeps the bound.
+) -> tuple[PricedPath, float]:
+    """What a path (N + 1, 2) costs with the rest of the way, and the cheapest that is found.
 
-    Only steps count at which the bound could be met. What is driven below it in them must be saved
-    in them on the least outage of the rest of the way, but for the two steps of leeway that the
-    grid and the steps at the gap's edges need.
+    And the largest connectivity margin found in the workspace.
     """
-    outage = least_outage_m(
-        index,
-        problem.workspace.bounds_m,
-        margin_db,
-        positions_m,
-        np.asarray(problem.goal_m),
-        problem.constraints.clearance_m,
-        problem.step_length_m,
+    threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
+
+    def contact_at(
+        places_m: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        power = search_prediction(posterior, places_m, under.broad)
+        margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
+        chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+        return outage_share(chance, margin < -MARGIN_TOLERANCE_DB), margin
+
+    price = problem.reach.outage_price
+    grid, costs = under.goal_costs(
+        posterior,
+        lambda: build_goal_grid(problem, index),
+        lambda grid: goal_costs(grid, contact_at, price),
     )
-    driven = float(np.linalg.norm(np.diff(positions_m, axis=0), axis=1)[missed - 1].sum())
-    saved = float((outage[missed - 1] - outage[missed]).sum())
-    if driven <= saved + OUTAGE_LEEWAY_STEPS * problem.step_length_m:
+    priced = price_path(grid, index, costs, price, positions_m, contact_at(positions_m)[0])
+    return priced, costs.best_margin_db
+
+
+def _too_dear(
+    problem: Problem, history: History, priced: PricedPath, best_margin_db: float
+) -> list[str]:
+    """Object to a path that costs too much, a run that has, or a bound that is met nowhere."""
+    p_min, price = problem.constraints.p_min, problem.reach.outage_price
+    if best_margin_db < -MARGIN_TOLERANCE_DB:
+        return [
+            f"constraints.p_min {p_min:g} is met nowhere in the workspace, "
+            f"the best place found misses it by {-best_margin_db:.2f} dB"
+        ]
+    leeway = COST_LEEWAY_STEPS * problem.step_length_m * (1.0 + price)
+    spent = history.crossing_excess_m + priced.excess_m
+    allowed = COST_TOLERANCE * (history.crossing_cost_m + priced.step_m) + leeway
+    if spent > allowed:
+        return [
+            f"steps are below constraints.p_min {p_min:g}, and those of the run so far have cost "
+            f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
+            f"{price:g}, {allowed:.1f} m are allowed"
+        ]
+    # Where the grid has no path to compare with, nothing is objected to, and nothing proven.
+    within = priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway
+    if within or not priced.is_compared:
         return []
-    changes = "shortens" if saved >= 0.0 else "lengthens"
     return [
-        f"{driven:.1f} m are driven below constraints.p_min {problem.constraints.p_min:g}, which "
-        f"{changes} what must be driven below it on the way to the goal by {abs(saved):.1f} m"
+        f"steps are below constraints.p_min {p_min:g}, and the plan costs {priced.cost_m:.1f} m to "
+        f"the goal at objective.outage_price {price:g}, although a path of {priced.best_m:.1f} m "
+        "was found"
     ]
 
 

@@ -6,6 +6,7 @@ scene; only node factors change from step to step.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -103,7 +104,11 @@ def build_road_map(lattice: Lattice) -> RoadMap:
 
 
 def shortest_ways(
-    road_map: RoadMap, goal_node: int, node_factor: NDArray[np.float64] | None = None
+    road_map: RoadMap,
+    goal_node: int,
+    node_factor: NDArray[np.float64] | None = None,
+    *,
+    limit_m: float = math.inf,
 ) -> Ways:
     """Shortest ways to `goal_node`, each metre weighted by the mean factor of its edge's ends.
 
@@ -115,6 +120,8 @@ def shortest_ways(
         Where the ways lead.
     node_factor
         ``(n,)`` at least 1, or None for plain lengths.
+    limit_m
+        Nodes whose ways cost more count as those that no way leads to: less is looked at.
     """
     weights = road_map.edge_length_m
     if node_factor is not None:
@@ -123,7 +130,7 @@ def shortest_ways(
     graph = csr_matrix((weights, road_map.edge_to, road_map.edge_start), shape=(count, count))
     cost, following = cast(
         "tuple[NDArray[np.float64], NDArray[np.int32]]",
-        dijkstra(graph, indices=goal_node, return_predecessors=True),
+        dijkstra(graph, indices=goal_node, return_predecessors=True, limit=limit_m),
     )
     return Ways(cost_m=cost, next_node=following)
 

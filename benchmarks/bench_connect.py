@@ -1,0 +1,17 @@
+"""Steps of searches for connection, and that these end: ``connect_search.py``, few starts."""
+
+from __future__ import annotations
+
+import pytest
+from connect_search import searches
+
+from planopt.problems.load import load
+
+
+@pytest.mark.parametrize("name", ["connect_rooftop", "connect_street"])
+def test_searches_connect(benchmark, name):
+    """From two seeded starts of each library problem, one step ahead."""
+    problem = load(name)
+    found = benchmark.pedantic(lambda: list(searches(problem, [1], 2, 5)), rounds=1)
+    assert [search.outcome for search in found] == ["completed"] * 2
+    assert sum(search.driven_m for search in found) < 2.0 * sum(own.shortest_m for own in found)

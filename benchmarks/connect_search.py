@@ -1,0 +1,150 @@
+"""How far robots out of contact drive until they are connected, beside the shortest path there.
+
+``python benchmarks/connect_search.py connect_rooftop connect_street`` drives 20 seeded starts of
+each problem at horizons 1, 5, 10 and 20. A start is a node of the problem's lattice that is out of
+contact by its mean power, at least `LEAST_M` of path from the nearest node that is connected by
+its mean power, which is what the driven length is compared with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from planopt.planning.ground import Ground, build_ground
+from planopt.planning.loop.true_serving import true_serving_dbm
+from planopt.planning.prepare import prepare
+from planopt.planning.team.team_loop import simulate_team
+from planopt.problems.load import load
+from planopt.problems.problem import Problem
+
+LEAST_M = 30.0
+"""Starts are at least so far from the nearest connected node, by the shortest path."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """One run from a start out of contact.
+
+    Attributes
+    ----------
+    start, horizon
+        Number of the start, which is the seed of the run too, and N.
+    outcome
+        How the run ended.
+    shortest_m, driven_m
+        To the nearest connected node, and what the robot drove.
+    step_s
+        ``(steps,)`` processor time of each step.
+    """
+
+    start: int
+    horizon: int
+    outcome: str
+    shortest_m: float
+    driven_m: float
+    step_s: NDArray[np.float64]
+
+
+def nearest_connected_m(ground: Ground, connected: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Length of the shortest path from every node to the nearest connected one, (n,)."""
+    road_map = ground.road_map
+    count = len(road_map.nodes_m)
+    graph = csr_matrix(
+        (road_map.edge_length_m, road_map.edge_to, road_map.edge_start), shape=(count, count)
+    )
+    return dijkstra(graph, indices=np.flatnonzero(connected), min_only=True)
+
+
+def seeded_starts(
+    problem: Problem, count: int, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places out of contact ``(count, 2)``, and their shortest paths to a connected one."""
+    ground = build_ground(problem, np.asarray(problem.robots[0].start_m))
+    road_map = ground.road_map
+    unfaded = replace(problem.channel.truth, multipath=None)
+    channel = replace(problem.channel, truth=unfaded)
+    truths = prepare(replace(problem, channel=channel), seed).truths
+    power = true_serving_dbm(problem, truths, road_map.nodes_m)
+    away = nearest_connected_m(ground, power >= problem.stations[0].threshold_dbm)
+    far = np.flatnonzero(np.isfinite(away) & (away >= LEAST_M))
+    chosen = np.random.default_rng(seed).permutation(far)[:count]
+    return road_map.nodes_m[chosen], away[chosen]
+
+
+def searches(problem: Problem, horizons: Iterable[int], count: int, seed: int) -> Iterable[Search]:
+    """Drive from `count` seeded starts at every horizon."""
+    starts, shortest = seeded_starts(problem, count, seed)
+    for number, (start, away) in enumerate(zip(starts, shortest, strict=True)):
+        robot = replace(problem.robots[0], start_m=(float(start[0]), float(start[1])))
+        placed = replace(problem, robots=(robot,))
+        prepared = prepare(placed, seed + number)
+        for horizon in horizons:
+            clock = [time.process_time()]
+            run = simulate_team(
+                placed,
+                horizon=horizon,
+                seed=seed + number,
+                prepared=prepared,
+                on_step=lambda _, clock=clock: clock.append(time.process_time()),
+            ).runs[0]
+            yield Search(
+                number,
+                horizon,
+                run.outcome.value,
+                float(away),
+                run.metrics.path_m,
+                np.diff(clock),
+            )
+
+
+def summary(found: list[Search]) -> str:
+    """One line of the table: how many connect, the mean ratio, and the time of a step."""
+    connected = sum(search.outcome == "completed" for search in found)
+    ratios = np.array([search.driven_m / search.shortest_m for search in found])
+    driven = sum(search.driven_m for search in found) / sum(s.shortest_m for s in found)
+    steps = 1e3 * np.concatenate([search.step_s[1:] for search in found])
+    return (
+        f"N {found[0].horizon:2d}: {connected} of {len(found)} connect, driven / shortest "
+        f"{ratios.mean():.2f} in the mean, {ratios.max():.2f} at most, {driven:.2f} of all metres, "
+        f"step p50 {np.median(steps):.0f} ms, p95 {np.quantile(steps, 0.95):.0f} ms (processor)"
+    )
+
+
+def main() -> None:
+    """Print a table of each problem."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("problems", nargs="+", help="names of the library, or files")
+    parser.add_argument("--horizons", default="1,5,10,20")
+    parser.add_argument("--starts", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--each", action="store_true", help="print every run")
+    args = parser.parse_args()
+    horizons = [int(part) for part in args.horizons.split(",")]
+    for name in args.problems:
+        problem = load(name)
+        found: list[Search] = []
+        for search in searches(problem, horizons, args.starts, args.seed):
+            found.append(search)
+            if args.each:
+                print(
+                    f"  start {search.start} N {search.horizon}: {search.outcome} shortest "
+                    f"{search.shortest_m:.0f} m, driven {search.driven_m:.0f} m, step "
+                    f"{1e3 * np.median(search.step_s):.0f} ms",
+                    flush=True,
+                )
+        print(name)
+        for horizon in horizons:
+            print(summary([search for search in found if search.horizon == horizon]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

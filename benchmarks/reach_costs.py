@@ -1,0 +1,165 @@
+"""What runs to a goal cost against one who knows the map, over the library's reach problems.
+
+``python benchmarks/reach_costs.py --first-seed 100 --seeds 10 --log FILE`` drives each problem of
+the library that has a goal and a free path, appends a line a run to the log, and prints the table.
+The log is a cache: runs that it has are not driven again. ``--problems A B`` names some of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from planopt import load
+from planopt.errors import NoPlanError
+from planopt.planning.loop.clairvoyant import clairvoyant_path
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.prepare import prepare
+from planopt.planning.scene import build_scene
+from planopt.problems.library import list_problems
+from planopt.studies.compare import mean_interval
+
+HEADER = (
+    "| problem | arrived | driven / clairvoyant length | cost ratio, mean | worst | verified [%] "
+    "| below p_min [%] | step p50, max [ms] |\n|---|---|---|---|---|---|---|---|"
+)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run.
+
+    Attributes
+    ----------
+    problem, seed, outcome
+        What was driven and how it ended.
+    driven_m, clairvoyant_m
+        Lengths of the run and of the clairvoyant's path.
+    cost_ratio
+        Realised cost over the clairvoyant's; NaN where the run did not arrive.
+    steps, verified_steps, below_steps
+        Steps, those whose plan was verified, those predicted below `p_min` by their plan.
+    step_p50_s, step_max_s
+        Wall time of the steps.
+    """
+
+    problem: str
+    seed: int
+    outcome: str
+    driven_m: float
+    clairvoyant_m: float
+    cost_ratio: float
+    steps: int
+    verified_steps: int
+    below_steps: int
+    step_p50_s: float
+    step_max_s: float
+
+
+def reach_problems() -> list[str]:
+    """Names of the library's problems that have a goal and a free path to it."""
+    names: list[str] = []
+    for entry in list_problems():
+        problem = load(entry.name)
+        if problem.task != "reach":
+            continue
+        try:
+            build_scene(problem)
+        except NoPlanError:
+            continue
+        names.append(entry.name)
+    return names
+
+
+def drive(name: str, seed: int, horizon: int) -> Record:
+    """Drive one problem of the library with one seed."""
+    problem = load(name)
+    scene, prepared = build_scene(problem), prepare(problem, seed)
+    simulation = simulate(problem, horizon=horizon, seed=seed, scene=scene, prepared=prepared)
+    run = simulation.run
+    known = clairvoyant_path(problem, scene.road_map, scene.index, prepared.truths)
+    below = run.log.connectivity[1:] < problem.constraints.p_min
+    return Record(
+        problem=name,
+        seed=seed,
+        outcome=run.outcome.value,
+        driven_m=run.metrics.path_m,
+        clairvoyant_m=float(np.linalg.norm(np.diff(known, axis=0), axis=1).sum()),
+        cost_ratio=run.costs["cost_ratio"],
+        steps=len(below),
+        verified_steps=round(run.verified_rate * len(below)),
+        below_steps=int(below.sum()),
+        step_p50_s=float(np.median(run.log.step_s[1:])),
+        step_max_s=float(run.log.step_s[1:].max()),
+    )
+
+
+def read_log(log: Path) -> list[Record]:
+    """The runs of a log."""
+    if not log.exists():
+        return []
+    return [Record(**json.loads(line)) for line in log.read_text(encoding="utf-8").splitlines()]
+
+
+def line_of(label: str, records: Sequence[Record]) -> str:
+    """A line of the table over some runs.
+
+    Runs of one seed belong together: the interval of the mean is over seeds, from five on.
+    """
+    arrived = [each for each in records if each.outcome == "reached"]
+    ratios = np.array([each.cost_ratio for each in arrived])
+    lengths = np.array([each.driven_m / each.clairvoyant_m for each in arrived])
+    steps = sum(each.steps for each in records)
+    mean = worst = length = "-"
+    if len(arrived):
+        seeds = np.array([each.seed for each in arrived])
+        low, high = mean_interval(
+            np.array([ratios[seeds == seed].mean() for seed in np.unique(seeds)])
+        )
+        within = "" if low is None or high is None else f" ({low:.3f} to {high:.3f})"
+        mean, worst = f"{ratios.mean():.3f}{within}", f"{ratios.max():.3f}"
+        length = f"{lengths.mean():.3f}"
+    p50 = float(np.median([each.step_p50_s for each in records]))
+    return (
+        f"| {label} | {len(arrived)} of {len(records)} | {length} | {mean} | {worst} "
+        f"| {100 * sum(each.verified_steps for each in records) / steps:.1f} "
+        f"| {100 * sum(each.below_steps for each in records) / steps:.1f} "
+        f"| {1e3 * p50:.0f}, {1e3 * max(each.step_max_s for each in records):.0f} |"
+    )
+
+
+def table(records: Sequence[Record]) -> str:
+    """A line a problem in order of name, and one over all."""
+    names = sorted({each.problem for each in records})
+    lines = [line_of(name, [each for each in records if each.problem == name]) for name in names]
+    return "\n".join([HEADER, *lines, line_of("all", records)])
+
+
+def main() -> None:
+    """Drive and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--problems", nargs="+")
+    parser.add_argument("--first-seed", type=int, default=100)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--horizon", type=int, default=10)
+    parser.add_argument("--log", type=Path, required=True)
+    asked = parser.parse_args()
+    names = asked.problems or reach_problems()
+    known = {(each.problem, each.seed) for each in read_log(asked.log)}
+    for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
+        for name in names:
+            if (name, seed) in known:
+                continue
+            record = drive(name, seed, asked.horizon)
+            with asked.log.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(record)) + "\n")
+    print(table([each for each in read_log(asked.log) if each.problem in names]))
+
+
+if __name__ == "__main__":
+    main()

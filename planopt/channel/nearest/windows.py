@@ -1,0 +1,151 @@
+"""Groups of neighbouring measurements, each with others beside it: many small problems for one.
+
+Measurements are cut into blocks of neighbours by medians. A window is a block with the measurements
+nearest to it, either all (what the others say of the block) or those of blocks that come before it
+(Vecchia's factorisation of a density into conditional ones). The order of blocks is from coarse to
+fine: each next one is the farthest from those before. Everything depends on where the measurements
+are, not on the order in which they are given, but for ties.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+BLOCK, BESIDE = 48, 128
+"""Measurements of a block, and beside it in Vecchia's factorisation. On the three campus logs
+(3,401 to 4,585 exact powers) the most likely xi, omega and beta are then within 0.07 standard
+errors of those by one factor of all, and theta within 0.11; with 32 and 64 they were up to 0.46 and
+0.24 off, and 64 and 192 take twice the time for no more."""
+
+SITE_BESIDE = 64
+"""Measurements beside a block whose sites are matched. At 1,500 measurements, 20 % to 70 %
+censored, the sites' values are then off the joint ones by at most 0.01 of their own noise's
+deviation rms, and 0.1 at worst."""
+
+PRESELECTED = 4
+"""Candidates by their distance from the block's box, as a multiple of those wanted; of these the
+nearest to any of its members are taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A block of measurements and those it is conditioned on.
+
+    Attributes
+    ----------
+    beside
+        ``(h,)`` numbers of the measurements it is conditioned on.
+    own
+        ``(b,)`` numbers of the block's.
+    """
+
+    beside: NDArray[np.intp]
+    own: NDArray[np.intp]
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """``(h + b,)`` all of them, those beside first."""
+        return np.concatenate([self.beside, self.own])
+
+
+def place_blocks(coordinates: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], ...]:
+    """Cut places (n, k) into blocks of `most` or few less; numbers ascend within each.
+
+    Always along the widest side, so that blocks are compact.
+    """
+    blocks: list[NDArray[np.intp]] = []
+    pending = [(np.arange(len(coordinates)), -(-len(coordinates) // most))]
+    while pending:
+        rows, parts = pending.pop()
+        if parts <= 1:
+            blocks.extend([np.sort(rows)] if len(rows) else [])
+            continue
+        widest = int(np.argmax(np.ptp(coordinates[rows], axis=0)))
+        ranked = rows[np.argsort(coordinates[rows, widest], kind="stable")]
+        cut = round(len(rows) * (parts // 2) / parts)
+        pending += [(ranked[:cut], parts // 2), (ranked[cut:], parts - parts // 2)]
+    return tuple(blocks)
+
+
+def earlier_windows(
+    coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...], count: int
+) -> tuple[Window, ...]:
+    """Order blocks from coarse to fine, and give each the `count` nearest of those before it.
+
+    Parameters
+    ----------
+    coordinates
+        ``(n, k)`` places.
+    blocks
+        From :func:`place_blocks`.
+    count
+        Most measurements beside a block.
+    """
+    windows: list[Window] = []
+    before = np.zeros(0, dtype=np.intp)
+    for number in _coarse_to_fine(coordinates, blocks):
+        own = blocks[number]
+        windows.append(Window(_nearest_to(coordinates, own, before, count), own))
+        before = np.concatenate([before, own])
+    return tuple(windows)
+
+
+def surrounding_windows(
+    coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...], count: int
+) -> tuple[Window, ...]:
+    """Give each block the `count` nearest of all that are not in it."""
+    everyone = np.arange(len(coordinates))
+    windows: list[Window] = []
+    for own in blocks:
+        others = np.delete(everyone, own)
+        windows.append(Window(_nearest_to(coordinates, own, others, count), own))
+    return tuple(windows)
+
+
+def _coarse_to_fine(
+    coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...]
+) -> list[int]:
+    """Numbers of the blocks: the most central one, then always the farthest from all before."""
+    if not blocks:
+        return []
+    centres = np.array([coordinates[own].mean(axis=0) for own in blocks])
+    number = int(np.argmin(((centres - centres.mean(axis=0)) ** 2).sum(axis=1)))
+    squared_m2 = np.full(len(blocks), np.inf)
+    order: list[int] = []
+    for _ in blocks:
+        order.append(number)
+        squared_m2 = np.minimum(squared_m2, ((centres - centres[number]) ** 2).sum(axis=1))
+        # Those that are taken come last, whatever coincides with them.
+        squared_m2[number] = -1.0
+        number = int(np.argmax(squared_m2))
+    return order
+
+
+def _nearest_to(
+    coordinates: NDArray[np.float64],
+    own: NDArray[np.intp],
+    others: NDArray[np.intp],
+    count: int,
+) -> NDArray[np.intp]:
+    """Numbers of the `count` of `others` that are nearest to any of `own`; ascending."""
+    for reach, distance in ((PRESELECTED * count, _beyond_box_m2), (count, _to_any_m2)):
+        if len(others) > reach:
+            squared_m2 = distance(coordinates[own], coordinates[others])
+            others = others[np.argpartition(squared_m2, reach - 1)[:reach]]
+    return np.sort(others)
+
+
+def _beyond_box_m2(own: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared distance of each of `others` (m, k) from the box around `own` (b, k); ``(m,)``."""
+    low, high = own.min(axis=0), own.max(axis=0)
+    beyond = np.maximum(np.maximum(low - others, others - high), 0.0)
+    return np.einsum("mk,mk->m", beyond, beyond)
+
+
+def _to_any_m2(own: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared distance of each of `others` (m, k) from the nearest of `own` (b, k); ``(m,)``."""
+    apart = others[:, None] - own
+    return np.einsum("mbk,mbk->mb", apart, apart).min(axis=1)

@@ -1,0 +1,134 @@
+"""``planopt init``, ``show`` and ``validate``: begin, look at and check a problem file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from planopt.commands.options import JsonOption, ProblemArgument
+from planopt.commands.output import progress, show
+from planopt.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from planopt.problems.problem import Problem
+
+
+def init(
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Which must not be there yet.")],
+    source: Annotated[
+        str, typer.Option("--from", metavar="NAME", help="A problem that `list` shows.")
+    ] = "open_field",
+    json: JsonOption = False,
+) -> int:
+    """Begin a problem file: a copy of one of the library, with the maps that it names."""
+    from planopt.files.regular import read_bytes
+    from planopt.files.whole import write_whole
+    from planopt.problems.library import library_folder, list_problems
+    from planopt.problems.read_toml import named_files, read_toml
+
+    library = {entry.name: entry.path for entry in list_problems()}
+    if source not in library:
+        raise InputError(
+            f"no library problem is called {source!r}",
+            key="--from",
+            remedy=f"one of {', '.join(library)}",
+        )
+    if file.suffix != ".toml":
+        raise InputError("is no name of a problem file", file=file, remedy="end it in .toml")
+    contents = {file: read_bytes(library[source])}
+    for name in named_files(read_toml(library[source])):
+        contents[file.parent / name] = read_bytes(library_folder() / name)
+    # The same map may be there for another problem.
+    written = [path for path, content in contents.items() if not _has(path, content)]
+    for path in written:
+        if path.exists():
+            raise OutputError(f"{path}: is there already (choose another folder or name)")
+    # The problem comes last: where it is, its files are.
+    for path in reversed(written):
+        write_whole(path, lambda temporary, path=path: _write(temporary, contents[path]))
+    data = {"problem": str(file), "files": [str(path) for path in contents]}
+    text = [f"{path}: written" for path in written]
+    show(json, data, "\n".join([*text, f"next: planopt show {file}, planopt solve {file}"]))
+    return 0
+
+
+def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
+    """Print what a problem file says; --json prints all of it, with every default."""
+    from planopt.problems.load import load
+    from planopt.problems.save import problem_to_dict
+
+    found = load(problem)
+    show(json, problem_to_dict(found) if json else {}, problem_in_words(found))
+    return 0
+
+
+def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
+    """Check a problem file, its maps and logs, and that the channel can be fitted."""
+    from planopt.planning.prepare import prepare
+    from planopt.problems.load import load
+
+    found = load(problem)
+    with progress("reading maps and logs"):
+        prepared = prepare(found, 0)
+    fits = [belief.fit for belief in (prepared.belief, *prepared.belief.further)]
+    warnings = [warning for fit in fits for warning in fit.warnings]
+    data = {
+        "problem": found.name,
+        "valid": True,
+        "measurements": fits[0].measurements,
+        "warnings": warnings,
+    }
+    lines = [
+        f"{found.name}: valid, {fits[0].measurements} measurements",
+        *(f"  fit of the channel, seed 0: {warning}" for warning in warnings),
+    ]
+    show(json, data, "\n".join(lines))
+    return 0
+
+
+def problem_in_words(problem: Problem) -> str:
+    """Return a problem in lines of text."""
+    planner, workspace, limits = problem.planner, problem.workspace, problem.constraints
+    west, south, east, north = workspace.bounds_m
+    truth, measured = problem.channel.truth, problem.channel.measurements
+    source = getattr(truth, "file", None)
+    kind = "drawn" if source is None else f"of {source}"
+    count = getattr(measured, "count", None)
+    first = f"of {getattr(measured, 'file', None)}" if count is None else str(count)
+    lines = [
+        f"{problem.name}: {problem.description}",
+        f"  task        {problem.task}, horizon {planner.horizon}, steps of {planner.step_s:g} s, "
+        f"at most {planner.max_steps}",
+        f"  world       {east - west:g} x {north - south:g} m, "
+        f"{len(workspace.obstacles)} obstacles, {len(workspace.moving)} moving",
+        f"  channel     {'none to simulate' if truth is None else kind}; measurements {first}",
+    ]
+    for radio in problem.stations:
+        x, y = radio.site.position_m
+        lines.append(
+            f"  station     {radio.name} at ({x:g}, {y:g}) m, connected from "
+            f"{radio.threshold_dbm:g} dBm"
+        )
+    for robot in problem.robots:
+        goal = "" if robot.goal_m is None else " to ({:g}, {:g}) m".format(*robot.goal_m)
+        lines.append(
+            "  robot       {} from ({:g}, {:g}) m{}, at most {:g} m/s".format(
+                robot.name, *robot.start_m, goal, robot.speed_max_m_s
+            )
+        )
+    if limits.asks_connection:
+        lines.append(f"  asked       P(connected) at least {limits.p_min:g}")
+    lines.append(f"  clearance   {limits.clearance_m:g} m")
+    return "\n".join(lines)
+
+
+def _has(path: Path, content: bytes) -> bool:
+    from planopt.files.regular import read_bytes
+
+    return path.is_file() and read_bytes(path) == content
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.write_bytes(content)

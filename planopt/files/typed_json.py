@@ -1,0 +1,137 @@
+"""Plain data as JSON and back by its types: dataclasses, arrays, enumerations, tuples and numbers.
+
+What is read back has been checked against its type, so that a damaged file is found, and nothing
+is ever unpickled. Numbers that are not finite, which JSON does not have, are texts.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+Value = TypeVar("Value")
+
+NOT_FINITE = ("nan", "inf", "-inf")
+
+
+def encoded(value: object) -> Any:
+    """Return `value` as what JSON has.
+
+    Raises
+    ------
+    TypeError
+        It contains something else than this module knows.
+    """
+    match value:
+        case None | bool() | str() if not isinstance(value, Enum):
+            return value
+        case Enum():
+            return value.value
+        case np.ndarray():
+            array = cast("NDArray[Any]", value)
+            return encoded(array.tolist())
+        case int() | np.integer():
+            return int(value)
+        case float() | np.floating():
+            return float(value) if math.isfinite(value) else str(float(value))
+        case list() | tuple():
+            return [encoded(part) for part in cast("Sequence[object]", value)]
+        case Mapping():
+            table = cast("Mapping[str, object]", value)
+            return {name: encoded(part) for name, part in table.items()}
+        case _ if is_dataclass(value):
+            return {part.name: encoded(getattr(value, part.name)) for part in fields(value)}
+        case _:
+            raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def decoded(kind: type[Value], data: object) -> Value:
+    """Return what :func:`encoded` made `data` of, a value of type `kind`.
+
+    Raises
+    ------
+    ValueError
+        The data are not of that type.
+    """
+    return cast("Value", _decoded(kind, data))
+
+
+def _decoded(kind: Any, data: Any) -> Any:
+    origin = get_origin(kind)
+    if kind is Any:
+        return data
+    if kind is None or kind is type(None):
+        return _of_type(data, type(None))
+    if origin in (Union, types.UnionType):
+        return _first_that_fits(get_args(kind), data)
+    if origin is np.ndarray:
+        dtype = np.dtype(get_args(get_args(kind)[1])[0])
+        return np.array(_numbers(dtype, data), dtype=dtype)
+    if origin is tuple:
+        parts = _of_type(data, list)
+        inner = get_args(kind)
+        if inner[1:] == (...,):
+            return tuple(_decoded(inner[0], part) for part in parts)
+        if len(inner) != len(parts):
+            raise ValueError(f"{len(parts)} entries where {len(inner)} should be")
+        return tuple(_decoded(one, part) for one, part in zip(inner, parts, strict=True))
+    if origin is list:
+        return [_decoded(get_args(kind)[0], part) for part in _of_type(data, list)]
+    if origin is not None and issubclass(origin, Mapping):
+        table = _of_type(data, dict)
+        return {str(name): _decoded(get_args(kind)[1], part) for name, part in table.items()}
+    if is_dataclass(kind):
+        return _dataclass(cast("type[Any]", kind), _of_type(data, dict))
+    if issubclass(kind, Enum):
+        return kind(data)
+    if kind is float:
+        return _float(data)
+    return _of_type(data, kind)
+
+
+def _dataclass(kind: type[Any], table: Mapping[str, Any]) -> Any:
+    hints = get_type_hints(kind)
+    names = [part.name for part in fields(kind) if part.init]
+    if set(names) != set(table):
+        raise ValueError(f"{kind.__name__} has {sorted(names)}, not {sorted(table)}")
+    return kind(**{name: _decoded(hints[name], table[name]) for name in names})
+
+
+def _first_that_fits(kinds: Sequence[Any], data: Any) -> Any:
+    for kind in kinds:
+        try:
+            return _decoded(kind, data)
+        except ValueError:
+            continue
+    raise ValueError(f"{type(data).__name__} is none of {kinds}")
+
+
+def _numbers(dtype: np.dtype[Any], data: Any) -> Any:
+    """Nested lists of what an array of `dtype` has."""
+    if isinstance(data, list):
+        return [_numbers(dtype, part) for part in cast("list[Any]", data)]
+    if dtype.kind == "f":
+        return _float(data)
+    return _of_type(data, bool if dtype.kind == "b" else int)
+
+
+def _float(data: Any) -> float:
+    if isinstance(data, str) and data in NOT_FINITE:
+        return float(data)
+    if isinstance(data, bool) or not isinstance(data, int | float):
+        raise ValueError(f"{data!r} is no number")
+    return float(data)
+
+
+def _of_type(data: Any, kind: type[Any]) -> Any:
+    # A bool is an int for Python, but not for us.
+    if type(data) is not kind:
+        raise ValueError(f"{type(data).__name__} where {kind.__name__} should be")
+    return data

@@ -1,0 +1,140 @@
+"""Coverage holes on the way to a goal: where they are, how long, and why they are crossed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import Prediction
+from planopt.planning.bound_margins import margins_asked_db
+from planopt.problems.problem import Problem
+
+MOST_IN_WORDS = 4
+"""Of more holes the longest are told of."""
+
+
+@dataclass(frozen=True)
+class Hole:
+    """A stretch of a path that misses the bound on connectivity.
+
+    Attributes
+    ----------
+    from_m, to_m
+        ``(x, y)`` of its first and last place below the bound.
+    length_m
+        Driven below the bound, half of the steps in and out included.
+    least_connectivity
+        Least probability of connection in it.
+    to_end
+        Whether the path ends in it.
+    """
+
+    from_m: tuple[float, float]
+    to_m: tuple[float, float]
+    length_m: float
+    least_connectivity: float
+    to_end: bool
+
+    @property
+    def words(self) -> str:
+        """Where it is and how long."""
+        x, y = self.from_m
+        return (
+            f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
+            f"connected with probability {self.least_connectivity:.2f} at least"
+        )
+
+
+def holes_along(
+    places_m: NDArray[np.float64],
+    connectivity: NDArray[np.float64],
+    is_below: NDArray[np.bool_],
+) -> tuple[Hole, ...]:
+    """Find the holes of a path.
+
+    Parameters
+    ----------
+    places_m
+        ``(n, 2)`` of the path.
+    connectivity
+        ``(n,)`` P(connected) there.
+    is_below
+        ``(n,)`` whether that misses the bound.
+    """
+    lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+    share = 0.5 * (is_below[:-1].astype(float) + is_below[1:]) * lengths
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_below.astype(int), [0]])))
+    holes: list[Hole] = []
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        begin, finish = places_m[first], places_m[end - 1]
+        holes.append(
+            Hole(
+                (float(begin[0]), float(begin[1])),
+                (float(finish[0]), float(finish[1])),
+                float(share[max(first - 1, 0) : end].sum()),
+                float(connectivity[first:end].min()),
+                end == len(places_m),
+            )
+        )
+    return tuple(holes)
+
+
+def holes_on(
+    problem: Problem, power: Prediction, places_m: NDArray[np.float64]
+) -> tuple[Hole, ...]:
+    """Find the holes of a path of places (n, 2), by what is believed.
+
+    Parameters
+    ----------
+    problem
+        Its bound is asked of every place.
+    power
+        What is believed of them.
+    places_m
+        The path.
+    """
+    threshold = problem.stations[0].threshold_dbm
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    slack_db = problem.constraints.rule.slack_max_db or 0.0
+    return holes_along(places_m, chance, margins_asked_db(problem, power) < -slack_db)
+
+
+def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses") -> list[str]:
+    """Lines for people about holes on the way to a goal; the longest where there are many.
+
+    Parameters
+    ----------
+    problem
+        With the price at which they are crossed.
+    holes
+        In the order of the path.
+    verb
+        Says when they are crossed.
+    """
+    if not holes:
+        return []
+    price, p_min = problem.reach.outage_price, problem.constraints.p_min
+    total_m = sum(hole.length_m for hole in holes)
+    told = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
+    lines = [f"{verb} a coverage hole of {hole.words}" for hole in holes if hole in told]
+    if len(told) < len(holes):
+        lines.append(f"{verb} {len(holes) - len(told)} shorter ones")
+    lines.append(
+        f"in all {total_m:.0f} m below constraints.p_min {p_min:g}: at objective.outage_price "
+        f"{price:g} no path round is cheaper"
+    )
+    return lines
+
+
+def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
+    """A line for people where the goal itself is out of contact; none where it is not."""
+    if not holes or not holes[-1].to_end:
+        return []
+    return [
+        f"the goal {list(problem.goal_m)} is itself below constraints.p_min "
+        f"{problem.constraints.p_min:g}"
+    ]

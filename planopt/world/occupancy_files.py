@@ -1,0 +1,279 @@
+"""Occupancy grids from files: maps of ROS (YAML with a PGM or PNG image), and CSV.
+
+ROS: ``image``, ``resolution`` (metres a pixel), ``origin`` ([x, y, yaw] of the lower left corner),
+``occupied_thresh``, ``free_thresh``, ``negate`` (0) and ``mode`` (trinary) mean what they mean to
+``map_server`` and Nav2. A pixel's occupancy p is how dark it is, from 0 to 1, or how bright with
+``negate``. Above ``occupied_thresh`` its cell is occupied, below ``free_thresh`` free, between them
+unknown; ``scale`` grades what is between, which for an obstacle is unknown as well. In ``raw`` the
+pixel says its occupancy in per cent, and anything above 100 is unknown. So is a pixel that is not
+opaque.
+
+CSV: a row of names ``resolution_m,origin_x_m,origin_y_m,occupied_from``, a row of their values, and
+then the cells, a row of the map after the other, the one of the largest y first. Cells of at least
+``occupied_from`` are occupied; negative and empty ones are unknown; the others are free.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.files.regular import foreign_reader, read_bytes, read_text
+from planopt.world.footprints import LARGEST_COORDINATE_M
+from planopt.world.occupancy_grid import MOST_CELLS, OccupancyGrid
+
+LARGEST_YAML_BYTES = 64 * 1024
+
+CSV_HEADER = ("resolution_m", "origin_x_m", "origin_y_m", "occupied_from")
+
+IMAGES = {".pgm": "PPM", ".png": "PNG"}
+"""Formats of images by ending, as Pillow calls them."""
+
+BYTE_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
+DEEP_MODES = ("I", "I;16", "I;16B", "I;16L")
+"""Pixels of 8 and of 16 bits, as Pillow calls them."""
+
+NO_TURN_RAD = 1e-9
+
+_MODES = ("trinary", "scale", "raw")
+
+
+def is_grid(path: Path | str | None) -> bool:
+    """Whether a file is an occupancy grid, by the ending of its name."""
+    return path is not None and Path(path).suffix.lower() in GRID_READERS
+
+
+def read_grid(path: Path) -> OccupancyGrid:
+    """Read an occupancy grid, by the ending of its file.
+
+    Parameters
+    ----------
+    path
+        One of `GRID_READERS`; the module says what stands in it.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged, a key is missing or wrong, the map is turned (yaw), a cell is
+        no number, or there are more than :data:`planopt.world.occupancy_grid.MOST_CELLS` cells.
+    """
+    return GRID_READERS[path.suffix.lower()](path)
+
+
+def _read_ros_map(path: Path) -> OccupancyGrid:
+    """Read a map of ROS."""
+    table = _yaml_table(path)
+    resolution, (x, y) = _placed(path, _number(path, table, "resolution"), *_origin(path, table))
+    negate = _one_of(path, table, "negate", (0, 1), 0)
+    mode = _one_of(path, table, "mode", _MODES, "trinary")
+    if mode == "raw" and negate:
+        raise InputError(
+            "is 1 with mode raw, which ROS 1 and Nav2 read differently",
+            file=path,
+            key="negate",
+            remedy="invert the image and set negate: 0",
+        )
+    occupied_from = _number(path, table, "occupied_thresh")
+    free_to = _number(path, table, "free_thresh")
+    if not 0.0 <= free_to <= occupied_from <= 1.0:
+        raise InputError(
+            f"{free_to:g} and occupied_thresh {occupied_from:g} are not 0 <= free <= occupied <= 1",
+            file=path,
+            key="free_thresh",
+        )
+    image = table.get("image")
+    if not isinstance(image, str) or not image:
+        raise InputError("is missing or no text", file=path, key="image", remedy="name the image")
+    shade, opaque = _shades(path.parent / image, raw=mode == "raw")
+    if mode == "raw":
+        per_cent = np.round(255.0 * shade)
+        occupancy, known = per_cent / 100.0, opaque & (per_cent <= 100.0)
+    else:
+        occupancy, known = (shade if negate else 1.0 - shade), opaque
+    occupied = known & (occupancy > occupied_from)
+    free = known & (occupancy < free_to)
+    # The first row of an image is its top.
+    return OccupancyGrid(occupied[::-1], ~(occupied | free)[::-1], resolution, (x, y))
+
+
+def _read_csv_grid(path: Path) -> OccupancyGrid:
+    """Read a grid as CSV."""
+    rows = csv.reader(io.StringIO(read_text(path), newline=None), strict=True)
+    nothing: list[str] = []
+    try:
+        header = [cell.strip() for cell in next(rows, nothing)]
+        values = [cell.strip() for cell in next(rows, nothing)]
+        if header != list(CSV_HEADER) or len(values) != len(CSV_HEADER):
+            raise InputError(
+                f"the first two rows are not {','.join(CSV_HEADER)} and their values",
+                file=path,
+                row=1,
+            )
+        numbers = [_cell(path, text, 2, name) for text, name in zip(values, header, strict=True)]
+        cells: list[list[float]] = []
+        for row in rows:
+            if not row:
+                continue
+            if cells and len(row) != len(cells[0]):
+                raise InputError(
+                    f"{len(row)} cells where the first row has {len(cells[0])}",
+                    file=path,
+                    row=rows.line_num,
+                )
+            _require_cells(path, (len(cells) + 1) * len(row))
+            cells.append(
+                [
+                    _cell(path, text, rows.line_num, f"column {column}")
+                    for column, text in enumerate(row, start=1)
+                ]
+            )
+    except csv.Error as error:
+        raise InputError(f"not a CSV row: {error}", file=path, row=rows.line_num) from error
+    if not cells:
+        raise InputError("there are no cells", file=path, remedy="rows of cells follow the values")
+    resolution, origin = _placed(path, numbers[0], numbers[1], numbers[2])
+    grid = np.array(cells)[::-1]
+    unknown = ~(grid >= 0.0)
+    return OccupancyGrid(~unknown & (grid >= numbers[3]), unknown, resolution, origin)
+
+
+GRID_READERS: dict[str, Callable[[Path], OccupancyGrid]] = {
+    ".yaml": _read_ros_map,
+    ".yml": _read_ros_map,
+    ".csv": _read_csv_grid,
+}
+"""What reads occupancy grids, by the ending of the file."""
+
+
+def _yaml_table(path: Path) -> dict[str, object]:
+    """Return the keys of a YAML file."""
+    import yaml
+
+    text = read_text(path, LARGEST_YAML_BYTES)
+    with foreign_reader(path, "a YAML file"):
+        table: object = yaml.safe_load(text)
+    if not isinstance(table, dict):
+        raise InputError(
+            "has no keys", file=path, remedy="a map of ROS has image, resolution, origin, ..."
+        )
+    return cast("dict[str, object]", table)
+
+
+def _number(path: Path, table: dict[str, object], key: str) -> float:
+    """Return the number at `key`."""
+    value = table.get(key)
+    if isinstance(value, str):
+        # YAML 1.1 takes 5e-2 for text.
+        with contextlib.suppress(ValueError):
+            value = float(value)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not _sane(value):
+        raise InputError(f"is {_shown(value)}, should be a number", file=path, key=key)
+    return float(value)
+
+
+def _sane(value: float) -> bool:
+    """Whether a number, whole ones of any size included, is finite and no giant."""
+    return -1e300 < value < 1e300
+
+
+def _shown(value: object) -> str:
+    """Return a value as a message shows it."""
+    text = "missing" if value is None else repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}..."
+
+
+def _one_of(
+    path: Path, table: dict[str, object], key: str, allowed: tuple[Any, ...], default: Any
+) -> Any:
+    """Return one of the allowed values at `key`; true and false are 1 and 0."""
+    value: Any = table.get(key, default)
+    if not any(value == one for one in allowed):
+        words = ", ".join(map(str, allowed))
+        raise InputError(f"is {_shown(value)}, should be one of {words}", file=path, key=key)
+    return value
+
+
+def _origin(path: Path, table: dict[str, object]) -> tuple[float, float]:
+    """Return x and y of the origin, which must not be turned."""
+    origin = table.get("origin")
+    values = cast("list[object]", origin if isinstance(origin, list) else [])
+    if len(values) not in (2, 3):
+        raise InputError(
+            f"is {_shown(table.get('origin'))}, should be [x, y, yaw]", file=path, key="origin"
+        )
+    x, y, yaw = (_number(path, {"origin": value}, "origin") for value in (*values, 0.0)[:3])
+    if abs(yaw) > NO_TURN_RAD:
+        raise InputError(
+            f"has a yaw of {yaw:g} rad, and turned maps are not read",
+            file=path,
+            key="origin",
+            remedy="turn the image until its yaw is 0",
+        )
+    return x, y
+
+
+def _placed(
+    path: Path, resolution_m: float, x_m: float, y_m: float
+) -> tuple[float, tuple[float, float]]:
+    """Return side and origin, if they are metres."""
+    if not 0.0 < resolution_m <= LARGEST_COORDINATE_M:
+        raise InputError(
+            f"cells of {resolution_m:g} m", file=path, key="resolution", remedy="metres above 0"
+        )
+    if not max(abs(x_m), abs(y_m)) <= LARGEST_COORDINATE_M:
+        raise InputError(f"({x_m:g}, {y_m:g}) is no place in metres", file=path, key="origin")
+    return resolution_m, (x_m, y_m)
+
+
+def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return how bright the pixels of an image are, from 0 to 1, and which are opaque."""
+    from PIL import Image
+
+    kind = IMAGES.get(path.suffix.lower())
+    if kind is None:
+        raise InputError(
+            f"images ending in {path.suffix!r} are not read", file=path, remedy="use .pgm or .png"
+        )
+    content = read_bytes(path)
+    with foreign_reader(path, "an image"):
+        with Image.open(io.BytesIO(content), formats=[kind]) as image:
+            _require_cells(path, image.width * image.height)
+            if image.mode not in (*DEEP_MODES, *BYTE_MODES) or (raw and image.mode in DEEP_MODES):
+                raise InputError(
+                    f"pixels of kind {image.mode} are not read", file=path, remedy="use 8 bit grey"
+                )
+            deep = image.mode in DEEP_MODES
+            pixels = np.asarray(image if deep else image.convert("RGBA"))
+    if deep:
+        return pixels / 65535.0, np.ones(pixels.shape, dtype=np.bool_)
+    return pixels[..., :3].sum(axis=-1, dtype=np.uint16) / 765.0, pixels[..., 3] == 255
+
+
+def _require_cells(path: Path, count: int) -> None:
+    """Refuse a grid of too many cells, or of none."""
+    if not 0 < count <= MOST_CELLS:
+        raise InputError(
+            f"has {count:,} cells, should have 1 to {MOST_CELLS:,}",
+            file=path,
+            remedy="cut the map to what is needed, or use larger cells",
+        )
+
+
+def _cell(path: Path, text: str, row: int, key: str) -> float:
+    """Return a number of a CSV file."""
+    try:
+        value = float(text) if text.strip() else math.nan
+    except ValueError:
+        value = math.inf
+    if math.isinf(value) or (row == 2 and math.isnan(value)):
+        raise InputError(f"{_shown(text)} is not a number", file=path, key=key, row=row)
+    return value

@@ -1,0 +1,79 @@
+"""Blocks and windows against brute force."""
+
+import numpy as np
+import pytest
+
+from planopt.channel.nearest.windows import earlier_windows, place_blocks, surrounding_windows
+
+
+def places(count, seed=0):
+    """Random places, dense to one side."""
+    return np.random.default_rng(seed).uniform(0.0, 1.0, (count, 2)) ** [1.0, 3.0] * [100.0, 300.0]
+
+
+@pytest.mark.parametrize("count", [0, 1, 20, 21, 333])
+def test_blocks_are_a_partition(count):
+    """Everyone is in one block, and no block is larger than asked for, or much smaller."""
+    blocks = place_blocks(places(count), 20)
+    assert sorted(np.concatenate([*blocks, np.zeros(0, int)])) == list(range(count))
+    sizes = [len(block) for block in blocks]
+    assert max(sizes, default=0) <= 20
+    assert count <= 20 or min(sizes) >= 10
+
+
+def test_many_in_one_place_are_divided():
+    """Ties are cut by number."""
+    blocks = place_blocks(np.zeros((50, 2)), 20)
+    assert sorted(len(block) for block in blocks) == [16, 17, 17]
+
+
+def test_blocks_are_compact():
+    """The mean spread within blocks of 16 of 1,024 is near that of the squares of a chessboard."""
+    points = np.random.default_rng(1).uniform(0.0, 1.0, (1024, 2))
+    spread = [points[block].std(axis=0).mean() for block in place_blocks(points, 16)]
+    assert np.mean(spread) < 1.4 * 0.125 / np.sqrt(12.0)
+
+
+def test_surrounding_windows_have_the_nearest():
+    """Those nearest to any member of the block, and none of the block."""
+    points = places(200)
+    for window in surrounding_windows(points, place_blocks(points, 12), 30):
+        others = np.setdiff1d(np.arange(200), window.own)
+        apart = np.linalg.norm(points[others, None] - points[window.own], axis=2).min(axis=1)
+        nearest = others[np.argsort(apart)[:30]]
+        assert set(window.beside) <= set(others) and len(window.beside) == 30
+        # Candidates are preselected by the block's box: nearly all are the nearest.
+        assert len(set(window.beside) & set(nearest)) >= 27
+        np.testing.assert_array_equal(window.rows[-len(window.own) :], window.own)
+
+
+def test_earlier_windows_look_back_only():
+    """Beside a block are members of blocks before it alone, all of them up to the limit."""
+    points = places(300)
+    before = set()
+    windows = earlier_windows(points, place_blocks(points, 25), 40)
+    for window in windows:
+        assert set(window.beside) <= before
+        assert len(window.beside) == min(40, len(before))
+        before |= set(window.own)
+    assert before == set(range(300))
+
+
+def test_blocks_come_from_coarse_to_fine():
+    """The first blocks are far apart: among 6 of 40 no two are neighbours."""
+    points = np.random.default_rng(2).uniform(0.0, 1.0, (1000, 2))
+    centres = [
+        points[w.own].mean(axis=0) for w in earlier_windows(points, place_blocks(points, 25), 9)
+    ]
+    apart = np.linalg.norm(np.array(centres[:6])[:, None] - centres[:6], axis=2)
+    assert apart[np.triu_indices(6, 1)].min() > 0.3
+
+
+def test_translation_changes_nothing():
+    """Blocks depend on where places are to each other."""
+    points = np.round(places(150))
+    here, there = (
+        earlier_windows(moved, place_blocks(moved, 20), 30) for moved in (points, points + 2.0**20)
+    )
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_array_equal(one.rows, other.rows)

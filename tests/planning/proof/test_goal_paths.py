@@ -1,0 +1,339 @@
+"""The verifier's cheapest paths to the goal: against networkx, closed forms and exact geometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from scenes import CUP, RING, WALL, small_problem
+
+from planopt.planning.proof.goal_paths import (
+    COARSE,
+    JOINING_SPACINGS,
+    MOVES,
+    SPACING_STEPS,
+    build_goal_grid,
+    goal_costs,
+    price_path,
+)
+from planopt.world.clearance import index_obstacles
+
+START, GOAL = np.array([5.0, 15.0]), np.array([35.0, 15.0])
+HEADINGS = 1.03
+"""A path along sixteen headings is at most this many times as long as the straight one."""
+
+
+def grid_with(problem):
+    """The grid, and the index of the obstacles."""
+    index = index_obstacles(problem.workspace)
+    return build_goal_grid(problem, index), index
+
+
+def contact(share_at):
+    """What the price is charged on, and margins of which some are positive."""
+    return lambda places: (share_at(places), 1.0 - 2.0 * share_at(places))
+
+
+def nowhere_charged(places):
+    """In contact everywhere."""
+    return np.zeros(len(places))
+
+
+def band(low, high, open_above=np.inf):
+    """Out of contact in an upright band."""
+    return lambda q: np.where((q[:, 0] > low) & (q[:, 0] < high) & (q[:, 1] < open_above), 1.0, 0.0)
+
+
+def priced(problem, share_at, price, path_m):
+    """What a path costs and the cheapest that is found."""
+    grid, index = grid_with(problem)
+    costs = goal_costs(grid, contact(share_at), price)
+    path = np.atleast_2d(np.asarray(path_m, dtype=float))
+    if len(path) == 1:
+        path = np.repeat(path, 2, axis=0)
+    return price_path(grid, index, costs, price, path, share_at(path))
+
+
+def by_networkx(problem, grid, share, price):
+    """Cost-to-go of every node: moves written out as numbers, clearance by shapely."""
+    spacing = SPACING_STEPS * problem.step_length_m
+    obstacles = shapely.union_all([o.polygon for o in problem.workspace.obstacles])
+    number = {
+        tuple(np.rint((q - GOAL) / spacing).astype(int)): k for k, q in enumerate(grid.nodes_m)
+    }
+    graph = nx.Graph()
+    graph.add_nodes_from(number.values())
+    for (column, row), node in number.items():
+        for down, right in MOVES:
+            other = number.get((column + right, row + down))
+            if other is None:
+                continue
+            line = shapely.LineString(grid.nodes_m[[node, other]])
+            if line.distance(obstacles) < problem.constraints.clearance_m:
+                continue
+            metre = 1.0 + price * (share[node] + share[other]) / 2.0
+            graph.add_edge(node, other, weight=line.length * metre)
+    goal = number[0, 0]
+    lengths = nx.single_source_dijkstra_path_length(graph, goal)
+    return np.array([lengths.get(k, np.inf) for k in range(len(grid.nodes_m))])
+
+
+@pytest.mark.parametrize("price", [0.0, 0.7, 10.0])
+@pytest.mark.parametrize("polygons", [(WALL,), (CUP,), (RING,)])
+def test_cost_to_go_against_networkx(polygons, price):
+    """The cost of every node, with a share that bends over the workspace."""
+    problem = small_problem(*polygons)
+    grid, _ = grid_with(problem)
+
+    def share_at(places):
+        return 0.5 + 0.4 * np.sin(places[:, 0] / 3.0) * np.cos(places[:, 1] / 4.0)
+
+    costs = goal_costs(grid, contact(share_at), price)
+    expected = by_networkx(problem, grid, costs.share, price)
+    np.testing.assert_allclose(costs.to_goal_m, expected, rtol=1e-12)
+    np.testing.assert_array_equal(grid.nodes_m[grid.goal], GOAL)
+
+
+def test_nodes_are_all_that_keep_the_clearance():
+    """Every place of the grid through the goal that shapely says is clear, and no other."""
+    problem = small_problem(WALL, CUP)
+    grid, _ = grid_with(problem)
+    places = shapely.points(np.stack(np.meshgrid(np.arange(41.0), np.arange(31.0)), -1))
+    away = shapely.distance(shapely.union_all([WALL, CUP]), places)
+    assert len(grid.nodes_m) == (away >= 0.5 - 1e-9).sum()
+    assert (
+        shapely.distance(shapely.union_all([WALL, CUP]), shapely.points(grid.nodes_m)).min() >= 0.5
+    )
+
+
+def test_shares_are_interpolated_between_coarse_places():
+    """A linear share is met exactly up to the last coarse row; weights are a mean's."""
+    problem = small_problem(CUP)
+    grid, _ = grid_with(problem)
+    np.testing.assert_allclose(grid.weights.sum(axis=1), 1.0)
+    assert (grid.weights >= 0.0).all()
+    means = (grid.coarse_m[grid.corners] * grid.weights[..., None]).sum(axis=1)
+    last = grid.coarse_m.max(axis=0)
+    np.testing.assert_allclose(means, np.minimum(grid.nodes_m, last), atol=1e-9)
+    apart = COARSE * SPACING_STEPS * problem.step_length_m
+    farthest = np.linalg.norm(grid.coarse_m[grid.corners] - grid.nodes_m[:, None], axis=2)
+    assert farthest[grid.weights > 0.0].max() < np.sqrt(2.0) * apart
+
+
+def test_free_space_is_nearly_straight():
+    """Without obstacles or holes every node's cost is its distance, but for the headings."""
+    grid, _ = grid_with(small_problem())
+    costs = goal_costs(grid, contact(nowhere_charged), 10.0)
+    away = np.linalg.norm(grid.nodes_m - GOAL, axis=1)
+    assert (costs.to_goal_m >= away - 1e-9).all()
+    assert (costs.to_goal_m <= HEADINGS * away + 1e-9).all()
+
+
+def test_without_a_price_shares_do_not_matter():
+    """At price 0 the cheapest path is the shortest."""
+    grid, _ = grid_with(small_problem(CUP))
+    out = goal_costs(grid, contact(lambda q: np.ones(len(q))), 0.0)
+    within = goal_costs(grid, contact(nowhere_charged), 10.0)
+    np.testing.assert_array_equal(out.to_goal_m, within.to_goal_m)
+
+
+@pytest.mark.parametrize("width", [4.0, 8.0])
+@pytest.mark.parametrize("price", [1.0, 10.0])
+def test_a_band_costs_its_width_times_the_price(width, price):
+    """From before it, in the middle of it and beyond it.
+
+    Its edges are half-way between coarse places, so that interpolation keeps its width; moves over
+    two columns see the ends alone, which takes up to half a metre off it.
+    """
+    share_at = band(15.0, 15.0 + width)
+    for x, inside in ((5.0, width), (15.0 + width / 2.0, width / 2.0), (30.0, 0.0)):
+        found = priced(small_problem(), share_at, price, [(x, 15.0)])
+        expected = 35.0 - x + price * inside
+        assert expected - 0.5 * price * (inside > 0.0) - 1e-9 <= found.best_m
+        assert found.best_m <= expected + 1e-9
+
+
+@pytest.mark.parametrize(("price", "goes_round"), [(0.2, False), (10.0, True)])
+def test_an_open_band_is_gone_round_where_that_is_cheaper(price, goes_round):
+    """Across costs 10 metres times the price, round its end 7.7 to 9 metres."""
+    found = priced(small_problem(), band(15.0, 25.0, 20.0), price, [START])
+    across, round_it = 30.0 + price * 10.0, 2.0 * np.hypot(10.0, 6.0) + 10.0
+    assert (round_it < across) == goes_round
+    assert found.best_m <= min(across, HEADINGS * round_it + 1.0) + 1e-6
+    assert found.best_m >= min(30.0 + price * 8.0, 2.0 * np.hypot(10.0, 4.0) + 8.0)
+
+
+def test_a_higher_price_never_makes_a_path_cheaper():
+    """Nor does a larger share."""
+    grid, _ = grid_with(small_problem(CUP))
+    share_at = band(10.0, 28.0, 18.0)
+    by_price = [goal_costs(grid, contact(share_at), p).to_goal_m for p in (0.0, 0.5, 3.0, 30.0)]
+    assert (np.diff(by_price, axis=0) >= -1e-9).all()
+    half = goal_costs(grid, contact(lambda q: 0.5 * share_at(q)), 3.0).to_goal_m
+    assert (half <= by_price[2] + 1e-9).all()
+    np.testing.assert_allclose(half, goal_costs(grid, contact(share_at), 1.5).to_goal_m)
+
+
+def test_a_mirrored_scene_costs_the_same():
+    """Upside down: every place's cost is that of its image."""
+
+    def flip(q):
+        return np.asarray(q) * (1.0, -1.0) + (0.0, 30.0)
+
+    share_at = band(14.0, 22.0, 12.0)
+    here, there = small_problem(CUP), small_problem(shapely.transform(CUP, flip))
+    for start in ((5.0, 15.0), (18.3, 14.2), (12.0, 3.0)):
+        path = np.array([start, (start[0] + 1.0, start[1] + 0.5)])
+        one = priced(here, share_at, 10.0, path)
+        two = priced(there, lambda q: share_at(flip(q)), 10.0, flip(path))
+        assert one.cost_m == pytest.approx(two.cost_m)
+        assert one.best_m == pytest.approx(two.best_m)
+
+
+def test_a_path_along_the_cheapest_costs_what_the_cheapest_does():
+    """From node to node downhill; one that strays costs more by what it strays."""
+    problem = small_problem(WALL)
+    grid, index = grid_with(problem)
+    share_at = band(8.0, 12.0)
+    costs = goal_costs(grid, contact(share_at), 10.0)
+    node = int(np.argmin(np.linalg.norm(grid.nodes_m - START, axis=1)))
+    graph = [[] for _ in grid.nodes_m]
+    for one, other in grid.ends.T:
+        graph[one].append(other)
+        graph[other].append(one)
+    nodes = [node]
+    for _ in range(12):
+        here = nodes[-1]
+        length = np.linalg.norm(grid.nodes_m[graph[here]] - grid.nodes_m[here], axis=1)
+        metre = 1.0 + 5.0 * (costs.share[graph[here]] + costs.share[here])
+        nodes.append(graph[here][int(np.argmin(length * metre + costs.to_goal_m[graph[here]]))])
+    path = grid.nodes_m[nodes]
+    found = price_path(grid, index, costs, 10.0, path, costs.share[nodes])
+    assert found.cost_m == pytest.approx(costs.to_goal_m[node])
+    assert found.best_m == pytest.approx(costs.to_goal_m[node])
+    # There and back along y costs four metres at the price of the place.
+    aside = np.vstack([path[:1], path[:1] + (0.0, 2.0), path])
+    share = np.concatenate([costs.share[nodes[:1]], costs.share[nodes[:1]], costs.share[nodes]])
+    strayed = price_path(grid, index, costs, 10.0, aside, share)
+    assert strayed.cost_m == pytest.approx(found.cost_m + 4.0)
+    assert strayed.best_m == found.best_m
+    # Of that the first step is half, and comes to where the rest is dearer by as much.
+    assert strayed.step_m == pytest.approx(2.0)
+    assert found.excess_m == pytest.approx(0.0, abs=1e-9)
+    assert 0.0 < strayed.excess_m <= 4.0 + 1e-9
+
+
+def test_a_path_is_charged_by_the_mean_of_each_steps_ends():
+    """Two steps with shares 0, 1 and 1/2 at a price of 4, then on without any."""
+    problem = small_problem()
+    grid, index = grid_with(problem)
+    costs = goal_costs(grid, contact(nowhere_charged), 4.0)
+    path = np.array([[30.0, 15.0], [31.0, 15.0], [33.0, 15.0]])
+    found = price_path(grid, index, costs, 4.0, path, np.array([0.0, 1.0, 0.5]))
+    # The rest begins with a share of 1/2 at its first place, none at the nodes.
+    assert found.cost_m == pytest.approx(3.0 + 4.0 * (0.5 * 1.0 + 0.75 * 2.0) + 2.0, abs=1.01)
+    assert found.best_m == pytest.approx(5.0)
+    assert found.step_m == pytest.approx(1.0 + 4.0 * 0.5)
+    # A metre of the first step and four of the rest; the share at 31 m is charged half-way on.
+    assert found.excess_m == pytest.approx(found.step_m + 4.0 - 5.0, abs=2.01)
+
+
+def test_a_place_is_joined_to_what_it_sees():
+    """Beside a wall no node beyond it counts, however near."""
+    thin = shapely.box(19.95, -1.0, 20.05, 25.0)
+    problem = small_problem(thin, clearance_m=0.1)
+    left = priced(problem, nowhere_charged, 0.0, [(19.7, 15.0)])
+    right = priced(problem, nowhere_charged, 0.0, [(20.3, 15.0)])
+    assert right.best_m == pytest.approx(35.0 - 20.3, abs=1.0)
+    assert left.best_m > np.hypot(15.0, 10.0) + 10.0
+    assert JOINING_SPACINGS * SPACING_STEPS * problem.step_length_m > 20.3 - 19.7
+
+
+def test_no_path_at_all_is_infinite():
+    """From a closed yard the goal costs infinitely much, and nothing fails."""
+    problem = small_problem(RING)
+    found = priced(problem, nowhere_charged, 10.0, [(20.0, 15.0), (21.0, 15.0)])
+    assert found.best_m == found.cost_m == np.inf
+    assert (found.step_m, found.excess_m) == (1.0, 0.0)
+
+
+def boxes(rng, count):
+    """Boxes of at least 3 m that leave start and goal alone."""
+    found = []
+    while len(found) < count:
+        x, y = rng.uniform((0, -10), (34, 24))
+        box = shapely.box(x, y, x + rng.uniform(3, 8), y + rng.uniform(3, 30))
+        if min(box.distance(shapely.Point(START)), box.distance(shapely.Point(GOAL))) > 3.0:
+            found.append(box)
+    return found
+
+
+def joined(forbidden, grown_m):
+    """Whether start and goal are in one part of the workspace less a grown or shrunk geometry."""
+    free = shapely.box(0.0, 0.0, 40.0, 30.0).difference(forbidden.buffer(grown_m))
+    parts = shapely.get_parts(free)
+    here = [k for k, p in enumerate(parts) if p.distance(shapely.Point(START)) < 1e-9]
+    there = [k for k, p in enumerate(parts) if p.distance(shapely.Point(GOAL)) < 1e-9]
+    return bool(set(here) & set(there))
+
+
+def test_paths_against_exact_geometry():
+    """Parts of the exact free space decide, but for passages as narrow as the grid: 60 scenes."""
+    rng = np.random.default_rng(11)
+    answers = []
+    for _ in range(60):
+        obstacles = boxes(rng, 6)
+        found = priced(small_problem(*obstacles), nowhere_charged, 10.0, [START])
+        forbidden = shapely.union_all(obstacles)
+        wide, narrow = joined(forbidden, 1.8), joined(forbidden, 0.49)
+        if wide:
+            assert np.isfinite(found.best_m)
+        if not narrow:
+            assert found.best_m == np.inf
+        answers.append((wide, narrow))
+    assert answers.count((True, True)) >= 10
+    assert answers.count((False, False)) >= 5
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.1, 0.5, 2.0])
+def test_no_path_through_a_building(clearance):
+    """A block across the workspace closes it, however small the clearance is against the grid."""
+    closed = small_problem(shapely.box(15, 0, 25, 30), clearance_m=clearance)
+    assert priced(closed, nowhere_charged, 1.0, [START]).best_m == np.inf
+    gate = (shapely.box(15, 0, 25, 12), shapely.box(15, 18, 25, 30))
+    through = priced(small_problem(*gate, clearance_m=clearance), nowhere_charged, 1.0, [START])
+    assert through.best_m == pytest.approx(30.0)
+    thin = small_problem(shapely.box(19.99, 0, 20.01, 30), clearance_m=clearance)
+    assert priced(thin, nowhere_charged, 1.0, [START]).best_m == np.inf
+
+
+def test_the_best_margin_is_looked_for_at_every_node():
+    """Where no coarse place keeps the bound the nodes between them may."""
+    problem = small_problem()
+    grid, _ = grid_with(problem)
+    node = next(q for q in grid.nodes_m if np.linalg.norm(grid.coarse_m - q, axis=1).min() > 0.9)
+
+    def contact_at(places):
+        margin = 0.5 - np.linalg.norm(places - node, axis=1)
+        return np.where(margin < 0.0, 1.0, 0.0), margin
+
+    assert goal_costs(grid, contact_at, 10.0).best_margin_db == pytest.approx(0.5)
+
+    def lower(places):
+        share, margin = contact_at(places)
+        return share, margin - 3.0
+
+    assert goal_costs(grid, lower, 10.0).best_margin_db == pytest.approx(-2.5)
+
+
+def test_the_grid_follows_the_step():
+    """A longer step, a coarser grid, through the goal all the same."""
+    problem = replace(small_problem(speed_max_m_s=3.0))
+    grid, _ = grid_with(problem)
+    assert grid.spacing_m == SPACING_STEPS * 3.0
+    np.testing.assert_array_equal(grid.nodes_m[grid.goal], GOAL)
+    off = (grid.nodes_m - GOAL) / grid.spacing_m
+    np.testing.assert_allclose(off, np.rint(off), atol=1e-9)

@@ -1,0 +1,183 @@
+"""Where a search for connection is steered to, and that it ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import networkx
+import numpy as np
+import pytest
+from scipy.stats import norm
+from terms_scene import CONNECT, judge_of, situation_of, terms_problem
+
+from planopt.channel.kriging import predict
+from planopt.channel.measurements import Measurements
+from planopt.channel.posterior import condition, extend
+from planopt.objectives.until_connected import LATER, charged_distance_m, search_length_m
+from planopt.planning.loop.run import Outcome
+from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.worth.connection_steering import ConnectionSteering
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.world.clearance import is_clear, swept_clearance_m
+
+THRESHOLD_DBM = -33.0
+"""Far above what is received where the robot of the small problem starts."""
+
+
+def search_problem(start_m=(32.0, 34.0), threshold_dbm=THRESHOLD_DBM, **planner):
+    """The small problem of finding connection, behind a wall and far from the station."""
+    problem = terms_problem(CONNECT, **planner)
+    robot = replace(problem.robots[0], start_m=start_m)
+    stations = tuple(replace(own, threshold_dbm=threshold_dbm) for own in problem.stations)
+    return replace(problem, robots=(robot,), stations=stations)
+
+
+def known(problem, count=20):
+    """Situation and ground with few measurements, so that every prediction rests on all."""
+    situation, belief = situation_of(problem)
+    few = situation.posterior
+    kept = measured(few.measurements.positions_m[:count], few.measurements.power_dbm[:count])
+    posterior = condition(few.parameters, kept)
+    _, ground = judge_of(situation, belief)
+    return replace(situation, posterior=posterior, steering=None), ground
+
+
+def measured(places_m, power_dbm):
+    """Measurements, none of them at a floor."""
+    return Measurements(places_m, power_dbm, np.zeros(len(places_m), dtype=bool))
+
+
+def steered(situation, ground):
+    """The way that a search is steered along."""
+    problem = situation.problem
+    return ConnectionSteering(problem, ground, problem.terms[0]).find_way(situation)
+
+
+def oracle(situation, ground):
+    """Nodes, and by networkx and the formula written out how long a search by each is."""
+    problem, road_map = situation.problem, ground.road_map
+    graph = networkx.DiGraph()
+    for begin, end, length in zip(
+        road_map.edge_from, road_map.edge_to, road_map.edge_length_m, strict=True
+    ):
+        graph.add_edge(int(begin), int(end), weight=float(length))
+    nodes = road_map.nodes_m
+    here = int(np.linalg.norm(nodes - situation.position_m, axis=1).argmin())
+    offset = float(np.linalg.norm(nodes[here] - situation.position_m))
+    ways = networkx.single_source_dijkstra_path_length(graph, here)
+    length = np.array([ways.get(number, np.inf) + offset for number in range(len(nodes))])
+    power = predict(situation.posterior, nodes)
+    score = (power.mean_db - problem.stations[0].threshold_dbm) / power.deviation_db
+    chance = norm.cdf(score)
+    apart = situation.posterior.parameters.decorrelation_m
+    found = (length + (1.0 - chance) * apart) / np.maximum(chance, 1e-12)
+    found = np.minimum(found, np.hypot(40.0, 40.0))
+    spacing = 1.25 * problem.channel.measure_spacing_m
+    measured_m = situation.posterior.measurements
+    failed = measured_m.power_dbm < problem.stations[0].threshold_dbm
+    places = np.vstack([situation.position_m, measured_m.positions_m[failed]])
+    away = np.linalg.norm(nodes[:, None] - places, axis=2).min(axis=1)
+    found[away < spacing] = np.inf
+    return nodes, found
+
+
+@pytest.mark.parametrize(
+    ("start", "threshold"), [((32.0, 34.0), -33.0), ((32.0, 20.0), -36.0), ((8.0, 30.0), -30.0)]
+)
+def test_the_end_makes_for_the_shortest_search(start, threshold):
+    """Of all nodes, by another shortest path and the formula written out."""
+    situation, ground = known(search_problem(start, threshold))
+    way = steered(situation, ground)
+    nodes, lengths = oracle(situation, ground)
+    end = int(np.linalg.norm(nodes - way.end_m, axis=1).argmin())
+    np.testing.assert_allclose(nodes[end], way.end_m)
+    assert lengths[end] == pytest.approx(lengths.min(), rel=1e-6)
+    away = swept_clearance_m(ground.index, way.turns_m)
+    assert is_clear(away, situation.problem.constraints.clearance_m).all()
+
+
+def test_one_more_connected_place_never_makes_the_search_longer():
+    """Nor does a higher chance anywhere, or a nearer place; whatever it is, by drawing tries."""
+    generator = np.random.default_rng(0)
+    chance, length = generator.uniform(0.05, 1.0, 50), generator.uniform(1.0, 80.0, 50)
+    found = search_length_m(length, chance, 10.0, 1e9)
+    assert (search_length_m(length, np.minimum(chance + 0.1, 1.0), 10.0, 1e9) <= found).all()
+    assert (search_length_m(0.5 * length, chance, 10.0, 1e9) < found).all()
+    np.testing.assert_allclose(search_length_m(length, np.ones(50), 10.0, 1e9), length)
+    tries = generator.geometric(chance, (40_000, 50))
+    drawn = tries * length + (tries - 1) * 10.0
+    error = 5.0 * drawn.std(axis=0) / 200.0
+    assert (abs(drawn.mean(axis=0) - found) < error + 1e-9).all()
+    assert search_length_m(length[:1], np.zeros(1), 10.0, 700.0) == 700.0
+
+
+def test_what_was_measured_without_connection_is_no_try_again():
+    """The search goes elsewhere once its end is measured to be out of contact."""
+    situation, ground = known(search_problem())
+    first = steered(situation, ground).end_m
+    low = measured(first[None], np.array([THRESHOLD_DBM - 20.0]))
+    later = replace(situation, posterior=extend(situation.posterior, low))
+    again = steered(later, ground).end_m
+    assert np.linalg.norm(again - first) >= situation.problem.channel.measure_spacing_m
+
+
+def test_a_plan_is_charged_the_way_that_is_left():
+    """And after it what a failed try is expected to cost; more, the farther it ends away."""
+    problem = search_problem(horizon=3)
+    situation, ground = known(problem)
+    way = steered(situation, ground)
+    situation = replace(situation, steering=way)
+    path = way.path_m(3, problem.step_length_m)
+    legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path]), axis=0), axis=1)
+    assert (legs <= problem.step_length_m + 1e-9).all()
+    term = problem.terms[0]
+    power = predict(situation.posterior, way.end_m[None])
+    chance = norm.cdf((power.mean_db[0] - THRESHOLD_DBM) / power.deviation_db[0])
+    whole = float(np.linalg.norm(np.diff(way.turns_m, axis=0), axis=1).sum())
+    apart = situation.posterior.parameters.decorrelation_m
+    search = min((whole + (1.0 - chance) * apart) / chance, np.hypot(40.0, 40.0))
+    after = LATER * (whole - legs.sum()) + search - whole
+    expected = charged_distance_m(
+        situation.posterior, path, replace(situation.search(term), beyond_m=after)
+    )
+    assert PathWorth(situation)(path) == pytest.approx(-expected, rel=1e-6)
+    still = np.tile(situation.position_m, (3, 1))
+    assert PathWorth(situation)(path) > PathWorth(situation)(still)
+
+
+@pytest.mark.parametrize("horizon", [1, 5])
+@pytest.mark.parametrize(
+    ("name", "stations"), [("auto", 1), ("auto", 2), ("lattice", 1), ("one_step", 1)]
+)
+def test_every_planner_arrives_and_never_stands(name, stations, horizon):
+    """Round the wall, from 36 m away, whatever the planner and however many stations."""
+    problem = search_problem(
+        horizon=horizon, max_steps=60, name=name, stations=stations, threshold_dbm=-31.0
+    )
+    run = simulate_team(problem, seed=3).runs[0]
+    assert run.outcome is Outcome.COMPLETED, run.reason
+    steps = np.linalg.norm(np.diff(run.log.positions_m, axis=0), axis=1)
+    assert steps.min() > 0.1 * problem.step_length_m
+
+
+def test_nothing_to_try_steers_nowhere():
+    """Where every place is within the spacing of where the robot is, none is a try."""
+    situation, ground = known(search_problem())
+    wide = replace(situation.problem.channel, measure_spacing_m=60.0)
+    problem = replace(situation.problem, channel=wide)
+    assert steered(replace(situation, problem=problem), ground) is None
+
+
+def test_small_steps_and_waiting_are_no_tries():
+    """A place nearer than the spacing to an earlier one has its multipath."""
+    problem = search_problem(horizon=3)
+    situation, ground = known(problem)
+    situation = replace(situation, steering=steered(situation, ground))
+    here = situation.position_m
+    spacing = problem.channel.measure_spacing_m
+    small = here + np.array([[0.3 * spacing, 0.0], [0.0, 0.3 * spacing], [0.0, 0.0]])
+    length = float(np.linalg.norm(np.diff(np.vstack([here, small]), axis=0), axis=1).sum())
+    beyond = situation.beyond_m(problem.terms[0], small[-1:])[0]
+    assert PathWorth(situation)(small) == pytest.approx(-length - beyond)
+    still = np.tile(here, (3, 1))
+    assert PathWorth(situation)(still) == pytest.approx(-beyond)

@@ -1,0 +1,124 @@
+"""Studies go on where they were stopped: finished runs are taken, others are driven."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from planopt import load
+from planopt.planning.loop.run import Run
+from planopt.planning.team.team_summary import TeamSummary
+from planopt.problems.load import problem_from_tables
+from planopt.problems.problem import Problem
+from planopt.problems.save import problem_to_dict
+from planopt.studies import compare as compare_module
+from planopt.studies import finished_runs
+from planopt.studies.compare import compare_horizons
+from planopt.studies.comparison import Comparison
+from planopt.studies.finished_runs import FinishedRuns, run_key
+
+
+def short(name: str, steps: int = 2) -> Problem:
+    """A library problem whose runs are short."""
+    problem = load(name)
+    return replace(problem, planner=replace(problem.planner, max_steps=steps, horizon=2))
+
+
+@pytest.fixture
+def driven(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+    """Horizon and seed of every run that is driven in this process."""
+    seen: list[tuple[int, int]] = []
+    original = compare_module._driven
+
+    def counted(problem, seed, shared):
+        seen.append((problem.planner.horizon, seed))
+        return original(problem, seed, shared)
+
+    monkeypatch.setattr(compare_module, "_driven", counted)
+    return seen
+
+
+def compared(problem: Problem, folder: Path, horizons=(1, 2), **more) -> Comparison:
+    """Two horizons on two seeds, with a record."""
+    if problem.task == "reach":
+        more["costs_to_go"] = ["geodesic"]
+    return compare_horizons(problem, horizons, finished=folder, **{"seeds": 2, **more})
+
+
+@pytest.mark.parametrize(("name", "kind"), [("open_field", Run), ("outdoor_map", TeamSummary)])
+def test_the_same_comparison_again_drives_nothing(name, kind, tmp_path: Path, driven) -> None:
+    """And gives the same, times included."""
+    problem = short(name)
+    first = compared(problem, tmp_path / "runs")
+    assert driven == [(1, 0), (2, 0), (1, 1), (2, 1)] and first.resumed == 0
+    again = compared(problem, tmp_path / "runs")
+    assert len(driven) == 4 and again.resumed == 4
+    assert all(isinstance(run, kind) for run in again.runs)
+    assert repr(again.rows) == repr(first.rows)
+    for one, other in zip(again.runs, first.runs, strict=True):
+        assert finished_runs.encoded(one) == finished_runs.encoded(other)
+
+
+def test_only_what_is_missing_is_driven(tmp_path: Path, driven) -> None:
+    """More seeds, another horizon, and a run whose record is damaged or of another key."""
+    problem, folder = short("open_field"), tmp_path / "runs"
+    compared(problem, folder, seeds=1)
+    del driven[:]
+    assert compared(problem, folder, horizons=(2, 3)).resumed == 1
+    assert driven == [(3, 0), (2, 1), (3, 1)]
+    del driven[:]
+    records = sorted(folder.iterdir())
+    assert len(records) == 5
+    records[0].write_text(records[0].read_text()[:-40])
+    records[1].write_bytes(records[2].read_bytes())
+    data = json.loads(records[3].read_text())
+    records[3].write_text(json.dumps({**data, "result": {**data["result"], "seed": "0"}}))
+    records[4].write_text("[" * 100_000)
+    compared(problem, folder, horizons=(1, 2, 3), seeds=2)
+    assert len(driven) == 4 + 1
+    del driven[:]
+    assert compared(problem, folder, horizons=(1, 2, 3), seeds=2).resumed == 6 and not driven
+
+
+def test_other_processes_keep_their_runs(tmp_path: Path, driven) -> None:
+    """The record of workers is that of one process."""
+    problem = short("open_field")
+    compared(problem, tmp_path / "runs", workers=2)
+    assert compared(problem, tmp_path / "runs").resumed == 4 and not driven
+
+
+def test_what_decides_a_run_is_in_its_key(tmp_path: Path, monkeypatch) -> None:
+    """Settings, seed, the content of files wherever they are, and the program; not the pictures."""
+    problem = load("munich_courier")
+    key = run_key(problem, 0)
+    assert key == run_key(load("munich_courier"), 0)
+    assert json.loads(json.dumps(key)) == key
+    assert key == run_key(replace(problem, report=replace(problem.report, figures=False)), 0)
+    assert key != run_key(problem, 1)
+    assert key != run_key(replace(problem, planner=replace(problem.planner, horizon=3)), 0)
+    station = replace(problem.stations[0], threshold_dbm=-84.0)
+    assert key != run_key(replace(problem, stations=(station,)), 0)
+
+    def moved(change: bytes) -> Problem:
+        """The problem with its map elsewhere."""
+        tables = problem_to_dict(problem)
+        content = Path(tables["channel"]["truth"]["file"]).read_bytes()
+        (tmp_path / "map.npz").write_bytes(content + change)
+        tables["channel"]["truth"]["file"] = str(tmp_path / "map.npz")
+        return problem_from_tables(tables, folder=tmp_path, file=None)
+
+    assert key == run_key(moved(b""), 0)
+    assert key != run_key(moved(b"0"), 0)
+    monkeypatch.setattr(finished_runs, "_program", lambda: (("planopt", "9.9"),))
+    assert key != run_key(problem, 0)
+
+
+def test_a_record_of_another_type_is_none(tmp_path: Path) -> None:
+    """Neither is one that is not there."""
+    runs = FinishedRuns(tmp_path)
+    assert runs.find({"a": 1}, Run) is None
+    runs.keep({"a": 1}, {"no": "run"})
+    assert runs.find({"a": 1}, Run) is None and runs.find({"a": 1}, dict[str, str]) == {"no": "run"}

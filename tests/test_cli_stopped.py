@@ -1,0 +1,218 @@
+"""Commands that are interrupted, terminated or killed: what is left, and what goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from planopt.cli import main
+from planopt.commands.interrupts import interruptible, stopping
+from planopt.files.result_folder import MIXED, STAGING
+from planopt.problems.library import library_folder
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
+
+OPEN_FIELD = (library_folder() / "open_field.toml").read_text()
+COMPARE = ["--horizons", "1,2", "--costs-to-go", "geodesic"]
+
+
+def written(path: Path, steps: int, figures: bool = False) -> Path:
+    """The open field with runs of so many steps."""
+    text = OPEN_FIELD.replace("max_steps = 200", f"max_steps = {steps}")
+    path.write_text(text.replace("figures = true", f"figures = {str(figures).lower()}"))
+    return path
+
+
+def started(*arguments: object) -> subprocess.Popen[str]:
+    """A command in a process of its own."""
+    command = [sys.executable, "-c", "import sys; from planopt.cli import main; sys.exit(main())"]
+    return subprocess.Popen(
+        [*command, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+    )
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started."""
+    found = Path(f"/proc/{pid}/task/{pid}/children")
+    return [int(child) for child in found.read_text().split()] if found.exists() else []
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process is there, and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def waited(condition, at_most_s: float = 120.0) -> None:
+    """Wait until something is so."""
+    until = time.monotonic() + at_most_s
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.05)
+
+
+def hidden(folder: Path) -> list[str]:
+    """Temporary files and folders."""
+    return [path.name for path in folder.rglob(".*")] if folder.exists() else []
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_comparison_is_stopped_with_its_workers(
+    number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    """Exit code by the signal, no process and no temporary file left; the same command goes on."""
+    problem, out = written(tmp_path / "p.toml", steps=3), tmp_path / "out"
+    arguments = ["compare", problem, *COMPARE, "--seeds", "40", "--workers", "2", "--out", out]
+    process = started(*arguments)
+    waited(lambda: len(list(out.glob("finished_runs/*.json"))) >= 2)
+    workers = children(process.pid)
+    process.send_signal(number)
+    printed, errors = process.communicate(timeout=60)
+    assert process.returncode == code and printed == "" and "Traceback" not in errors
+    waited(lambda: not any(map(is_running, workers)), 30.0)
+    finished = len(list(out.glob("finished_runs/*.json")))
+    assert finished >= 2 and not hidden(out) and not (out / "comparison.json").exists()
+    seeds = 2 + finished // 2
+    assert main([str(a) for a in ["compare", problem, *COMPARE, "--seeds", seeds, "--out", out]])
+    data = json.loads((out / "comparison.json").read_text())
+    assert 2 <= data["resumed"] <= finished and len(data["runs"]) == 2 * seeds
+
+
+def test_workers_end_with_a_killed_process(tmp_path: Path) -> None:
+    """It cannot tell them to."""
+    problem, out = written(tmp_path / "p.toml", steps=200), tmp_path / "out"
+    process = started(
+        *("compare", problem, "--horizons", "1", "--costs-to-go", "geodesic"),
+        *("--seeds", "40", "--workers", "2", "--out", out),
+    )
+    waited(lambda: bool(list(out.glob("finished_runs/*.json"))))
+    workers = children(process.pid)
+    assert len(workers) >= 2
+    process.kill()
+    process.communicate(timeout=60)
+    waited(lambda: not any(map(is_running, workers)), 60.0)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 1.5])
+def test_a_run_is_terminated(delay_s: float, tmp_path: Path) -> None:
+    """A folder that was made for it is gone; an earlier result is as it was."""
+    problem = tmp_path / "p.toml"
+    outdoor = (library_folder() / "outdoor_map.toml").read_text()
+    # The run goes on for minutes, whatever the speed of the machine.
+    problem.write_text(outdoor.replace("max_steps = 60", "max_steps = 9000"))
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "run.json").write_text("{}")
+    for out in (tmp_path / "old", tmp_path / "made"):
+        process = started("simulate", problem, "--out", out)
+        waited(lambda out=out, process=process: out.exists() or process.poll() is not None)
+        time.sleep(delay_s + (0.5 if out.name == "old" else 0.0))
+        process.terminate()
+        process.communicate(timeout=60)
+        # Before the command has begun the system ends the process itself.
+        assert process.returncode in (143, -signal.SIGTERM)
+        if process.returncode == 143:
+            assert not (tmp_path / "made").exists()
+    assert [path.name for path in (tmp_path / "old").iterdir()] == ["run.json"]
+
+
+def test_both_signals_are_told_to_every_block() -> None:
+    """The outer one knows which came, though the inner one raises; handlers are put back."""
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with stopping() as outer:
+            with pytest.raises(KeyboardInterrupt), interruptible():
+                signal.raise_signal(number)
+            assert outer == [number]
+    assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+
+def test_a_second_termination_does_not_disturb_the_first() -> None:
+    """Cleaning up goes on; a second Ctrl-C ends it."""
+    with pytest.raises(KeyboardInterrupt), stopping() as received:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            signal.raise_signal(signal.SIGTERM)
+            assert received == [signal.SIGTERM] * 2
+            signal.raise_signal(signal.SIGINT)
+
+
+COMMANDS = {
+    "solve": ("plan.json", ["--horizon", "3"], {"plan.png", "belief.png"}),
+    "simulate": ("run.json", ["--horizon", "2"], {"run.png", "series.png", "belief.png"}),
+}
+
+
+TIMED = ("plan.json", "run.json", "plan.png", "series.png")
+"""Files with wall times, which differ from run to run."""
+
+
+def is_whole(folder: Path, references: list[Path], name: str, pictures: set[str]) -> bool:
+    """Whether a folder has one of the results, with all its pictures or a word on their lack."""
+    files = {path.name: path for path in folder.iterdir() if not path.name.startswith(".")}
+    marker = files.pop("INCOMPLETE_plan_or_run.txt", None)
+    if marker is not None and marker.read_text() == MIXED:
+        return True
+    reference = references[json.loads(files[name].read_text())["seed"]]
+    drawn = {other for other in files if other.endswith(".png")}
+    same = all(
+        path.read_bytes() == (reference / other).read_bytes()
+        for other, path in files.items()
+        if other not in TIMED
+    )
+    complete = drawn == pictures or (marker is not None and not drawn)
+    return same and complete and set(files) - drawn == {name, "steps.csv", "belief.npz"}
+
+
+def killed_commands(command: str, count: int, folder: Path) -> None:
+    """Replace a result by another, kill the process at some moment, look at what is there."""
+    name, more, pictures = COMMANDS[command]
+    problem = written(folder / "p.toml", steps=3, figures=True)
+    references, took = [folder / "seed 0", folder / "seed 1"], 0.0
+    for seed, reference in enumerate(references):
+        begun = time.monotonic()
+        process = started(command, problem, *more, "--seed", seed, "--out", reference)
+        process.communicate(timeout=300)
+        took = time.monotonic() - begun
+    moments = random.Random(0)
+    out = folder / "out"
+    shutil.copytree(references[0], out)
+    for index in range(count):
+        process = started(command, problem, *more, "--seed", (index + 1) % 2, "--out", out)
+        time.sleep(took * moments.uniform(0.2, 1.1))
+        process.kill()
+        process.communicate(timeout=60)
+        assert is_whole(out, references, name, pictures), index
+    left = list(out.glob(f"{STAGING}*"))
+    assert main([command, str(problem), *more, "--out", str(out)]) in (0, 3, 4)
+    assert not any(path.exists() for path in left)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_killed_at_a_moment(command: str, tmp_path: Path, capsys) -> None:
+    """The small version of the test below."""
+    killed_commands(command, 1, tmp_path)
+    capsys.readouterr()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+def test_killed_at_random_moments(command: str, tmp_path: Path, capsys) -> None:
+    """The folder has the old result or the new one, or says that it is incomplete."""
+    killed_commands(command, 40, tmp_path)
+    capsys.readouterr()

@@ -1,0 +1,296 @@
+"""Occupancy grids from files: ROS maps by the rules of map_server, CSV, and what is refused."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from planopt.errors import InputError
+from planopt.problems.load import load
+from planopt.world import occupancy_files
+from planopt.world.occupancy_files import read_grid
+from planopt.world.readers import read_obstacles
+
+YAML = """\
+image: hall.pgm
+resolution: 0.5
+origin: [-2.0, 1.0, 0.0]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+SHADES = np.array([[0, 254, 205], [254, 254, 0]], dtype=np.uint8)
+"""As SLAM writes them: occupied, free, unknown; the first row is the top."""
+
+
+def ros_map(folder: Path, text: str = YAML, shades: NDArray[np.uint8] = SHADES) -> Path:
+    """A map of ROS: its YAML, and the image that this names."""
+    (folder / "hall.yaml").write_text(text)
+    Image.fromarray(shades).save(folder / "hall.pgm")
+    return folder / "hall.yaml"
+
+
+def test_trinary(tmp_path: Path) -> None:
+    """The three values of a map that SLAM made, the last row of the image at the smallest y."""
+    grid = read_grid(ros_map(tmp_path))
+    assert grid.occupied.tolist() == [[False, False, True], [True, False, False]]
+    assert grid.unknown.tolist() == [[False, False, False], [False, False, True]]
+    assert (grid.resolution_m, grid.origin_m) == (0.5, (-2.0, 1.0))
+
+
+def reference(shade: int, mode: str, negate: int, occupied: float, free: float) -> str:
+    """What Nav2's map_io makes of an opaque pixel, written out for one pixel."""
+    if mode == "raw":
+        value = shade if 0 <= shade <= 100 else -1
+        if value < 0:
+            return "unknown"
+        level = value / 100
+    else:
+        level = shade / 255 if negate else 1 - shade / 255
+    return "occupied" if level > occupied else "free" if level < free else "unknown"
+
+
+def test_numbers_as_text(tmp_path: Path) -> None:
+    """YAML 1.1 takes 5e-1 for text, ROS for a number."""
+    assert read_grid(ros_map(tmp_path, YAML.replace("0.5", "5e-1"))).resolution_m == 0.5
+
+
+@pytest.mark.parametrize(
+    ("mode", "negate"), [("trinary", 0), ("trinary", 1), ("scale", 0), ("scale", 1), ("raw", 0)]
+)
+@pytest.mark.parametrize(("occupied", "free"), [(0.65, 0.25), (0.65, 0.196), (0.5, 0.5), (1.0, 0)])
+def test_every_shade(tmp_path: Path, mode: str, negate: int, occupied: float, free: float) -> None:
+    """All 256 of them, pixel by pixel."""
+    text = f"""
+image: hall.pgm
+mode: {mode}
+resolution: 1
+origin: [0, 0, 0]
+negate: {negate}
+occupied_thresh: {occupied}
+free_thresh: {free}
+"""
+    grid = read_grid(ros_map(tmp_path, text, np.arange(256, dtype=np.uint8)[None]))
+    kinds = np.where(grid.occupied, "occupied", np.where(grid.unknown, "unknown", "free"))
+    wanted = [reference(shade, mode, negate, occupied, free) for shade in range(256)]
+    assert kinds[0].tolist() == wanted
+
+
+@pytest.mark.parametrize("mode", ["L", "LA", "RGB", "RGBA", "P", "1", "I;16"])
+def test_kinds_of_pixels(tmp_path: Path, mode: str) -> None:
+    """Black is occupied and white is free in any PNG; what is not opaque is unknown."""
+    black_white = Image.fromarray(np.array([[0, 255, 255]], dtype=np.uint8))
+    if mode == "I;16":
+        image = Image.fromarray(np.array([[0, 65535, 65535]], dtype=np.uint16))
+    else:
+        image = black_white.convert(mode)
+    if mode in ("LA", "RGBA"):
+        image.putalpha(Image.fromarray(np.array([[255, 255, 0]], dtype=np.uint8)))
+    image.save(tmp_path / "hall.png")
+    (tmp_path / "hall.yml").write_text(YAML.replace("hall.pgm", "hall.png"))
+    grid = read_grid(tmp_path / "hall.yml")
+    assert grid.occupied.tolist() == [[True, False, False]]
+    assert grid.unknown.tolist() == [[False, False, mode in ("LA", "RGBA")]]
+
+
+def test_pgm_of_other_kinds(tmp_path: Path) -> None:
+    """Plain text, a comment, another largest value, 16 bits: all are PGM."""
+    (tmp_path / "hall.yaml").write_text(YAML)
+    for content in (
+        b"P2\n# made by hand\n2 1\n255\n0 255\n",
+        b"P5\n2 1\n100\n\x00\x64",
+        b"P5\n2 1\n65535\n\x00\x00\xff\xff",
+    ):
+        (tmp_path / "hall.pgm").write_bytes(content)
+        assert read_grid(tmp_path / "hall.yaml").occupied.tolist() == [[True, False]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "words"),
+    [
+        ("origin: [-2.0, 1.0, 0.0]", "origin: [0, 0, 0.1]", "origin", "yaw of 0.1 rad"),
+        ("origin: [-2.0, 1.0, 0.0]", "origin: [0]", "origin", "[x, y, yaw]"),
+        ("origin: [-2.0, 1.0, 0.0]", "origin: [.nan, 0, 0]", "origin", "should be a number"),
+        ("origin: [-2.0, 1.0, 0.0]", "origin: [1e12, 0, 0]", "origin", "no place in metres"),
+        ("resolution: 0.5", "resolution: 0", "resolution", "metres above 0"),
+        ("resolution: 0.5", "resolution: fine", "resolution", "should be a number"),
+        ("resolution: 0.5", "resolution: true", "resolution", "should be a number"),
+        ("resolution: 0.5", "resolution: " + "9" * 400, "resolution", "should be a number"),
+        ("resolution: 0.5\n", "", "resolution", "is missing"),
+        ("negate: 0", "negate: 2", "negate", "one of 0, 1"),
+        ("negate: 0", "negate: [0]", "negate", "one of 0, 1"),
+        ("negate: 0", "mode: fast", "mode", "one of trinary, scale, raw"),
+        ("negate: 0", "negate: 1\nmode: raw", "negate", "ROS 1 and Nav2"),
+        ("free_thresh: 0.196", "free_thresh: 0.7", "free_thresh", "0 <= free <= occupied <= 1"),
+        ("image: hall.pgm", "image: 3", "image", "no text"),
+        ("image: hall.pgm", "image: hall.jpg", None, "images ending in '.jpg'"),
+        ("image: hall.pgm", "image: other.pgm", None, "no such file"),
+        ("image: hall.pgm", "image: .", None, "images ending in ''"),
+        (YAML, "", None, "has no keys"),
+        (YAML, "- 1\n- 2\n", None, "has no keys"),
+        (YAML, "a: [1, 2", None, "not a YAML file that can be read"),
+        (YAML, "a: !!python/object/apply:os.system ['true']", None, "not a YAML file"),
+        (YAML, "[" * 3000, None, "not a YAML file"),
+        (YAML, "a: " + "b" * 70_000, None, "more than the limit"),
+    ],
+)
+def test_bad_yaml(tmp_path: Path, old: str, new: str, key: str | None, words: str) -> None:
+    """One error that names the file, the key and what is wrong."""
+    assert old in YAML
+    path = ros_map(tmp_path, YAML.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        read_grid(path)
+    assert words in str(caught.value) and caught.value.key == key
+    assert caught.value.file is not None and str(tmp_path) in caught.value.file
+
+
+def test_yaml_bomb(tmp_path: Path) -> None:
+    """Aliases of aliases cost nothing until somebody walks through them; nobody does."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 20)]
+    path = ros_map(
+        tmp_path, YAML.replace("resolution: 0.5", "\n".join([*lines, "resolution: *a3"]))
+    )
+    with pytest.raises(InputError) as caught:
+        read_grid(path)
+    assert caught.value.key == "resolution" and len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"P5",
+        b"P5\n2 1\n255\n\x00",
+        b"P5\n-2 1\n255\n",
+        b"P5\n0 0\n255\n",
+        b"P6\n1 1\n70000\n",
+        b"x",
+    ],
+)
+def test_damaged_images(tmp_path: Path, content: bytes) -> None:
+    """Our error with the image's name; no error and no warning of Pillow's."""
+    path = ros_map(tmp_path)
+    (tmp_path / "hall.pgm").write_bytes(content)
+    with pytest.raises(InputError, match=r"hall\.pgm"):
+        read_grid(path)
+
+
+def test_image_of_another_format(tmp_path: Path) -> None:
+    """An ending is believed: what is no PNG within is refused, whatever Pillow could read."""
+    Image.fromarray(SHADES).save(tmp_path / "hall.gif")
+    (tmp_path / "hall.gif").rename(tmp_path / "hall.png")
+    (tmp_path / "hall.yaml").write_text(YAML.replace("hall.pgm", "hall.png"))
+    with pytest.raises(InputError, match=r"hall\.png: not an image"):
+        read_grid(tmp_path / "hall.yaml")
+
+
+def test_random_damage(tmp_path: Path) -> None:
+    """Bytes cut, changed and put in: a grid or our error, nothing else."""
+    generator = np.random.default_rng(5)
+    stream = io.BytesIO()
+    Image.fromarray(SHADES).save(stream, "png")
+    text = YAML.replace("hall.pgm", "hall.png").encode()
+    for name, content in (("hall.png", stream.getvalue()), ("hall.yaml", text)):
+        (tmp_path / "hall.png").write_bytes(stream.getvalue())
+        (tmp_path / "hall.yaml").write_bytes(text)
+        for _ in range(150):
+            damaged = bytearray(content)
+            at = int(generator.integers(len(damaged)))
+            match generator.integers(3):
+                case 0:
+                    del damaged[at:]
+                case 1:
+                    damaged[at] = generator.integers(256)
+                case _:
+                    damaged[at:at] = generator.bytes(4)
+            (tmp_path / name).write_bytes(damaged)
+            try:
+                read_grid(tmp_path / "hall.yaml")
+            except InputError as error:
+                assert str(tmp_path) in str(error)
+
+
+def test_too_many_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The size that an image declares is looked at before its pixels are."""
+    monkeypatch.setattr(occupancy_files, "MOST_CELLS", 5)
+    with pytest.raises(InputError, match="6 cells, should have 1 to 5"):
+        read_grid(ros_map(tmp_path))
+    monkeypatch.undo()
+    (tmp_path / "hall.pgm").write_bytes(b"P5\n1000000 1000000\n255\n")
+    with pytest.raises(InputError, match=r"hall\.pgm.*(cells|size)"):
+        read_grid(tmp_path / "hall.yaml")
+
+
+CSV = """\
+resolution_m,origin_x_m,origin_y_m,occupied_from
+2.0,10.0,-5.0,65
+-1,0,100
+0,64,
+"""
+
+
+def test_csv(tmp_path: Path) -> None:
+    """Per cent as in nav_msgs/OccupancyGrid; rows from the largest y down."""
+    path = tmp_path / "yard.csv"
+    path.write_text(CSV)
+    grid = read_grid(path)
+    assert grid.occupied.tolist() == [[False, False, False], [False, False, True]]
+    assert grid.unknown.tolist() == [[False, False, True], [True, False, False]]
+    assert (grid.resolution_m, grid.origin_m) == (2.0, (10.0, -5.0))
+    (obstacle,) = read_obstacles(path, "free")
+    assert (obstacle.name, obstacle.polygon.bounds) == ("yard", (14.0, -3.0, 16.0, -1.0))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "row", "words"),
+    [
+        ("resolution_m", "cell_m", 1, "first two rows"),
+        ("2.0,10.0,-5.0,65", "2.0,10.0,-5.0", 1, "first two rows"),
+        ("2.0,10.0,-5.0,65", "2.0,east,-5.0,65", 2, "'east' is not a number"),
+        ("2.0,10.0,-5.0,65", "2.0,,-5.0,65", 2, "'' is not a number"),
+        ("2.0,10.0,-5.0,65", "0,0,0,65", None, "metres above 0"),
+        ("0,64,", "0,64", 4, "2 cells where the first row has 3"),
+        ("0,64,", "0,wall,1", 4, "'wall' is not a number"),
+        ("0,64,", "0,inf,1", 4, "'inf' is not a number"),
+        ("-1,0,100\n0,64,\n", "", None, "no cells"),
+        ("0,64,", '0,"64,', 4, "not a CSV row"),
+        (CSV, "", 1, "first two rows"),
+    ],
+)
+def test_bad_csv(tmp_path: Path, old: str, new: str, row: int | None, words: str) -> None:
+    """One error with file and line."""
+    assert old in CSV
+    path = tmp_path / "yard.csv"
+    path.write_text(CSV.replace(old, new, 1))
+    with pytest.raises(InputError, match=words) as caught:
+        read_grid(path)
+    assert (caught.value.file, caught.value.row) == (str(path), row)
+
+
+def test_in_a_problem(tmp_path: Path) -> None:
+    """A grid beside the problem file is among its obstacles; who stands in a wall is told."""
+    ros_map(tmp_path, YAML.replace("0.5", "10.0"), np.full((9, 12), 254, dtype=np.uint8))
+    field = (Path(load("open_field").file or "")).read_text()
+    head, rest = field.split("[channel.truth]", 1)
+    world = '[world]\nbounds_m = [0.0, 1.0, 118.0, 91.0]\nobstacles = [{ file = "hall.yaml" }]\n'
+    path = tmp_path / "field.toml"
+    path.write_text(f"{head.split('[world]')[0]}{world}\n[channel.truth]{rest}")
+    assert load(path).workspace.obstacles == ()
+    shades = np.full((9, 12), 254, dtype=np.uint8)
+    shades[-1 - 3, 9] = 0  # x from 88 to 98, y from 31 to 41: a metre above the goal
+    Image.fromarray(shades).save(tmp_path / "hall.pgm")
+    with pytest.raises(InputError, match="1 m from the obstacle hall"):
+        load(path)
+    path.write_text(path.read_text().replace('"hall.yaml"', '"hall.yaml", unknown = "nothing"'))
+    with pytest.raises(InputError, match="'occupied' or 'free'"):
+        load(path)
+    path.write_text(path.read_text().replace('file = "hall.yaml"', 'wkt = "POINT (1 1)"'))
+    path.write_text(path.read_text().replace('"nothing"', '"free"'))
+    with pytest.raises(InputError, match="unknown, which goes only with the file of an occupancy"):
+        load(path)

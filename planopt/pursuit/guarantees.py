@@ -409,10 +409,10 @@ def _floor_m(needs: tuple[Inequality, ...] | list[Inequality], stages: tuple[Sta
 
     if not lifts(np.zeros(1))[0]:
         return 0.0
-    grid: NDArray[np.float64] = np.append(0.0, np.exp2(np.arange(-1020.0, 1000.0)))
+    grid = np.asarray(np.append(0.0, np.exp2(np.arange(-1020.0, 1000.0))), dtype=np.float64)
     for _ in range(FLOOR_ROUNDS):
         last = int(np.flatnonzero(lifts(grid))[-1])
         if last + 1 == len(grid):
             return math.inf
-        grid = np.linspace(grid[last], grid[last + 1], FLOOR_PLACES)
+        grid = np.linspace(float(grid[last]), float(grid[last + 1]), FLOOR_PLACES)
     return float(grid[-1])

@@ -1,8 +1,8 @@
 """Import a package's public names when they are first used.
 
 The stub ``__init__.pyi`` beside a package's ``__init__.py`` lists its public names, each once, as
-``from module import Name as Name``; packages within it are listed like names. Type checkers read the
-stub, and so does :func:`lazy_names`.
+``from module import Name as Name``; packages within it are listed like names. Type checkers read
+the stub, and so does :func:`lazy_names`.
 """
 
 from __future__ import annotations

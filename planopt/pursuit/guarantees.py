@@ -33,8 +33,11 @@ Stage = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.fl
 No stage takes longer than its decrease of W times that duration over the decrease to the bound.
 """
 
-INTEGRATION_STEPS = 4000
+INTEGRATION_STEPS = 1000
 """Intervals of the integral that bounds the time to capture, taken from above."""
+
+FLOOR_PLACES, FLOOR_ROUNDS = 65, 11
+"""Places among which the floor is looked for, and how often between two of them: to round-off."""
 
 
 class Theorem(Enum):
@@ -401,15 +404,15 @@ def _floor_m(needs: tuple[Inequality, ...] | list[Inequality], stages: tuple[Sta
     if not all(each.holds for each in needs):
         return math.inf
 
-    def lifts(bound_m: float) -> bool:
-        return any(float(stage(np.array(bound_m))[0]) > bound_m for stage in stages)
+    def lifts(bounds_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.any([stage(bounds_m)[0] > bounds_m for stage in stages], axis=0)
 
-    if not lifts(0.0):
+    if not lifts(np.zeros(1))[0]:
         return 0.0
-    low, high = 0.0, 1.0
-    while lifts(high):
-        low, high = high, 2.0 * high
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if lifts(middle) else (low, middle)
-    return high
+    grid = np.asarray(np.append(0.0, np.exp2(np.arange(-1020.0, 1000.0))), dtype=np.float64)
+    for _ in range(FLOOR_ROUNDS):
+        last = int(np.flatnonzero(lifts(grid))[-1])
+        if last + 1 == len(grid):
+            return math.inf
+        grid = np.linspace(float(grid[last]), float(grid[last + 1]), FLOOR_PLACES)
+    return float(grid[-1])

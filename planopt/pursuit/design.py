@@ -1,0 +1,495 @@
+"""Co-design of pursuit and network: slot width, rate and compression of least power or energy.
+
+Rounds as slow and reports as coarse as the guarantee of capture allows cost least. For a number c
+of bits all limits on the slot are linear, so that the best slot is known; c is scanned. The same
+problems as convex programmes stand in :mod:`planopt.pursuit.programmes`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+
+from planopt.errors import InputError, NoPlanError
+from planopt.pursuit.guarantees import (
+    Chase,
+    Guarantee,
+    Inequality,
+    Theorem,
+    contraction,
+    guarantees,
+)
+from planopt.pursuit.network import MoteNetwork
+from planopt.pursuit.service import relative_error, require_count, require_number
+
+MAX_BITS = 16
+"""No more bits an axis are tried: reports are then a thousandth of a per cent of the distance."""
+
+SLOT_SHARE = 1e-10
+"""Share of its width to which the widest slot is found by halving."""
+
+PAYLOAD_FITS = "slot of the payload below the widest slot"
+IN_TIME = "time to capture below the deadline"
+
+SHARP_ORDER = {"capture_radius": 1, "deadline": 2}
+"""What is looked at after the theorem's own inequalities."""
+
+ELASTICITY_STEP = 1e-5
+"""Share by which a quantity is changed to find what it is worth."""
+
+
+class NoDesignError(NoPlanError):
+    """No network meets the requirement.
+
+    Attributes
+    ----------
+    inequality, bits_per_axis
+        Of all numbers of bits, that with which most holds, and what fails with it.
+    """
+
+    def __init__(self, inequality: Inequality, bits_per_axis: int) -> None:
+        self.inequality, self.bits_per_axis = inequality, bits_per_axis
+        super().__init__(f"no network serves this pursuit: with c = {bits_per_axis}, {inequality}")
+
+
+@dataclass(frozen=True)
+class DesignTask:
+    """A pursuit to be served.
+
+    Attributes
+    ----------
+    network
+        Motes and radios.
+    chase
+        Speeds.
+    margin
+        delta: by how much ``a + x`` stays below 1.
+    bits_per_axis
+        c; None to choose it.
+    first_distance_m
+        From the pursuer to where the evader is sampled first.
+    capture_radius_m, deadline_s
+        How near and by when the evader is to be caught; None for no such requirement.
+
+    Raises
+    ------
+    InputError
+        A number is out of range.
+    """
+
+    network: MoteNetwork
+    chase: Chase
+    margin: float = 0.01
+    bits_per_axis: int | None = None
+    first_distance_m: float | None = None
+    capture_radius_m: float | None = None
+    deadline_s: float | None = None
+
+    def __post_init__(self) -> None:
+        require_number(self.margin, "margin", least=0.0)
+        if self.bits_per_axis is not None:
+            require_count(self.bits_per_axis, "bits_per_axis", 1, MAX_BITS)
+        for key in ("first_distance_m", "capture_radius_m", "deadline_s"):
+            if getattr(self, key) is not None:
+                require_number(getattr(self, key), key, above=0.0)
+
+    @property
+    def bits(self) -> Iterable[int]:
+        """Numbers of bits to scan."""
+        return range(1, MAX_BITS + 1) if self.bits_per_axis is None else (self.bits_per_axis,)
+
+    @property
+    def staleness_per_slot(self) -> float:
+        """X / s_w at r = 1, in 1/s."""
+        return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
+
+    def room(self, bits_per_axis: float) -> float:
+        """Return 1 - a - delta: what is left for x."""
+        kappa = relative_error(bits_per_axis)
+        return 1.0 - contraction(self.chase.speed_ratio, kappa) - self.margin
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A network for a pursuit.
+
+    Attributes
+    ----------
+    slot_width_s, rate_divisor, bits_per_axis
+        s_w, r and c.
+    cost_w
+        What the network draws.
+    binding
+        Requirements that keep it from costing less: ``lemma``, ``payload``, ``deadline``,
+        ``capture_radius`` or a theorem's name.
+    guarantees
+        What each theorem says of the pursuit in this network.
+    """
+
+    task: DesignTask
+    slot_width_s: float
+    rate_divisor: int
+    bits_per_axis: int
+    cost_w: float
+    binding: tuple[str, ...]
+    guarantees: dict[Theorem, Guarantee]
+
+    @property
+    def capture_time_s(self) -> float:
+        """Longest time to capture by the Lemma, floors left out; infinite where it fails."""
+        x = 0.5 * (1 + self.rate_divisor) * self.slot_width_s * self.task.staleness_per_slot
+        left = _left(self.task, self.bits_per_axis) - x
+        return _driving_s(self.task, self.bits_per_axis) / left if left > 0.0 else math.inf
+
+    @property
+    def energy_per_capture_j(self) -> float:
+        """What the network spends in that time."""
+        return self.cost_w * self.capture_time_s
+
+
+def cheapest_design(task: DesignTask) -> Design:
+    """Return the design of least power for which Lemma III.3 holds by the margin.
+
+    For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power falls with the
+    width.
+
+    Raises
+    ------
+    NoDesignError
+        No slot is wide enough for its payload and narrow enough for the Lemma.
+
+    Examples
+    --------
+    >>> network = MoteNetwork(6, 1.0, 250e3, 64, 16, 1e-6)
+    >>> found = cheapest_design(DesignTask(network, Chase(1.0, 2.0), margin=0.0))
+    >>> found.bits_per_axis, round(found.cost_w, 4)
+    (6, 24.2876)
+    """
+    return _scan(task, partial(_lemma_candidate, task))
+
+
+def cheapest_rated_design(task: DesignTask) -> Design:
+    """Return the design of least power by the Lemma, rounds of all levels every r-th time.
+
+    Ages are then at most ``6 (1 + r) eta_s s_w`` frames a spacing: short slots and slow rounds
+    cost up to half as much as long slots, if motes sleep in between.
+
+    Raises
+    ------
+    NoDesignError
+        As of :func:`cheapest_design`.
+    """
+    return _scan(task, partial(_rated_candidate, task))
+
+
+def least_energy_design(task: DesignTask) -> Design:
+    """Return the design of least energy per capture, by the Lemma's bound of the time.
+
+    Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``: for each c least at half of
+    the Lemma's slot width, if the payload fits.
+
+    Raises
+    ------
+    InputError
+        The task has no first distance.
+    NoDesignError
+        As of :func:`cheapest_design`.
+    """
+    _first_distance_m(task)
+    return _scan(
+        task,
+        partial(_energy_candidate, replace(task, deadline_s=None)),
+        worth=lambda design: design.energy_per_capture_j,
+    )
+
+
+def sharp_design(task: DesignTask, theorem: Theorem = Theorem.SAMPLED_DISTANCE) -> Design:
+    """Return the design of least power that guarantees capture in time, by one theorem.
+
+    Within the deadline the evader is in the capture radius, floors included. All bounds grow with
+    the slot, so that the widest is found by halving.
+
+    Raises
+    ------
+    InputError
+        The task lacks a first distance, a capture radius or a deadline.
+    NoDesignError
+        Even the slot that just carries its payload is too wide.
+    """
+    for key in ("first_distance_m", "capture_radius_m", "deadline_s"):
+        if getattr(task, key) is None:
+            raise InputError("a sharp design needs this", key=key)
+    return _scan(task, partial(_sharp_candidate, task, theorem))
+
+
+def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]:
+    """Return designs of least energy per capture for each bound of the time to capture.
+
+    Both are the Lemma's. Deadlines that no design meets are left out, and so are designs that
+    another one beats in both.
+
+    Parameters
+    ----------
+    task
+        With a first distance.
+    deadlines_s
+        Bounds of the time to capture.
+
+    Raises
+    ------
+    InputError
+        The task has no first distance.
+    """
+    _first_distance_m(task)
+    found: list[Design] = []
+    for deadline_s in sorted(deadlines_s):
+        limited = replace(task, deadline_s=deadline_s)
+        try:
+            design = _scan(
+                limited,
+                partial(_energy_candidate, limited),
+                worth=lambda design: design.energy_per_capture_j,
+            )
+        except NoDesignError:
+            continue
+        if not found or design.energy_per_capture_j < found[-1].energy_per_capture_j:
+            found.append(design)
+    return found
+
+
+def sensitivities(task: DesignTask, solve: Callable[[DesignTask], Design]) -> dict[str, float]:
+    """Return by how many per cent the least power changes with one per cent more of a quantity.
+
+    The number of bits stays that of the optimum, and so does the pursuer's speed where the
+    evader's changes.
+
+    Parameters
+    ----------
+    task
+        Of the optimum.
+    solve
+        :func:`cheapest_design` or another one whose slots change smoothly.
+    """
+    fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
+    chase, network = fixed.chase, fixed.network
+    changed: dict[str, Callable[[float], DesignTask]] = {
+        "evader_speed_m_s": lambda by: replace(
+            fixed, chase=replace(chase, evader_speed_m_s=by * chase.evader_speed_m_s)
+        ),
+        "pursuer_speed_m_s": lambda by: replace(
+            fixed, chase=replace(chase, pursuer_speed_m_s=by * chase.pursuer_speed_m_s)
+        ),
+        "bit_rate_bit_s": lambda by: replace(
+            fixed, network=replace(network, bit_rate_bit_s=by * network.bit_rate_bit_s)
+        ),
+        "header_bits": lambda by: replace(
+            fixed, network=replace(network, header_bits=by * network.header_bits)
+        ),
+        "record_bits": lambda by: replace(
+            fixed, network=replace(network, record_bits=by * network.record_bits)
+        ),
+        "mote_spacing_m": lambda by: replace(
+            fixed, network=replace(network, mote_spacing_m=by * network.mote_spacing_m)
+        ),
+    }
+    found: dict[str, float] = {}
+    for name, change in changed.items():
+        high, low = (solve(change(1.0 + sign * ELASTICITY_STEP)).cost_w for sign in (1.0, -1.0))
+        found[name] = (math.log(high) - math.log(low)) / (2.0 * ELASTICITY_STEP)
+    return found
+
+
+def slot_limits_s(task: DesignTask, bits_per_axis: float) -> dict[str, float]:
+    """Return how wide a slot may be at r = 1, by requirement, in closed form.
+
+    The capture radius and the deadline are those of the trail's theorem; the deadline leaves
+    floors out, so that it is too generous near the capture radius.
+    """
+    per_slot, chase = task.staleness_per_slot, task.chase
+    kappa = relative_error(bits_per_axis)
+    limits = {"lemma": task.room(bits_per_axis) / per_slot}
+    a = contraction(chase.speed_ratio, kappa)
+    bounds = task.network.service(1.0, 1).bounds
+    floor_m = bounds.error_floor_m * (chase.speed_ratio + 1.0) / (chase.speed_ratio - 1.0)
+    if task.capture_radius_m is not None:
+        # Ages grow with the distance, or are those of level 0; x is per_slot times the width.
+        aged_m = chase.evader_speed_m_s * bounds.age_floor_s
+        limits["capture_radius"] = min(
+            (task.capture_radius_m / floor_m - 1.0) / per_slot,
+            (task.capture_radius_m - floor_m) / aged_m,
+        )
+    if task.deadline_s is not None and task.first_distance_m is not None:
+        driven_m = task.deadline_s * chase.pursuer_speed_m_s * (1.0 - a)
+        limits["deadline"] = (driven_m / ((1.0 + kappa) * task.first_distance_m) - 1.0) / per_slot
+    return limits
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A slot width and a rate divisor, and what keeps them from costing less."""
+
+    slot_width_s: float
+    rate_divisor: int
+    binding: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Failed:
+    """The inequality that fails, and how many others hold before it."""
+
+    inequality: Inequality
+    held: int
+
+    @property
+    def order(self) -> tuple[int, float]:
+        """How near it comes: what holds first, then the share by which it fails."""
+        return self.held, self.inequality.margin / self.inequality.right
+
+
+Candidate = _Found | _Failed
+
+
+def _scan(
+    task: DesignTask,
+    candidate: Callable[[int, Design | None], Candidate],
+    worth: Callable[[Design], float] = lambda design: design.cost_w,
+) -> Design:
+    """The best of all numbers of bits; an error that names what fails by least if there is none."""
+    best: Design | None = None
+    nearest: tuple[_Failed, int] | None = None
+    for c in task.bits:
+        found = candidate(c, best)
+        if isinstance(found, _Failed):
+            if nearest is None or found.order > nearest[0].order:
+                nearest = found, c
+            continue
+        service = task.network.service(found.slot_width_s, c, found.rate_divisor)
+        design = Design(
+            task,
+            found.slot_width_s,
+            found.rate_divisor,
+            c,
+            task.network.power_w(found.slot_width_s, c, found.rate_divisor),
+            found.binding,
+            guarantees(task.chase, service.bounds),
+        )
+        if best is None or worth(design) < worth(best):
+            best = design
+    if best is not None:
+        return best
+    if nearest is None:
+        raise AssertionError("every number of bits has a design or a reason against it")
+    raise NoDesignError(nearest[0].inequality, nearest[1])
+
+
+def _lemma_candidate(task: DesignTask, bits: int, best: Design | None) -> Candidate:
+    widest_s = _widest_s(task, bits)
+    return widest_s if isinstance(widest_s, _Failed) else _Found(widest_s, 1, ("lemma",))
+
+
+def _rated_candidate(task: DesignTask, bits: int, best: Design | None) -> Candidate:
+    """The largest r whose slots carry the payload: r / (1 + r) times the power falls with r."""
+    widest_s = _widest_s(task, bits)
+    if isinstance(widest_s, _Failed):
+        return widest_s
+    divisor = math.floor(2.0 * widest_s / task.network.least_slot_s(bits) - 1.0)
+    return _Found(2.0 * widest_s / (1 + divisor), divisor, ("lemma", "payload"))
+
+
+def _energy_candidate(task: DesignTask, bits: int, best: Design | None) -> Candidate:
+    """The slot of least ``(A / s + B) / (q - p s)``, within the margin, the payload, a deadline.
+
+    A and B are what sending and idling cost, q = 1 - a and p s = x.
+    """
+    widest_s = _widest_s(task, bits)
+    if isinstance(widest_s, _Failed):
+        return widest_s
+    network, per_slot = task.network, task.staleness_per_slot
+    left, least_s = _left(task, bits), network.least_slot_s(bits)
+    sent = network.energy_j_per_bit * network.frame_bits(bits) / network.slots_per_frame
+    idle = network.idle_w * left / (sent * per_slot)
+    limits = {"": left / (per_slot * (1.0 + math.sqrt(1.0 + idle))), "lemma": widest_s}
+    if task.deadline_s is not None:
+        limits["deadline"] = (left - _driving_s(task, bits) / task.deadline_s) / per_slot
+        x = least_s * per_slot
+        soonest_s = _driving_s(task, bits) / (left - x)
+        in_time = Inequality(IN_TIME, soonest_s, task.deadline_s, "s")
+        if not in_time.holds:
+            return _Failed(in_time, 2)
+    binding = min(limits, key=lambda name: limits[name])
+    if limits[binding] < least_s:
+        return _Found(least_s, 1, ("payload",))
+    return _Found(limits[binding], 1, (binding,) if binding else ())
+
+
+def _sharp_candidate(
+    task: DesignTask, theorem: Theorem, bits: int, best: Design | None
+) -> Candidate:
+    least_s = task.network.least_slot_s(bits)
+    fails = _failing(task, theorem, bits, least_s)
+    if fails is not None:
+        return _Failed(fails[1], SHARP_ORDER.get(fails[0], 0))
+    low = least_s
+    if best is not None:
+        # Power falls with the slot: it must be wider than this to be less than the best so far.
+        low = max(low, least_s * task.network.power_w(least_s, bits) / best.cost_w)
+        fails = _failing(task, theorem, bits, low)
+        if fails is not None:
+            return _Failed(fails[1], SHARP_ORDER.get(fails[0], 0))
+    high = 2.0 * low
+    while _failing(task, theorem, bits, high) is None:
+        low, high = high, 2.0 * high
+    while high - low > SLOT_SHARE * high:
+        middle = 0.5 * (low + high)
+        fails = _failing(task, theorem, bits, middle)
+        low, high = (middle, high) if fails is None else (low, middle)
+    fails = _failing(task, theorem, bits, high)
+    assert fails is not None
+    return _Found(low, 1, (fails[0],))
+
+
+def _failing(
+    task: DesignTask, theorem: Theorem, bits: int, slot_s: float
+) -> tuple[str, Inequality] | None:
+    """What a sharp design with this slot misses first: its name and the inequality."""
+    assert task.capture_radius_m is not None and task.deadline_s is not None
+    found = guarantees(task.chase, task.network.service(slot_s, bits).bounds)[theorem]
+    for each in found.inequalities:
+        if not each.holds:
+            return theorem.value, each
+    caught = found.captures(task.capture_radius_m)
+    if not caught.holds:
+        return "capture_radius", caught
+    lasts_s = found.capture_time_s(_first_distance_m(task), task.capture_radius_m)
+    in_time = Inequality(IN_TIME, lasts_s, task.deadline_s, "s")
+    return None if in_time.holds else ("deadline", in_time)
+
+
+def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
+    """The widest slot by the Lemma, or what keeps the payload out of it."""
+    room = task.room(bits)
+    shrinks = Inequality("a + margin below 1", 1.0 - room, 1.0)
+    if not shrinks.holds:
+        return _Failed(shrinks, 0)
+    widest_s = room / task.staleness_per_slot
+    fits = Inequality(PAYLOAD_FITS, task.network.least_slot_s(bits), widest_s, "s")
+    return widest_s if fits.holds else _Failed(fits, 1)
+
+
+def _left(task: DesignTask, bits: int) -> float:
+    """1 - a."""
+    return task.room(bits) + task.margin
+
+
+def _driving_s(task: DesignTask, bits: int) -> float:
+    """``(1 + kappa) d / (alpha v_e)``: the longest first stage."""
+    first_m = (1.0 + relative_error(bits)) * _first_distance_m(task)
+    return first_m / task.chase.pursuer_speed_m_s
+
+
+def _first_distance_m(task: DesignTask) -> float:
+    if task.first_distance_m is None:
+        raise InputError("the time to capture needs a first distance", key="first_distance_m")
+    return task.first_distance_m

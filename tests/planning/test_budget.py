@@ -45,9 +45,10 @@ def terms_plan(problem: Problem):
 
 REACH = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
 TERMS = terms_problem(TRACKING, LEARNING, p_min=0.5)
+ADDITIVE = terms_problem(TRACKING, p_min=0.5)
 
 
-@pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, TERMS)])
+@pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, ADDITIVE)])
 def test_no_time_to_polish(plan, problem):
     """The plan of the lattice planner, on its rung, with the reason."""
     hurried = plan(with_budget(problem, NO_TIME))
@@ -58,6 +59,15 @@ def test_no_time_to_polish(plan, problem):
     assert hurried.iterations == 0 and hurried.solve_s == 0.0
     np.testing.assert_array_equal(hurried.positions_m, lattice.positions_m)
     assert hurried.objective == lattice.objective
+
+
+def test_no_time_to_search():
+    """Terms that couple places: a verified plan of what there is, no better than a whole search."""
+    hurried = terms_plan(with_budget(TERMS, NO_TIME))
+    lattice = terms_plan(replace(TERMS, planner=replace(TERMS.planner, name="lattice")))
+    assert hurried.verdict is Verdict.VERIFIED
+    assert (hurried.rung, hurried.termination) == (Rung.LATTICE, Termination.TIME_LIMIT)
+    assert hurried.objective <= lattice.objective
 
 
 @pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, TERMS)])

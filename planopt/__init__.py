@@ -6,4 +6,9 @@ Names are imported when they are first used, so that ``import planopt`` costs no
 
 from planopt.lazy_names import lazy_names
 
-__getattr__, __dir__, __all__ = lazy_names(__name__, __file__, moved_to="planopt.channel")
+FORMER_NAMES = {"TeamSolution": "Solution"}
+"""Former public names, accepted for one version, and the names that replace them."""
+
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__, __file__, FORMER_NAMES, moved_to="planopt.channel"
+)

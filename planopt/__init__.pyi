@@ -11,7 +11,6 @@ from planopt.errors import NoPlanError as NoPlanError
 from planopt.errors import OutputError as OutputError
 from planopt.errors import PlanoptError as PlanoptError
 from planopt.planning.any_task import simulate as simulate
-from planopt.planning.any_task import solve as solve
 from planopt.planning.check.check import check as check
 from planopt.planning.explain.explain import explain as explain
 from planopt.planning.explain.explain import explain_no_plan as explain_no_plan
@@ -19,8 +18,8 @@ from planopt.planning.loop.simulation import Simulation as Simulation
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.solution import Solution as Solution
+from planopt.planning.solve import solve as solve
 from planopt.planning.team.team_run import TeamRun as TeamRun
-from planopt.planning.team.team_solution import TeamSolution as TeamSolution
 from planopt.problems.casadi_term import casadi_term as casadi_term
 from planopt.problems.library import list_problems as list_problems
 from planopt.problems.load import load as load

@@ -18,7 +18,7 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.team.team_solve import solve_team
+from planopt.planning.solve import solve
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
@@ -104,7 +104,7 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
 def test_saved_and_checked(tmp_path):
     """A plan without a polish is judged from disk as it is."""
     problem = with_budget(TERMS, NO_TIME)
-    save_team_solution(solve_team(problem, seed=1), tmp_path)
+    save_team_solution(solve(problem, seed=1), tmp_path)
     assert check(tmp_path).reasons == ()
 
 

@@ -13,13 +13,20 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.problems.base_station import BaseStation
 from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
 from planopt.problems.schema_constraints import ConstraintsTable
 from planopt.problems.schema_objective import ObjectiveTable, TargetTable
 from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_world import WorldTable
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, ReportSettings
+from planopt.problems.settings import (
+    MAX_HORIZON,
+    MIN_HORIZON,
+    PlannerName,
+    PlannerSettings,
+    ReportSettings,
+)
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table
 from planopt.problems.task_faults import task_fault
 
@@ -47,10 +54,11 @@ class ProblemTable(Table):
 class StationTable(Table):
     """``[[stations]]``: a fixed station and its radio."""
 
-    name: Name = Field(default="station", description="What outputs call it.")
+    name: Name = Field(default=BaseStation.name, description="What outputs call it.")
     position_m: Pair = Field(description="Place [x, y] in metres; it may be outside the bounds.")
     height_m: Metres = Field(
-        default=0.0, description="Height of its antenna above the robots' antennas, in metres."
+        default=BaseStation.height_m,
+        description="Height of its antenna above the robots' antennas, in metres.",
     )
     transmit_power_dbm: Decibels = Field(
         description="Transmit power in dBm; received power is this plus the path gain."
@@ -91,21 +99,26 @@ class PlannerTable(Table):
     """``[planner]``: how plans are found."""
 
     name: PlannerName = Field(
-        default="auto",
+        default=PlannerSettings.name,
         description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
         "programming), auto (the better of them, nlp), lattice (no polish), and for tasks other "
         "than reach one_step, random or lawnmower.",
     )
-    horizon: int = Field(default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead (N).")
+    horizon: int = Field(
+        default=PlannerSettings.horizon,
+        ge=MIN_HORIZON,
+        le=MAX_HORIZON,
+        description="Steps ahead (N).",
+    )
     step_s: float = Field(gt=0, le=1e4, description="Duration of a step in seconds.")
     neighbours: int = Field(
-        default=48,
+        default=PlannerSettings.neighbours,
         ge=4,
         le=512,
         description="Measurements that the solver conditions each stage on (a number).",
     )
     max_steps: int = Field(
-        default=400,
+        default=PlannerSettings.max_steps,
         ge=1,
         le=100_000,
         description="A closed loop that has not arrived after this many steps ends.",

@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from planopt.problems.library import list_problems
     from planopt.problems.load import load
     from planopt.problems.problem import Problem
+    from planopt.problems.systems import SystemProblem, load_system
     from planopt.studies.compare import compare_horizons
 
 __all__ = [
@@ -107,6 +108,7 @@ __all__ = [
     "Simulation",
     "Solution",
     "Station",
+    "SystemProblem",
     "TeamRun",
     "TeamSolution",
     "Termination",
@@ -133,6 +135,7 @@ __all__ = [
     "joint_prediction",
     "list_problems",
     "load",
+    "load_system",
     "longest_outage",
     "marginalise",
     "mean_squared_error_db2",
@@ -188,6 +191,7 @@ _MODULES = {
     "Simulation": "planopt.planning.loop.simulation",
     "Solution": "planopt.planning.solution",
     "Station": "planopt.channel.parameters",
+    "SystemProblem": "planopt.problems.systems",
     "TeamRun": "planopt.planning.team.team_run",
     "TeamSolution": "planopt.planning.team.team_solution",
     "Termination": "planopt.planning.plan",
@@ -214,6 +218,7 @@ _MODULES = {
     "joint_prediction": "planopt.channel.joint",
     "list_problems": "planopt.problems.library",
     "load": "planopt.problems.load",
+    "load_system": "planopt.problems.systems",
     "longest_outage": "planopt.channel.connection.outage",
     "marginalise": "planopt.channel.parameter_uncertainty",
     "mean_squared_error_db2": "planopt.channel.sensitivity",

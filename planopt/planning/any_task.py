@@ -8,6 +8,7 @@ TeamRun.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import overload
 
 from planopt.planning.loop.closed_loop import simulate as simulate_reach
 from planopt.planning.loop.simulation import Simulation
@@ -19,8 +20,10 @@ from planopt.planning.team.team_solution import TeamSolution
 from planopt.planning.team.team_solve import solve_team
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
+from planopt.problems.systems import Answer, Request, SystemProblem
 
 
+@overload
 def solve(
     problem: Problem,
     *,
@@ -28,7 +31,27 @@ def solve(
     planner: str | None = None,
     cost_to_go: str | None = None,
     seed: int = 0,
-) -> Solution | TeamSolution:
+) -> Solution | TeamSolution: ...
+
+
+@overload
+def solve(
+    problem: SystemProblem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    seed: int = 0,
+) -> Answer: ...
+
+
+def solve(
+    problem: Problem | SystemProblem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    cost_to_go: str | None = None,
+    seed: int = 0,
+) -> Solution | TeamSolution | Answer:
     """Plan `horizon` steps ahead from the start, for each robot.
 
     Parameters
@@ -42,8 +65,8 @@ def solve(
 
     Returns
     -------
-    Solution | TeamSolution
-        The first where the task is ``reach``.
+    Solution | TeamSolution | Answer
+        The first where the task is ``reach``, the last for problems of a system.
 
     Raises
     ------
@@ -52,12 +75,15 @@ def solve(
     NoPlanError
         Obstacles cut the goal off.
     """
+    if isinstance(problem, SystemProblem):
+        return _answer(problem, "solve", horizon, planner, seed)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     if problem.task == "reach":
         return solve_reach(problem, seed=seed)
     return solve_team(problem, seed=seed)
 
 
+@overload
 def simulate(
     problem: Problem,
     *,
@@ -66,7 +92,28 @@ def simulate(
     cost_to_go: str | None = None,
     seed: int = 0,
     on_step: Callable[[int], None] | None = None,
-) -> Simulation | TeamRun:
+) -> Simulation | TeamRun: ...
+
+
+@overload
+def simulate(
+    problem: SystemProblem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    seed: int = 0,
+) -> Answer: ...
+
+
+def simulate(
+    problem: Problem | SystemProblem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    cost_to_go: str | None = None,
+    seed: int = 0,
+    on_step: Callable[[int], None] | None = None,
+) -> Simulation | TeamRun | Answer:
     """Drive a problem's robots in the true channel.
 
     Parameters
@@ -82,8 +129,8 @@ def simulate(
 
     Returns
     -------
-    Simulation | TeamRun
-        The first where the task is ``reach``.
+    Simulation | TeamRun | Answer
+        The first where the task is ``reach``, the last for problems of a system.
 
     Raises
     ------
@@ -92,7 +139,20 @@ def simulate(
     NoPlanError
         Obstacles cut the goal off.
     """
+    if isinstance(problem, SystemProblem):
+        return _answer(problem, "simulate", horizon, planner, seed)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     if problem.task == "reach":
         return simulate_reach(problem, seed=seed, on_step=on_step)
     return simulate_team(problem, seed=seed, on_step=on_step)
+
+
+def _answer(
+    problem: SystemProblem, action: str, horizon: int | None, planner: str | None, seed: int
+) -> Answer:
+    horizons = () if horizon is None else (horizon,)
+    planners = () if planner is None else (planner,)
+    answer = problem.answer(action, Request(seed, horizons, planners))
+    if answer.failure is not None:
+        raise answer.failure
+    return answer

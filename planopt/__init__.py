@@ -63,14 +63,14 @@ if TYPE_CHECKING:
         predictors_of,
     )
     from planopt.errors import InputError, NoPlanError, OutputError, PlanoptError
-    from planopt.planning.any_task import simulate, solve
+    from planopt.planning.any_task import simulate
     from planopt.planning.check.check import check
     from planopt.planning.explain.explain import explain, explain_no_plan
     from planopt.planning.loop.simulation import Simulation
     from planopt.planning.plan import Termination, Verdict
     from planopt.planning.solution import Solution
+    from planopt.planning.solve import solve
     from planopt.planning.team.team_run import TeamRun
-    from planopt.planning.team.team_solution import TeamSolution
     from planopt.problems.casadi_term import casadi_term
     from planopt.problems.library import list_problems
     from planopt.problems.load import load
@@ -108,7 +108,6 @@ __all__ = [
     "Solution",
     "Station",
     "TeamRun",
-    "TeamSolution",
     "Termination",
     "Traffic",
     "Truth",
@@ -189,7 +188,6 @@ _MODULES = {
     "Solution": "planopt.planning.solution",
     "Station": "planopt.channel.parameters",
     "TeamRun": "planopt.planning.team.team_run",
-    "TeamSolution": "planopt.planning.team.team_solution",
     "Termination": "planopt.planning.plan",
     "Traffic": "planopt.channel.connection.traffic",
     "Truth": "planopt.channel.fields.truth",
@@ -234,18 +232,31 @@ _MODULES = {
     "sensitivity_curves": "planopt.channel.sensitivity",
     "shadow_field_db": "planopt.channel.fields.field",
     "simulate": "planopt.planning.any_task",
-    "solve": "planopt.planning.any_task",
+    "solve": "planopt.planning.solve",
     "strongest_station": "planopt.channel.connection.several_stations",
     "true_power_dbm": "planopt.channel.fields.truth",
 }
 """Where each public name stands."""
 
+_FORMER = {"TeamSolution": "Solution"}
+"""Former public names, accepted for one version, and the names that replace them."""
+
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for."""
+    if name in _FORMER:
+        return _replacement(name)
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)
+
+
+def _replacement(name: str) -> Any:
+    from warnings import warn
+
+    new = _FORMER[name]
+    warn(f"planopt.{name} is now planopt.{new}", DeprecationWarning, stacklevel=3)
+    return getattr(import_module(_MODULES[new]), new)
 
 
 def __dir__() -> list[str]:

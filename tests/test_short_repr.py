@@ -12,7 +12,6 @@ import planopt
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.solution import Solution
 from planopt.planning.team.team_run import TeamRun
-from planopt.planning.team.team_solution import TeamSolution
 from planopt.short_repr import short_repr
 
 
@@ -94,7 +93,7 @@ def test_everything_people_print_is_short(results: dict[str, Any]) -> None:
 def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any]) -> None:
     """`plan` and `plans`, `run` and `runs`; with several robots the first says what to use."""
     one, team = results["verified"], results["south"]
-    assert isinstance(one, Solution) and isinstance(team, TeamSolution)
+    assert isinstance(one, Solution) and isinstance(team, Solution)
     assert one.plans == (one.plan,)
     with pytest.raises(planopt.InputError, match="use plans"):
         _ = team.plan

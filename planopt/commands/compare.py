@@ -67,7 +67,8 @@ def compare(
     from planopt.problems.overrides import with_overrides
     from planopt.problems.systems import Request, SystemProblem, load_any
     from planopt.report.tables import comparison_text
-    from planopt.studies.compare import BACKENDS, compare_horizons, default_costs_to_go
+    from planopt.studies.compare import compare_horizons, default_costs_to_go
+    from planopt.studies.study import BACKENDS
 
     if backend not in BACKENDS:
         raise InputError(

@@ -148,6 +148,43 @@ class SystemProblem:
         """Return the problem in full; :func:`system_from_tables` reads it."""
         return self.system.tables(self)
 
+    def solve(
+        self, *, horizon: int | None = None, planner: str | None = None, seed: int = 0
+    ) -> Answer:
+        """Solve the problem, as :func:`planopt.solve` solves one of motion planning.
+
+        Parameters
+        ----------
+        horizon, planner
+            In place of the problem's own.
+        seed
+            Of everything random.
+
+        Raises
+        ------
+        InputError
+            The task has nothing to solve, or no such setting.
+        NoPlanError
+            There is no solution.
+        """
+        return self._answered("solve", horizon, planner, seed)
+
+    def simulate(
+        self, *, horizon: int | None = None, planner: str | None = None, seed: int = 0
+    ) -> Answer:
+        """Simulate the problem; parameters and errors as :meth:`solve`."""
+        return self._answered("simulate", horizon, planner, seed)
+
+    def _answered(
+        self, action: str, horizon: int | None, planner: str | None, seed: int
+    ) -> Answer:
+        horizons = () if horizon is None else (horizon,)
+        planners = () if planner is None else (planner,)
+        answer = self.answer(action, Request(seed, horizons, planners))
+        if answer.failure is not None:
+            raise answer.failure
+        return answer
+
     def answer(self, action: str, request: Request) -> Answer:
         """Return the answer to an action of :data:`ACTIONS`.
 

@@ -175,9 +175,7 @@ class SystemProblem:
         """Simulate the problem; parameters and errors as :meth:`solve`."""
         return self._answered("simulate", horizon, planner, seed)
 
-    def _answered(
-        self, action: str, horizon: int | None, planner: str | None, seed: int
-    ) -> Answer:
+    def _answered(self, action: str, horizon: int | None, planner: str | None, seed: int) -> Answer:
         horizons = () if horizon is None else (horizon,)
         planners = () if planner is None else (planner,)
         answer = self.answer(action, Request(seed, horizons, planners))

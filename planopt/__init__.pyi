@@ -35,9 +35,13 @@ from planopt.problems.constraints import Constraints as Constraints
 from planopt.problems.library import list_problems as list_problems
 from planopt.problems.load import load as load
 from planopt.problems.objective import ReachObjective as ReachObjective
+from planopt.problems.planner_kinds import PlannerKind as PlannerKind
+from planopt.problems.planner_kinds import register_planner as register_planner
 from planopt.problems.problem import Problem as Problem
 from planopt.problems.robot import Robot as Robot
 from planopt.problems.settings import PlannerSettings as PlannerSettings
+from planopt.problems.systems import SystemProblem as SystemProblem
+from planopt.problems.systems import load_system as load_system
 from planopt.problems.target import Target as Target
 from planopt.studies.compare import compare_horizons as compare_horizons
 from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle

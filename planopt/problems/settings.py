@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from planopt.plain_values import make_plain
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
-
-PlannerName = Literal["auto", "nlp", "scp", "lattice", "one_step", "random", "lawnmower"]
-
-BASELINES: tuple[PlannerName, ...] = ("one_step", "random", "lawnmower")
-"""Planners to compare with: no goal, no lattice path, and only robots that can turn and stop at
-will."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +20,8 @@ class PlannerSettings:
     name
         ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
         programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
-        tasks other than reach ``one_step`` (the seed's dense local search), ``random`` and
-        ``lawnmower``.
+        tasks other than reach ``one_step`` (dense local search one step ahead), ``random`` and
+        ``lawnmower``, or a planner from outside (:mod:`planopt.problems.planner_kinds`).
     horizon
         Steps ahead, N.
     neighbours
@@ -41,7 +34,7 @@ class PlannerSettings:
     """
 
     step_s: float
-    name: PlannerName = "auto"
+    name: str = "auto"
     horizon: int = 10
     neighbours: int = 48
     max_steps: int = 400

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -29,10 +30,16 @@ def plain(value: Any) -> Any:
     return value
 
 
-def make_plain(data: Any) -> None:
-    """Make the values of a frozen dataclass plain, while it is being made."""
+def make_plain(data: Any, *files: str) -> None:
+    """Make the values of a frozen dataclass plain, while it is being made.
+
+    Those of the fields `files` may be text, and become paths.
+    """
     for part in fields(data):
-        object.__setattr__(data, part.name, plain(getattr(data, part.name)))
+        value = plain(getattr(data, part.name))
+        if part.name in files and isinstance(value, str):
+            value = Path(value)
+        object.__setattr__(data, part.name, value)
 
 
 def part_of(key: str, value: object, kind: type[Part], remedy: str | None = None) -> Part:

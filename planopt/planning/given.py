@@ -26,6 +26,7 @@ from planopt.problems.channel_setup import (
     LoggedMeasurements,
     ModelTruth,
     RasterTruth,
+    SampledMeasurements,
 )
 from planopt.problems.problem import Problem
 from planopt.problems.station_sources import log_of, raster_truth_of
@@ -220,6 +221,25 @@ def _numbers(key: str, values: object) -> NDArray[np.float64]:
         raise InputError(
             "is no array of numbers", key=f"channel.truth.{key}", remedy="give numbers"
         ) from None
+
+
+def with_measurements(
+    problem: Problem, measurements: GivenMeasurements | None
+) -> tuple[Problem, tuple[Measurements, ...] | None]:
+    """Return a problem without first measurements of its own, and those that a user gave.
+
+    Without any, the problem as it is and None. Parameters and errors are those of
+    :func:`measurements_by_station`.
+    """
+    if measurements is None:
+        return problem, None
+    given = measurements_by_station(problem, measurements)
+    bare = tuple(
+        replace(station, log_file=None, power_column=None, censored_column=None)
+        for station in problem.stations
+    )
+    channel = replace(problem.channel, measurements=SampledMeasurements())
+    return replace(problem, stations=bare, channel=channel), given
 
 
 def measurements_by_station(

@@ -51,7 +51,7 @@ class BaseStation:
     censored_column: str | None = None
 
     def __post_init__(self) -> None:
-        make_plain(self)
+        make_plain(self, "gain_file", "log_file")
 
     @property
     def site(self) -> Station:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.estimation.fit_method import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
+from planopt.plain_values import make_plain, part_of
 
 CalibrationName = Literal["none", "platt"]
 """How predicted probabilities of connection are calibrated."""
@@ -37,6 +38,9 @@ class RasterTruth:
     variable: str = "path_gain_db"
     floor_db: float
     multipath: Multipath | None = None
+
+    def __post_init__(self) -> None:
+        make_plain(self, "file")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +163,9 @@ class LoggedMeasurements:
     censored_column: str | None = None
     floor_dbm: float | None = None
 
+    def __post_init__(self) -> None:
+        make_plain(self, "file")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelSetup:
@@ -186,3 +193,15 @@ class ChannelSetup:
     fit_method: FitMethod = "reml"
     measure_spacing_m: float = 2.0
     calibration: CalibrationName = "none"
+
+    def __post_init__(self) -> None:
+        make_plain(self)
+        if self.truth is not None:
+            remedy = "give an ArrayTruth, a FunctionTruth, a RasterTruth or a ModelTruth"
+            part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
+        part_of(
+            "channel.measurements",
+            self.measurements,
+            cast("type[object]", SampledMeasurements | LoggedMeasurements),
+            "give SampledMeasurements or LoggedMeasurements; tables go to solve(measurements=)",
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from planopt.plain_values import make_plain
+from planopt.plain_values import make_plain, part_of
 from planopt.problems.connectivity_rule import ConnectivityRule
 
 
@@ -34,6 +34,7 @@ class Constraints:
 
     def __post_init__(self) -> None:
         make_plain(self)
+        part_of("constraints", self.rule, ConnectivityRule)
 
     @property
     def asks_connection(self) -> bool:

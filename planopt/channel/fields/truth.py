@@ -138,6 +138,8 @@ def power_truth(
         nothing arrives.
     """
     raster = checked_raster(x_m, y_m, power_dbm, None, "power_dbm")
+    if floor_dbm is not None and not abs(floor_dbm) <= MAX_POWER_DB:
+        raise InputError(f"is {floor_dbm!r}, which is no power", key="floor_dbm", remedy="give dBm")
     if floor_dbm is None and np.isnan(raster.values).any():
         raise InputError(
             "is not finite somewhere",

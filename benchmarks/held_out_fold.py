@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from planopt import LogFormat, Station, fit_channel, read_log
+from planopt.channel import LogFormat, Station, fit_channel, read_log
 from planopt.channel.validation.held_out import (
     channel_predictor,
     learn_path_loss,

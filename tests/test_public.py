@@ -35,4 +35,10 @@ def test_one_plan_by_public_names() -> None:
     assert isinstance(problem, planopt.Problem)
     assert solution.plan.verdict is planopt.Verdict.VERIFIED
     assert isinstance(solution.plan.termination, planopt.Termination)
-    assert isinstance(solution.belief.posterior, planopt.ChannelPosterior)
+    assert isinstance(solution.belief.posterior, planopt.channel.ChannelPosterior)
+
+
+def test_former_names_warn_and_give_their_successors() -> None:
+    """Code that was written for an earlier version goes on, and says what to change."""
+    with pytest.warns(DeprecationWarning, match="planopt.TeamSolution is now planopt.Solution"):
+        assert planopt.TeamSolution is planopt.Solution

@@ -12,7 +12,6 @@ import planopt
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.solution import Solution
 from planopt.planning.team.team_run import TeamRun
-from planopt.planning.team.team_solution import TeamSolution
 from planopt.short_repr import short_repr
 
 
@@ -75,7 +74,9 @@ def results() -> dict[str, Any]:
         "Belief": belief,
         "ChannelPosterior": belief.posterior,
         "120": belief.posterior.measurements,
-        "weights=<": planopt.marginalise(belief.fit.parameters, belief.posterior.measurements),
+        "weights=<": planopt.channel.marginalise(
+            belief.fit.parameters, belief.posterior.measurements
+        ),
         "threshold_dbm=-60": planopt.posterior_map(
             belief.posterior, (0.0, 0.0, 120.0, 100.0), 1.0, -60.0
         ),
@@ -94,7 +95,7 @@ def test_everything_people_print_is_short(results: dict[str, Any]) -> None:
 def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any]) -> None:
     """`plan` and `plans`, `run` and `runs`; with several robots the first says what to use."""
     one, team = results["verified"], results["south"]
-    assert isinstance(one, Solution) and isinstance(team, TeamSolution)
+    assert isinstance(one, Solution) and isinstance(team, Solution)
     assert one.plans == (one.plan,)
     with pytest.raises(planopt.InputError, match="use plans"):
         _ = team.plan

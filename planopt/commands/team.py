@@ -18,8 +18,8 @@ from planopt.commands.output import (
 from planopt.commands.planning import Asked
 
 if TYPE_CHECKING:
+    from planopt.planning.solution import Solution
     from planopt.planning.team.team_run import TeamRun
-    from planopt.planning.team.team_solution import TeamSolution
 
 NOT_VERIFIED, NOT_DONE = 3, 4
 
@@ -33,12 +33,12 @@ def solve_asked(asked: Asked) -> int:
     from planopt.planning.files.team_saved import save_team_solution
     from planopt.planning.files.team_solution_json import team_solution_json
     from planopt.planning.plan import Verdict
-    from planopt.planning.team.team_solve import solve_team
+    from planopt.planning.solve import solve
 
     figures = asked.problem.report.figures
     with results_folder(asked.out) as folder:
         with progress("planning"):
-            solution = solve_team(asked.problem, seed=asked.seed)
+            solution = solve(asked.problem, seed=asked.seed)
         if solution.verdict is not Verdict.VERIFIED:
             with progress("explaining"):
                 solution = replace(solution, explanation=explain(solution))
@@ -79,7 +79,7 @@ def simulate_asked(asked: Asked) -> int:
     return 0 if run.verified_rate == 1.0 else NOT_VERIFIED
 
 
-def _plans_in_words(solution: TeamSolution) -> str:
+def _plans_in_words(solution: Solution) -> str:
     problem = solution.problem
     value, count = sum(plan.objective for plan in solution.plans), len(solution.plans)
     lines = [
@@ -111,7 +111,7 @@ def _plans_in_words(solution: TeamSolution) -> str:
     return "\n".join(lines)
 
 
-def _of(robot: str, solution: TeamSolution) -> list[object]:
+def _of(robot: str, solution: Solution) -> list[object]:
     """What would help one robot."""
     return [one for one in solution.explanation if one.robot == robot]
 

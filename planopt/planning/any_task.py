@@ -1,8 +1,7 @@
-"""Solve and simulate whatever a problem asks: one way to ask, two kinds of answer.
+"""Simulate whatever a problem asks.
 
-A problem that is to reach a goal has one robot and is answered by a Solution or a Simulation. All
-others maximise a sum of terms, with one robot or several, and are answered by a TeamSolution or a
-TeamRun.
+A problem that is to reach a goal has one robot and is answered by a Simulation. All others maximise
+a sum of terms, with one robot or several, and are answered by a TeamRun.
 """
 
 from __future__ import annotations
@@ -11,51 +10,10 @@ from collections.abc import Callable
 
 from planopt.planning.loop.closed_loop import simulate as simulate_reach
 from planopt.planning.loop.simulation import Simulation
-from planopt.planning.solution import Solution
-from planopt.planning.solve import solve as solve_reach
 from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.team.team_run import TeamRun
-from planopt.planning.team.team_solution import TeamSolution
-from planopt.planning.team.team_solve import solve_team
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
-
-
-def solve(
-    problem: Problem,
-    *,
-    horizon: int | None = None,
-    planner: str | None = None,
-    cost_to_go: str | None = None,
-    seed: int = 0,
-) -> Solution | TeamSolution:
-    """Plan `horizon` steps ahead from the start, for each robot.
-
-    Parameters
-    ----------
-    problem
-        From :func:`planopt.load` or made in Python.
-    horizon, planner, cost_to_go
-        Override the problem's planner settings; a cost to go only where there is a goal.
-    seed
-        Of the truth's fading, the measured places and the first estimate of a target.
-
-    Returns
-    -------
-    Solution | TeamSolution
-        The first where the task is ``reach``.
-
-    Raises
-    ------
-    InputError
-        An override or a file that the problem names cannot be used.
-    NoPlanError
-        Obstacles cut the goal off.
-    """
-    problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    if problem.task == "reach":
-        return solve_reach(problem, seed=seed)
-    return solve_team(problem, seed=seed)
 
 
 def simulate(

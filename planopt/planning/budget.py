@@ -1,4 +1,4 @@
-"""How long a plan may take: when the last polish may begin, and how long one may take."""
+"""How long a plan may take: until when searches go on and polishes begin, how long one may take."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from time import perf_counter
 
 from planopt.problems.problem import Problem
 
+SEARCH_SHARE = 0.3
+"""Searches improve on what they have found until this share of a budget is over."""
 SOLVE_SHARE = 0.4
 """No solve takes longer than this share of a budget."""
 PROOF_SHARE = 0.1
@@ -16,20 +18,32 @@ PROOF_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Budget:
-    """The time at which no new polish begins any more.
+    """Times by :func:`time.perf_counter`; infinite where there is no limit.
 
     Attributes
     ----------
     ends_s
-        By :func:`time.perf_counter`; infinite where there is no limit.
+        No new polish begins any more.
+    search_ends_s
+        What searches have found by then has to do.
     """
 
     ends_s: float = math.inf
+    search_ends_s: float = math.inf
 
     @property
     def spent(self) -> bool:
-        """Whether it is over."""
+        """Whether no new polish may begin."""
         return perf_counter() >= self.ends_s
+
+    @property
+    def searched(self) -> bool:
+        """Whether searches end with what they have."""
+        return perf_counter() >= self.search_ends_s
+
+
+UNLIMITED = Budget()
+"""No limit."""
 
 
 def budget_from(problem: Problem, begun_s: float) -> Budget:
@@ -39,8 +53,10 @@ def budget_from(problem: Problem, begun_s: float) -> Budget:
     """
     budget_s = problem.planner.budget_s
     if budget_s is None:
-        return Budget()
-    return Budget(begun_s + (1.0 - SOLVE_SHARE - PROOF_SHARE) * budget_s)
+        return UNLIMITED
+    return Budget(
+        begun_s + (1.0 - SOLVE_SHARE - PROOF_SHARE) * budget_s, begun_s + SEARCH_SHARE * budget_s
+    )
 
 
 def solve_limit_s(problem: Problem) -> float | None:

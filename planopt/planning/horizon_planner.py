@@ -61,8 +61,9 @@ class HorizonPlanner:
             The plan that led here, one step old; only used if it was verified.
         """
         begun = perf_counter()
+        budget = budget_from(self.problem, begun)
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
-        starts = self._search.find_starts(situation, shifted)
+        starts = self._search.find_starts(situation, shifted, budget)
         way = self._way_out(situation, starts)
         if way is not None:
             out = Start(way, judge.objective(way), rule_missing(situation, way))
@@ -73,7 +74,6 @@ class HorizonPlanner:
                 return plan
         if self.problem.robots[0].dynamics is not None:
             starts = driven_starts(judge, situation, starts, warm)
-        budget = budget_from(self.problem, begun)
         chosen = self.ladder.climb(situation, judge, starts, warm, budget)
         if chosen.kkt_residual is None:
             # The search predicted its places with others; whoever judges the plan will not.

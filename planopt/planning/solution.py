@@ -1,4 +1,4 @@
-"""The answer to one planning problem: the plan and everything needed to judge it."""
+"""The answer to one planning problem: a plan for each robot, and what is needed to judge it."""
 
 from __future__ import annotations
 
@@ -7,49 +7,65 @@ from dataclasses import dataclass
 from planopt.channel.belief import Belief
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.short_results import short_solution
+from planopt.planning.short_results import only, short_solution
+from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
-    """One solved problem.
+    """One solved problem of one or several robots.
 
     Attributes
     ----------
     problem
         As solved (overrides applied).
     seed
-        Of the truth's fading and of the measured places.
+        Of the ground truth's fading, the measured places and the first estimate of a target.
     belief
-        What the plan was made from.
-    plan
-        The plan.
+        The channel estimate that all plans were made from.
+    plans, aims
+        By robot: its plan, and the external inputs of its objective.
     explanation
-        What would give a verified plan, where that was asked for and this one is not.
+        Changes that would give each robot a verified plan, where :func:`planopt.explain` was asked
+        for them and a robot has none.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> solution = planopt.solve(planopt.load("open_field"), horizon=2)
+    >>> solution.verdict.value, len(solution.plans), len(solution.plan.t_s)
+    ('verified', 1, 3)
     """
 
     problem: Problem
     seed: int
     belief: Belief
-    plan: Plan
+    plans: tuple[Plan, ...]
+    aims: tuple[Aim, ...]
     explanation: tuple[Relaxation, ...] = ()
 
     def __repr__(self) -> str:
-        """Return what was solved, the verdict, and a line for the plan."""
+        """Return what was solved, the verdict, and a line for each plan."""
         return short_solution(self.problem, self.seed, self.plans)
 
     @property
-    def plans(self) -> tuple[Plan]:
-        """The plan alone, as what has several robots has several."""
-        return (self.plan,)
+    def plan(self) -> Plan:
+        """The plan of the only robot; use `plans` if there are several.
+
+        Raises
+        ------
+        InputError
+            There are several robots.
+        """
+        return only(self.plans, "plans")
 
     @property
     def verdict(self) -> Verdict:
-        """The plan's."""
-        return self.plan.verdict
+        """The worst of the plans' verdicts."""
+        return max((plan.verdict for plan in self.plans), key=list(Verdict).index)
 
 
 def exit_code(solution: Solution) -> int:
-    """0 verified, 3 solved but not verified, 4 no plan."""
-    return {"verified": 0, "none": 4}.get(solution.verdict.value, 3)
+    """Return 0 if every plan is verified, 4 if there is no plan, else 3."""
+    return {Verdict.VERIFIED: 0, Verdict.NONE: 4}.get(solution.verdict, 3)

@@ -1,13 +1,19 @@
-"""Solve a problem once, from its start, on what the first measurements tell."""
+"""Solve a problem once: a plan for each robot from its start, on the first measurements."""
 
 from __future__ import annotations
 
+from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.plan import Plan
+from planopt.planning.history import BEGINNING
+from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.scene import build_scene
+from planopt.planning.scene import Scene, build_scene
 from planopt.planning.solution import Solution
+from planopt.planning.team.crew import build_crew
+from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.team.team_step import TeamMoment, plan_together
+from planopt.planning.worth.aim import Aim
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
@@ -21,16 +27,20 @@ def solve(
     cost_to_go: str | None = None,
     seed: int = 0,
 ) -> Solution:
-    """Plan `horizon` steps ahead from the start.
+    """Plan `horizon` steps ahead from the start, for each robot.
+
+    A target is expected where its first estimate takes it. The plans are those that a run of the
+    same seed begins with.
 
     Parameters
     ----------
     problem
         From :func:`planopt.load` or made in Python.
     horizon, planner, cost_to_go
-        Override the problem's planner settings.
+        Override the problem's planner settings; a cost-to-go only where there is a goal.
     seed
-        Of the truth's fading and of the measured places.
+        Of the ground truth's fading, the measured places, the first estimate of a target, and of
+        planners that draw.
 
     Raises
     ------
@@ -40,7 +50,45 @@ def solve(
         Obstacles cut the goal off.
     """
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    scene = build_scene(problem)
-    belief = prepare(problem, seed).belief
-    plan: Plan = ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
-    return Solution(problem, seed, belief, plan)
+    # An unreachable goal is found out before the files of the channel are read.
+    scene = build_scene(problem) if problem.task == "reach" else None
+    return _solved(problem, prepare(problem, seed).belief, seed, scene)
+
+
+def solve_on(problem: Problem, belief: Belief, seed: int) -> Solution:
+    """Plan for each robot from its start, on a belief that is given.
+
+    Parameters
+    ----------
+    problem
+        With the planner settings to use.
+    belief
+        Of the channel, the same for all robots.
+    seed
+        Of the first estimate of a target, and of planners that draw.
+
+    Raises
+    ------
+    NoPlanError
+        Obstacles cut the goal off.
+    """
+    scene = build_scene(problem) if problem.task == "reach" else None
+    return _solved(problem, belief, seed, scene)
+
+
+def _solved(problem: Problem, belief: Belief, seed: int, scene: Scene | None) -> Solution:
+    if scene is not None:
+        plan = ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
+        return Solution(problem, seed, belief, (plan,), (Aim(),))
+    seeds = team_seeds(problem, seed)
+    watch = watch_target(problem, seeds.target)
+    crew = build_crew(problem, seeds)
+    moment = TeamMoment(
+        beliefs=[belief for _ in crew],
+        states=[member.start for member in crew],
+        watched=[aim_of(watch, number, problem.planner.horizon) for number in range(len(crew))],
+        histories=[BEGINNING for _ in crew],
+        warm=[None for _ in crew],
+    )
+    plans, aims = plan_together(problem, crew, moment)
+    return Solution(problem, seed, belief, tuple(plans), tuple(aims))

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import cast
+from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableType]
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
@@ -27,14 +25,11 @@ from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Driven, Row, metric_values
 from planopt.studies.finished_runs import FinishedRuns, run_key
-from planopt.studies.orphans import end_with_parent
+from planopt.studies.study import Study, run_study
 
 CONFIDENCE = 0.95
 ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
 """Outcomes of runs that did what the problem asks."""
-
-BACKENDS = ("loky",)
-"""What joblib may run tasks on."""
 
 
 @dataclass(frozen=True)
@@ -93,23 +88,26 @@ def compare_horizons(
     begun = perf_counter()
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     costs = costs_to_go if costs_to_go is not None else default_costs_to_go(problem)
-    _check(horizons, planners, costs, chosen, workers, backend)
+    _check(horizons, planners, costs, chosen)
     settings = [Setting(n, p, c) for c in costs for p in planners for n in horizons]
-    for setting in settings:
-        _apply(problem, setting)
     kept = None if finished is None else FinishedRuns(finished)
     driven: dict[tuple[Setting, int], Driven] = {}
-    parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
-    task = cast("Callable[..., object]", delayed(_runs_of_seed))
-    jobs = [task(problem, settings, seed, kept, os.getpid()) for seed in chosen]
+    asked = [_apply(problem, setting) for setting in settings]
+    study: Study[_Asked, Shared, Driven] = Study(
+        kind=Run if problem.task == "reach" else TeamSummary,
+        prepare=_shared,
+        work=_drive,
+        key=_key,
+    )
+    groups = [[(each, seed) for each in asked] for seed in chosen]
+    results = run_study(study, groups, workers=workers, backend=backend, record=kept)
     resumed = 0
-    results = cast("Iterable[tuple[list[Driven], int]]", parallel(jobs))
-    for seed, (runs, count) in zip(chosen, results, strict=True):
-        resumed += count
+    for seed, runs in zip(chosen, results, strict=True):
         for setting, run in zip(settings, runs, strict=True):
-            driven[setting, seed] = run
+            resumed += run.resumed
+            driven[setting, seed] = run.result
             if on_run is not None:
-                on_run(run)
+                on_run(run.result)
     by_setting = [[driven[setting, seed] for seed in chosen] for setting in settings]
     rows = [
         row
@@ -135,8 +133,6 @@ def _check(
     planners: Sequence[str],
     costs_to_go: Sequence[str | None],
     seeds: Sequence[int],
-    workers: int,
-    backend: str,
 ) -> None:
     """Raise an InputError that names the argument at fault."""
     settings = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
@@ -146,12 +142,6 @@ def _check(
     if min(seeds) < 0 or len(set(seeds)) < len(seeds):
         raise InputError(
             f"{list(seeds)} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
-        )
-    if workers < 1:
-        raise InputError(f"{workers} is less than 1", key="workers")
-    if backend not in BACKENDS:
-        raise InputError(
-            f"{backend!r} is not there", key="backend", remedy=f"use {', '.join(BACKENDS)}"
         )
 
 
@@ -234,45 +224,25 @@ def _apply(problem: Problem, setting: Setting) -> Problem:
     )
 
 
-def _runs_of_seed(
-    problem: Problem,
-    settings: Sequence[Setting],
-    seed: int,
-    finished: FinishedRuns | None,
-    parent: int,
-) -> tuple[list[Driven], int]:
-    """Closed loops of all settings on one seed, and how many of them were finished before.
-
-    Those that are driven share scene and first belief.
-    """
-    if os.getpid() != parent:
-        end_with_parent(parent)
-    kind: type[Driven] = Run if problem.task == "reach" else TeamSummary
-    shared: Shared | None = None
-    runs: list[Driven] = []
-    resumed = 0
-    for setting in settings:
-        asked = _apply(problem, setting)
-        key = None if finished is None else run_key(asked, seed)
-        run = None if finished is None or key is None else finished.find(key, kind)
-        if run is None:
-            shared = _shared(problem, seed) if shared is None else shared
-            run = _driven(asked, seed, shared)
-            if finished is not None and key is not None:
-                finished.keep(key, run)
-        else:
-            resumed += 1
-        runs.append(run)
-    return runs, resumed
-
+_Asked = tuple[Problem, int]
+"""A problem with the settings of a run, and its seed."""
 
 Shared = tuple[Prepared, Scene | None]
-"""First belief of a seed, and the scene where there is a goal."""
+"""First belief of a seed, and the scene where there is a goal: the same for all settings."""
 
 
-def _shared(problem: Problem, seed: int) -> Shared:
+def _shared(asked: _Asked) -> Shared:
+    problem, seed = asked
     prepared = prepare(problem, seed)
     return prepared, build_scene(problem) if problem.task == "reach" else None
+
+
+def _key(asked: _Asked) -> dict[str, Any]:
+    return run_key(*asked)
+
+
+def _drive(asked: _Asked, shared: Shared) -> Driven:
+    return _driven(*asked, shared)
 
 
 def _driven(problem: Problem, seed: int, shared: Shared) -> Driven:

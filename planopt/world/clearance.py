@@ -126,6 +126,43 @@ def segment_clearance_m(
     return _spread(_nearest_m(index, segment_lines(starts_m[finite], ends_m[finite])), finite)
 
 
+def segments_clear(
+    index: ObstacleIndex,
+    starts_m: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    wanted_m: float,
+    tolerance_m: float = 0.0,
+) -> NDArray[np.bool_]:
+    """Whether straight segments keep a clearance, two to four times faster than their distances.
+
+    The same as :func:`is_clear` of :func:`segment_clearance_m`, for searches: how near an obstacle
+    comes that is too near, or far enough, is not measured.
+
+    Parameters
+    ----------
+    index
+        The obstacles.
+    starts_m, ends_m
+        ``(n, 2)``.
+    wanted_m, tolerance_m
+        As :func:`is_clear` takes them.
+
+    Returns
+    -------
+    (n,) array
+        False where a coordinate is not finite.
+    """
+    clear = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
+    rows = np.flatnonzero(clear)
+    if index.obstacles and rows.size:
+        # Obstacles at the very distance that is wanted do not count, unless it is 0.
+        near_m = max(float(np.nextafter(wanted_m - tolerance_m, -np.inf)), 0.0)
+        lines = segment_lines(starts_m[rows], ends_m[rows])
+        hits = index.tree.query(lines, predicate="dwithin", distance=near_m)
+        clear[rows[hits[0]]] = False
+    return clear
+
+
 def inside_bounds(workspace: Workspace, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether every position (n, 2) is within the bounds, the border included; (n,)."""
     x_min, y_min, x_max, y_max = workspace.bounds_m

@@ -11,7 +11,7 @@ def test_the_answer_fits_the_task() -> None:
     reach = planopt.load("open_field")
     assert isinstance(planopt.solve(reach, horizon=2), planopt.Solution)
     solution = planopt.solve(two_trackers(), horizon=1, planner="one_step")
-    assert isinstance(solution, planopt.TeamSolution) and len(solution.plans) == 2
+    assert isinstance(solution, planopt.Solution) and len(solution.plans) == 2
     assert solution.problem.planner.horizon == 1
 
 

@@ -18,7 +18,7 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.team.team_solve import solve_team
+from planopt.planning.solve import solve
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
@@ -45,9 +45,10 @@ def terms_plan(problem: Problem):
 
 REACH = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
 TERMS = terms_problem(TRACKING, LEARNING, p_min=0.5)
+ADDITIVE = terms_problem(TRACKING, p_min=0.5)
 
 
-@pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, TERMS)])
+@pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, ADDITIVE)])
 def test_no_time_to_polish(plan, problem):
     """The plan of the lattice planner, on its rung, with the reason."""
     hurried = plan(with_budget(problem, NO_TIME))
@@ -58,6 +59,15 @@ def test_no_time_to_polish(plan, problem):
     assert hurried.iterations == 0 and hurried.solve_s == 0.0
     np.testing.assert_array_equal(hurried.positions_m, lattice.positions_m)
     assert hurried.objective == lattice.objective
+
+
+def test_no_time_to_search():
+    """Terms that couple places: a verified plan of what there is, no better than a whole search."""
+    hurried = terms_plan(with_budget(TERMS, NO_TIME))
+    lattice = terms_plan(replace(TERMS, planner=replace(TERMS.planner, name="lattice")))
+    assert hurried.verdict is Verdict.VERIFIED
+    assert (hurried.rung, hurried.termination) == (Rung.LATTICE, Termination.TIME_LIMIT)
+    assert hurried.objective <= lattice.objective
 
 
 @pytest.mark.parametrize(("plan", "problem"), [(reach_plan, REACH), (terms_plan, TERMS)])
@@ -94,7 +104,7 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
 def test_saved_and_checked(tmp_path):
     """A plan without a polish is judged from disk as it is."""
     problem = with_budget(TERMS, NO_TIME)
-    save_team_solution(solve_team(problem, seed=1), tmp_path)
+    save_team_solution(solve(problem, seed=1), tmp_path)
     assert check(tmp_path).reasons == ()
 
 

@@ -14,8 +14,8 @@ from planopt.planning.check.check import check
 from planopt.planning.explain.explain import explain
 from planopt.planning.files.team_saved import save_team_run
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 
 SEED = 3
 
@@ -25,7 +25,7 @@ SEED = 3
 def test_plan_is_judged_under_the_rule(dynamics, form: str) -> None:
     """With a little slack each is kept; a plan of the solver is a KKT point."""
     problem = with_dynamics(ruled_problem(form, slack_max_db=6.0), dynamics)
-    plan = solve_team(problem, seed=SEED).plans[0]
+    plan = solve(problem, seed=SEED).plans[0]
     assert plan.verdict is Verdict.VERIFIED
     assert plan.certificate.rule is not None
     assert plan.certificate.rule.connectivity == form
@@ -40,11 +40,11 @@ def test_missed_steps_are_excused_by_where_it_can_be(dynamics, horizon: int, tmp
     problem = driven_problem(dynamics, TRACKING, p_min=0.9, horizon=horizon, max_steps=4)
     robot = replace(problem.robots[0], start_m=(37.0, 37.0))
     problem = replace(problem, robots=(robot,))
-    plan = solve_team(problem, seed=SEED).plans[0]
+    plan = solve(problem, seed=SEED).plans[0]
     certificate = plan.certificate
     assert certificate.relaxed_steps
     free = replace(problem, robots=(replace(robot, dynamics=None, start_rest=()),))
-    wide = solve_team(free, seed=SEED).plans[0].certificate
+    wide = solve(free, seed=SEED).plans[0].certificate
     assert wide.relaxed_steps == certificate.relaxed_steps
     assert np.all(np.array(certificate.best_margin_db) <= np.array(wide.best_margin_db) + 0.05)
     assert certificate.best_margin_db[0] < wide.best_margin_db[0]
@@ -61,7 +61,7 @@ def test_what_would_help_is_measured_where_it_can_be(dynamics, uncertain: str) -
     robot = replace(problem.robots[0], start_m=(37.0, 37.0))
     rule = replace(problem.constraints.rule, parameter_uncertainty=uncertain)
     constraints = replace(problem.constraints, rule=rule)
-    solution = solve_team(replace(problem, robots=(robot,), constraints=constraints), seed=SEED)
+    solution = solve(replace(problem, robots=(robot,), constraints=constraints), seed=SEED)
     certificate = solution.plans[0].certificate
     found = {one.constraint: one for one in explain(solution)}
     for key in ("constraints.p_min", "stations[0].threshold_dbm"):

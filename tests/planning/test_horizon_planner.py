@@ -32,7 +32,7 @@ from planopt.planning.programme import ipopt
 from planopt.planning.programme.nlp_point import NlpPoint
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.search.start_search import StartSearch
-from planopt.planning.team.team_solve import solve_team
+from planopt.planning.solve import solve
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 
@@ -97,7 +97,7 @@ def test_an_expression_of_another_horizon_is_refused():
     """As an error of ours, when the horizon is overridden."""
     problem = terms_problem(own_term(lambda path: -ca.sumsqr(path.positions_m)))
     with pytest.raises(InputError, match=r"is 5, and planner\.horizon is 3"):
-        solve_team(problem, horizon=3)
+        solve(problem, horizon=3)
 
 
 def test_no_straight_way_is_better():

@@ -13,7 +13,7 @@ from planopt.planning.programme.polished import Polished
 from planopt.planning.proof import predictions
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB
 from planopt.planning.rule_bounds import lacks
-from planopt.planning.team.team_solve import solve_team
+from planopt.planning.solve import solve
 from planopt.planning.worth.rule_rows import rule_rows
 from planopt.world.moving_obstacle import MovingObstacle
 
@@ -25,7 +25,7 @@ def test_standing_before_the_first_plan_is_a_stop() -> None:
     # Wider and faster than the robot can flee from.
     steamroller = MovingObstacle("roller", 60.0, (0.0,), ((x + 90.0, y),), (-40.0, 0.0))
     blocked = replace(problem, workspace=replace(problem.workspace, moving=(steamroller,)))
-    plan = solve_team(blocked).plans[0]
+    plan = solve(blocked).plans[0]
     assert plan.verdict is Verdict.VIOLATED
     assert plan.rung is Rung.STOP
     assert np.ptp(plan.positions_m, axis=0).max() == 0.0

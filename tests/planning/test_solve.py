@@ -97,7 +97,7 @@ def test_threshold_that_cannot_be_met(horizon):
 )
 def test_exit_codes(solution, verdict, code):
     """Design section 3."""
-    assert exit_code(replace(solution, plan=replace(solution.plan, verdict=verdict))) == code
+    assert exit_code(replace(solution, plans=(replace(solution.plan, verdict=verdict),))) == code
 
 
 def test_plans_and_verdict_are_asked_for_as_of_several_robots():

@@ -18,6 +18,7 @@ from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.solution import Solution
+from planopt.planning.worth.aim import Aim
 from planopt.problems.channel_setup import ChannelSetup, SampledMeasurements
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective
@@ -130,7 +131,7 @@ def plan(belief: Belief) -> Plan:
 @pytest.fixture(scope="session")
 def solution(problem: Problem, belief: Belief, plan: Plan) -> Solution:
     """The plan as an answer."""
-    return Solution(problem, 0, belief, plan)
+    return Solution(problem, 0, belief, (plan,), (Aim(),))
 
 
 @pytest.fixture(scope="session")

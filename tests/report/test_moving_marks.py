@@ -11,7 +11,6 @@ from artists import collection_of, drawn, legend_of, line_of, panel_of
 
 from planopt import load, solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 from planopt.report.plan_figure import draw_plan
 from planopt.report.team_figure import draw_team_plan, draw_team_run
 from planopt.world.closest_approach import closest_approach_m
@@ -56,7 +55,7 @@ def test_plans_show_the_discs_as_large_as_predicted():
     problem = apart_problem([(10, 15), (14, 15)], max_steps=4, horizon=3)
     cart = replace(problem.workspace.moving[0], position_std_m=0.1, acceleration_std_m_s2=0.1)
     problem = replace(problem, workspace=replace(problem.workspace, moving=(cart,)))
-    solved = solve_team(problem, seed=0)
+    solved = solve(problem, seed=0)
     target = solved.aims[0].target_m
     figure = drawn(draw_team_plan(problem, solved.plans, solved.belief, target))
     ground = figure.axes[0]

@@ -41,7 +41,7 @@ def test_path_is_the_plan(solution, plan):
 def test_margin_is_the_clearance_away(solution, problem):
     """Every corner of the dashed outline is the clearance away from the obstacles."""
     far = replace(solution.plan, positions_m=solution.plan.positions_m * [4.0, 4.0])
-    axes = panel_of(draw_plan(replace(solution, plan=far)), "the plan on")
+    axes = panel_of(draw_plan(replace(solution, plans=(far,))), "the plan on")
     corners = np.concatenate(collection_of(axes, "clearance of 1.5 m").get_segments())
     obstacles = shapely.union_all([part.polygon for part in problem.workspace.obstacles])
     distances = shapely.distance(shapely.points(corners), obstacles)
@@ -82,7 +82,7 @@ def test_many_reasons_are_cut(solution):
     reasons = tuple(f"reason {number}" for number in range(30))
     certificate = replace(solution.plan.certificate, reasons=reasons)
     plan = replace(solution.plan, certificate=certificate, verdict=Verdict.VIOLATED)
-    figure = draw_plan(replace(solution, plan=plan))
+    figure = draw_plan(replace(solution, plans=(plan,)))
     (words,) = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert len(words.splitlines()) == WORDS_LINES and words.endswith("...")
 
@@ -96,7 +96,7 @@ def test_inset_shows_the_window(solution):
     frame = inset.lines[-1].get_xydata()
     np.testing.assert_allclose(frame[[0, 2]].T, [axes.get_xlim(), axes.get_ylim()])
     wide = replace(solution.plan, positions_m=10.0 * solution.plan.positions_m - 90.0)
-    assert not panel_of(draw_plan(replace(solution, plan=wide)), "the plan on").child_axes
+    assert not panel_of(draw_plan(replace(solution, plans=(wide,))), "the plan on").child_axes
 
 
 def test_standing_plan_without_obstacles(solution, problem):
@@ -106,5 +106,5 @@ def test_standing_plan_without_obstacles(solution, problem):
         solution.plan.certificate, min_clearance_m=float("inf"), relaxed_steps=(), relaxation_db=()
     )
     still = replace(solution.plan, positions_m=np.full((5, 2), 10.0), certificate=certificate)
-    figure = drawn(draw_plan(replace(solution, problem=empty, plan=still)))
+    figure = drawn(draw_plan(replace(solution, problem=empty, plans=(still,))))
     assert panel_of(figure, "the plan on").get_xlim() == (0.0, 20.0)

@@ -14,7 +14,9 @@ from planopt.world.clearance import (
     index_obstacles,
     inside_bounds,
     is_clear,
+    segment_clearance_m,
     segment_lines,
+    segments_clear,
     swept_clearance_m,
 )
 from planopt.world.workspace import Obstacle, Workspace
@@ -51,6 +53,26 @@ def test_thin_wall_between_samples() -> None:
     path = np.array([[-3.0, 0.0], [3.0, 0.1]])
     assert clearance_m(index, path).min() > 2.9
     np.testing.assert_array_equal(swept_clearance_m(index, path), [0.0])
+
+
+@pytest.mark.parametrize("wanted", [0.0, 0.3, 1.0, 2.5])
+@pytest.mark.parametrize("tolerance", [0.0, 1e-3])
+def test_segments_clear_as_their_distances(wanted: float, tolerance: float) -> None:
+    """Random segments, standing ones, touching ones, at the very distance, and not finite ones."""
+    rng = np.random.default_rng(5)
+    starts = rng.uniform(-10.0, 20.0, (400, 2))
+    ends = starts + rng.normal(size=(400, 2)) * 3.0
+    ends[:40] = starts[:40]
+    ends[40:44] = [[np.nan, 0.0], [np.inf, 0.0], [0.0, -np.inf], [np.nan, np.nan]]
+    # Beside the yard's lower border, at 0, 1 and 2.5 m from it.
+    starts[50:53], ends[50:53] = [[1, 0], [1, -1], [1, -2.5]], [[5, 0], [5, -1], [5, -2.5]]
+    expected = is_clear(segment_clearance_m(INDEX, starts, ends), wanted, tolerance)
+    found = segments_clear(INDEX, starts, ends, wanted, tolerance)
+    np.testing.assert_array_equal(found, expected)
+    assert 0 < found.sum() < 400
+    np.testing.assert_array_equal(
+        segments_clear(EMPTY, starts, ends, wanted), np.isfinite(starts + ends).all(axis=1)
+    )
 
 
 def test_contact_is_never_clear() -> None:

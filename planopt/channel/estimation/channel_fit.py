@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.offsets import ReceiverOffset
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.receiver_offsets import ReceiverOffset
 from planopt.short_repr import short_repr
 
 

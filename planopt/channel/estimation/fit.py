@@ -43,10 +43,10 @@ from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.ridge import AXES
 from planopt.channel.mean_model import PRIOR_N_PL, mean_model
 from planopt.channel.measurements import Measurements, Table, as_measurements
+from planopt.channel.offsets import ReceiverOffset, receiver_offsets
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.channel.receiver_offsets import ReceiverOffset, receiver_offsets
 from planopt.errors import InputError
 
 

@@ -20,10 +20,10 @@ from planopt.channel.measurement_covariance import (
     place_origins,
 )
 from planopt.channel.nearest.neighbours import local_precision, local_terms
+from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
 from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, combine
-from planopt.channel.receiver_offsets import OffsetsGivenTheta, offsets_given_theta
 
 TILES_AT_ONCE = 64
 """Tiles solved together: their matrices fit into a processor's cache."""

@@ -22,10 +22,10 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.nearest.close_places import close_together, halves
 from planopt.channel.nearest.near_factors import NearGroup
+from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
 from planopt.channel.path_loss import regressors
 from planopt.channel.position_error import path_loss_variance_db2
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
-from planopt.channel.receiver_offsets import OffsetsGivenTheta, offsets_given_theta
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior

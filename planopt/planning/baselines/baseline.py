@@ -13,7 +13,7 @@ from planopt.planning.plan import Plan, Rung, Termination
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-from planopt.world.clearance import inside_bounds, segment_clearance_m
+from planopt.world.clearance import inside_bounds, segments_clear
 
 
 def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
@@ -39,9 +39,9 @@ def free_ends(
 ) -> NDArray[np.bool_]:
     """Whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,)."""
     starts = np.broadcast_to(position_m, ends_m.shape)
-    clear = segment_clearance_m(ground.index, starts, ends_m)
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
-    return inside_bounds(problem.workspace, ends_m) & (clear >= wanted)
+    clear = segments_clear(ground.index, starts, ends_m, wanted)
+    return inside_bounds(problem.workspace, ends_m) & clear
 
 
 def held(situation: Situation, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -17,20 +17,19 @@ from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.proof.broad_prediction import broad_prediction
-from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
+from planopt.planning.solve import solve_on
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.planning.team.team_seeds import team_seeds
-from planopt.planning.team.team_solution import TeamSolution
-from planopt.planning.team.team_solve import solve_team_on
 from planopt.problems.problem import Problem
 
 
-def explain(solution: Solution | TeamSolution) -> tuple[Relaxation, ...]:
-    """What would give every robot a verified plan; empty where each has one.
+@one_blas_thread()
+def explain(solution: Solution) -> tuple[Relaxation, ...]:
+    """Return changes that would give every robot a verified plan; none if each has one.
 
     Each change is by itself, and of its robot alone. Problems are solved again with what is
     proposed, which takes some fifty times the plan's own time.
@@ -40,7 +39,20 @@ def explain(solution: Solution | TeamSolution) -> tuple[Relaxation, ...]:
     solution
         From :func:`planopt.solve`.
     """
-    return _explain_one(solution) if isinstance(solution, Solution) else _explain_team(solution)
+    found: list[Relaxation] = []
+    problem = solution.problem
+    motions = [planned_motion(problem, plan) for plan in solution.plans]
+    for number, plan in enumerate(solution.plans):
+        if plan.verdict is Verdict.VERIFIED:
+            continue
+        moving = beside(problem, 0, others_of(motions, number))
+        case = Case(problem, number, solution.belief.posteriors, plan, moving)
+
+        def plan_again(changed: Problem, number: int = number) -> Plan | None:
+            return _planned(changed, solution, number)
+
+        found += explain_no_verified_plan(case, plan_again)
+    return tuple(found)
 
 
 @one_blas_thread()
@@ -74,50 +86,24 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, solve_again)
 
 
-@one_blas_thread()
-def _explain_one(solution: Solution) -> tuple[Relaxation, ...]:
-    if solution.plan.verdict is Verdict.VERIFIED:
-        return ()
-    problem, belief = solution.problem, solution.belief
-    case = Case(problem, 0, belief.posteriors, solution.plan, beside(problem, 0, {}))
-    return explain_no_verified_plan(case, lambda changed: _reached(changed, belief))
-
-
-@one_blas_thread()
-def _explain_team(solution: TeamSolution) -> tuple[Relaxation, ...]:
-    found: list[Relaxation] = []
-    problem = solution.problem
-    motions = [planned_motion(problem, plan) for plan in solution.plans]
-    for number, plan in enumerate(solution.plans):
-        if plan.verdict is Verdict.VERIFIED:
-            continue
-        moving = beside(problem, 0, others_of(motions, number))
-        case = Case(problem, number, solution.belief.posteriors, plan, moving)
-
-        def plan_again(changed: Problem, number: int = number) -> Plan:
-            return _planned(changed, solution, number)
-
-        found += explain_no_verified_plan(case, plan_again)
-    return tuple(found)
-
-
 def _verdict(plan: Plan | None) -> Verdict:
     return Verdict.NONE if plan is None else plan.verdict
 
 
 def _reached(problem: Problem, belief: Belief) -> Plan | None:
-    """The plan to the goal of a changed problem; None where nothing leads there."""
+    """Plan a changed problem to its goal; None where nothing leads there."""
     try:
-        scene = build_scene(problem)
-        return ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
+        return solve_on(problem, belief, 0).plan
     except NoPlanError:
         return None
 
 
-def _planned(problem: Problem, solution: TeamSolution, number: int) -> Plan:
-    """One robot's plan of a changed problem; with those of the others, where they keep apart."""
+def _planned(problem: Problem, solution: Solution, number: int) -> Plan | None:
+    """Plan a changed problem for one robot; with the others if they keep apart."""
+    if problem.task == "reach":
+        return _reached(problem, solution.belief)
     if problem.constraints.separation_m > 0.0:
-        return solve_team_on(problem, solution.belief, solution.seed).plans[number]
+        return solve_on(problem, solution.belief, solution.seed).plans[number]
     seeds = team_seeds(problem, solution.seed)
     watch = watch_target(problem, seeds.target)
     watched = aim_of(watch, number, problem.planner.horizon)

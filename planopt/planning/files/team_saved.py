@@ -28,8 +28,8 @@ from planopt.planning.files.steps_file import (
 )
 from planopt.planning.files.team_run_json import team_plans_json, team_run_json
 from planopt.planning.files.team_solution_json import team_solution_json
+from planopt.planning.solution import Solution
 from planopt.planning.team.team_run import TeamRun
-from planopt.planning.team.team_solution import TeamSolution
 from planopt.planning.team.team_tables import (
     KNOWLEDGE_FILE,
     TARGET_FILE,
@@ -46,9 +46,7 @@ def belief_files(problem: Problem) -> tuple[str, ...]:
     return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
 
 
-def save_team_solution(
-    solution: TeamSolution, folder: Path, *, pictures_follow: bool = False
-) -> None:
+def save_team_solution(solution: Solution, folder: Path, *, pictures_follow: bool = False) -> None:
     """Save plans so that they can be judged from their files alone.
 
     Parameters and errors are those of :func:`planopt.planning.files.saved.save_solution`.

@@ -25,8 +25,8 @@ from planopt.planning.files.solution_json import (
     plan_json,
 )
 from planopt.planning.plan import Plan
+from planopt.planning.solution import Solution
 from planopt.planning.team.team_certificate import worst_of_robots
-from planopt.planning.team.team_solution import TeamSolution
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 
@@ -71,7 +71,7 @@ class TeamPlanRecord(Record):
     problem_file: dict[str, Any]
 
 
-def team_solution_json(solution: TeamSolution) -> dict[str, Any]:
+def team_solution_json(solution: Solution) -> dict[str, Any]:
     """The JSON keys of ``solve``, of all robots."""
     return team_plan_json(
         solution.problem, solution.seed, solution.plans, solution.aims, solution.explanation

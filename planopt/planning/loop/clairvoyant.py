@@ -19,7 +19,7 @@ from planopt.planning.loop.run import Outcome
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.roads import node_at, nodes_in_reach
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, is_clear, segment_clearance_m
+from planopt.world.clearance import ObstacleIndex, segments_clear
 from planopt.world.road_map import RoadMap, shortest_ways, way_from
 
 SHORTCUT_NODES = 40
@@ -133,10 +133,8 @@ def _straightened(
     first, second = np.triu_indices(count, 1)
     near = second - first <= SHORTCUT_NODES
     first, second = first[near], second[near]
-    clear = is_clear(
-        segment_clearance_m(index, places_m[first], places_m[second]),
-        problem.constraints.clearance_m,
-    )
+    wanted = problem.constraints.clearance_m
+    clear = segments_clear(index, places_m[first], places_m[second], wanted)
     # The lattice's own moves are clear already.
     clear |= second == first + 1
     first, second = first[clear], second[clear]

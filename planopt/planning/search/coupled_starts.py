@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.ground import Ground
 from planopt.planning.search.local_ranking import LocalRanking, can_climb
 from planopt.planning.search.rough_clearance import rough_clearance
@@ -50,7 +51,10 @@ class CoupledStarts:
         self._rough = rough_clearance(problem, ground.index)
 
     def find_ways(
-        self, situation: Situation, known_m: list[NDArray[np.float64]]
+        self,
+        situation: Situation,
+        known_m: list[NDArray[np.float64]],
+        budget: Budget = UNLIMITED,
     ) -> list[NDArray[np.float64]]:
         """The best ways (N, 2), told apart, best first by what is measured near them.
 
@@ -60,6 +64,8 @@ class CoupledStarts:
             What is known.
         known_m
             Ways (N, 2) found otherwise, to be improved with the others.
+        budget
+            Until when they are improved.
         """
         fan = straight_starts(situation, self._index, self._rough, self._problem.planner.horizon)
         longest = self._problem.step_length_m - STEP_PAD_M
@@ -79,7 +85,9 @@ class CoupledStarts:
 
         if not can_climb(self._problem):
             generator = np.random.default_rng(SEED)
-            found, _ = search_ways(situation.position_m, ways, longest, drive, value, generator)
+            found, _ = search_ways(
+                situation.position_m, ways, longest, drive, value, generator, budget
+            )
             return list(found[:VALUED])
         apart = APART_STEPS * longest
         best = ways[distinct(ways, value(ways), apart, CLIMBING)]
@@ -89,7 +97,7 @@ class CoupledStarts:
             return np.where(self._is_apart(situation, ways_m), worth, -np.inf), slope
 
         found, _ = climb_ways(
-            situation.position_m, best, longest, drive, slopes, ROUNDS, FOLLOWED, apart
+            situation.position_m, best, longest, drive, slopes, ROUNDS, FOLLOWED, apart, budget
         )
         return list(found)
 

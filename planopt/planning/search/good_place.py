@@ -17,7 +17,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.search.retime import retime
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
-from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segment_clearance_m
+from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M
 from planopt.world.shortest_ways import ShortestWays, shortest_ways, turns_m, way_lengths_m
 
@@ -148,8 +148,8 @@ def _in_fewest_steps(
         there = np.flatnonzero((away <= length_m + REACH_TOLERANCE_M) & (steps > steps[here] + 1.0))
         there = there[there > here]
         begin = np.broadcast_to(places[here], (len(there), 2))
-        clear = segment_clearance_m(judge.index, begin, places[there])
-        there = there[is_clear(clear, judge.problem.constraints.clearance_m)]
+        wanted = judge.problem.constraints.clearance_m
+        there = there[segments_clear(judge.index, begin, places[there], wanted)]
         steps[there], came[there] = steps[here] + 1.0, here
     path = [len(places) - 1]
     while came[path[-1]] > 0:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.programme.goal_cost import GoalCharge
 from planopt.planning.search.coupled_starts import CoupledStarts
@@ -106,7 +107,10 @@ class StartSearch:
         self._coupled = CoupledStarts(problem, ground) if coupled else None
 
     def find_starts(
-        self, situation: Situation, shifted_m: NDArray[np.float64] | None
+        self,
+        situation: Situation,
+        shifted_m: NDArray[np.float64] | None,
+        budget: Budget = UNLIMITED,
     ) -> list[Start]:
         """The best starts, best first: those that keep the bound before those that do not.
 
@@ -116,6 +120,8 @@ class StartSearch:
             What is known.
         shifted_m
             ``(N, 2)`` the last plan, one step later, or None.
+        budget
+            Until when the search goes on.
         """
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
@@ -129,8 +135,8 @@ class StartSearch:
             longest = problem.step_length_m - STEP_PAD_M
             paths.append(situation.steering.path_m(problem.planner.horizon, longest))
         if self._coupled is not None:
-            paths += self._coupled.find_ways(situation, paths)
-        if self._ends > 1:
+            paths += self._coupled.find_ways(situation, paths, budget)
+        if self._ends > 1 and not budget.searched:
             # Besides what is found otherwise, so that being thorough loses no start.
             paths += self._lattice_paths(situation, self._ends)
         paths = self._apart(situation, paths)

@@ -17,7 +17,7 @@ from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.rough_clearance import RoughClearance
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
-from planopt.world.clearance import ObstacleIndex, inside_bounds, segment_clearance_m
+from planopt.world.clearance import ObstacleIndex, inside_bounds, segments_clear
 
 HEADINGS = 16
 """Directions of the fan."""
@@ -158,7 +158,7 @@ def _stopped(
     # No place of a step is farther from its middle than half of it, nor the raster off by a cell.
     far = clear_m + 0.5 * situation.problem.step_length_m + rough.cell_m
     near = free & ~rough.is_free(0.5 * (starts + ends), far)
-    free[near] = segment_clearance_m(index, starts[near], ends[near]) >= clear_m
+    free[near] = segments_clear(index, starts[near], ends[near], clear_m)
     free = free.reshape(count, places - 1)
     # The first step that is not free: until then all of them were.
     reached = np.logical_and.accumulate(free, axis=1).sum(axis=1, dtype=np.intp)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.problems.problem import Problem
-from planopt.world.clearance import is_clear, segment_clearance_m
+from planopt.world.clearance import segments_clear
 from planopt.world.road_map import Ways, shortest_ways, way_from
 
 STRAIGHT_SHARE = 1e-9
@@ -58,7 +58,7 @@ class WaysFrom:
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether the straight way to each place (n, 2) is clear."""
         starts = np.broadcast_to(self._position_m, places_m.shape)
-        return is_clear(segment_clearance_m(self._ground.index, starts, places_m), self._wanted_m)
+        return segments_clear(self._ground.index, starts, places_m, self._wanted_m)
 
     def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where the way to a place (2,) beside `node` turns, its start and its end; (m, 2)."""
@@ -70,8 +70,8 @@ class WaysFrom:
         while last < len(corners) - 1:
             ahead = corners[last + 1 :]
             starts = np.broadcast_to(corners[last], ahead.shape)
-            away = segment_clearance_m(self._ground.index, starts, ahead)
-            seen = np.flatnonzero(is_clear(away, self._wanted_m))
+            clear = segments_clear(self._ground.index, starts, ahead, self._wanted_m)
+            seen = np.flatnonzero(clear)
             # The next node is a move away, if the clearance is missed where the robot stands.
             last += 1 + (int(seen[-1]) if len(seen) else 0)
             turns.append(corners[last])

@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.search.way_search import Drive, commands_of, distinct
 
 FIRST_STEP, LONGEST_STEP = 0.3, 0.8
@@ -55,6 +56,7 @@ def climb_ways(
     rounds: tuple[int, ...],
     followed: tuple[int, ...],
     apart_m: float,
+    budget: Budget = UNLIMITED,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Climb from `ways_m` (c, N, 2); the ways at the end and their worths, best first.
 
@@ -73,10 +75,14 @@ def climb_ways(
     rounds, followed
         After so many steps each, so many ways are followed on; ways that have come nearer than
         `apart_m` to a better one are not.
+    budget
+        Until when steps begin.
     """
     at = _begun(start_m, ways_m, longest_m, slope)
     for count, kept in zip(rounds, followed, strict=True):
         for _ in range(count):
+            if budget.searched:
+                break
             at = _stepped(at, start_m, longest_m, drive, slope)
         at = at.take(distinct(at.ways_m, at.worth, apart_m, kept))
     return at.ways_m, at.worth

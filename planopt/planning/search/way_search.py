@@ -14,6 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.budget import UNLIMITED, Budget
+
 ELITE = 8
 """Ways that are bent in a round."""
 
@@ -55,6 +57,7 @@ def search_ways(
     drive: Drive,
     value: Value,
     generator: np.random.Generator,
+    budget: Budget = UNLIMITED,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Improve on `ways_m` (c, N, 2); the best ways, told apart, and their worths, best first.
 
@@ -70,6 +73,8 @@ def search_ways(
         See their types.
     generator
         Draws the bends.
+    budget
+        Until when rounds begin.
     """
     horizon = int(ways_m.shape[1])
     apart = APART_STEPS * longest_m
@@ -77,6 +82,8 @@ def search_ways(
     kept = distinct(ways_m, worths, apart, ELITE)
     ways, worths = ways_m[kept], worths[kept]
     for number in range(ROUNDS):
+        if budget.searched:
+            break
         width = NARROWING**number
         moved = nudged(start_m, np.repeat(ways, NUDGED, axis=0), longest_m, width, generator)
         again = np.concatenate([np.repeat(ways, BENT, axis=0), moved])

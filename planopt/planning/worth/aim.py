@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """What one plan was made for.
+    """External inputs of one plan's objective: expected target and steering path, if any.
 
     Attributes
     ----------
@@ -23,6 +23,6 @@ class Aim:
         ``(4, 4)`` J_{t|t} of the station's filter then; None without target.
     """
 
-    target_m: NDArray[np.float64] | None
-    steering_turns_m: NDArray[np.float64] | None
+    target_m: NDArray[np.float64] | None = None
+    steering_turns_m: NDArray[np.float64] | None = None
     information: NDArray[np.float64] | None = None

@@ -26,8 +26,7 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,
     inside_bounds,
-    is_clear,
-    segment_clearance_m,
+    segments_clear,
 )
 from planopt.world.lattice import MOVES, Lattice, moves_from, node_positions
 
@@ -122,7 +121,7 @@ def _beside(
         return places[:0]
     nearest = nodes_m[PlaceTree(nodes_m).nearest(places, 1)[0][:, 0]]
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
-    return places[is_clear(segment_clearance_m(index, nearest, places), wanted)]
+    return places[segments_clear(index, nearest, places, wanted)]
 
 
 def _threshold_db2(problem: Problem) -> float | None:

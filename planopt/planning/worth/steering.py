@@ -21,7 +21,7 @@ from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
-from planopt.world.clearance import is_clear, segment_clearance_m
+from planopt.world.clearance import segments_clear
 from planopt.world.road_map import shortest_ways
 
 TILE = 1
@@ -59,7 +59,7 @@ class Steering:
         beside = nodes[self._nearest]
         # A place too near to an obstacle is never come to.
         wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
-        clear = is_clear(segment_clearance_m(ground.index, beside, places), wanted)
+        clear = segments_clear(ground.index, beside, places, wanted)
         away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
         self._beside_m = np.where(clear, away, np.inf)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.world.clearance import ObstacleIndex, is_clear, segment_clearance_m
+from planopt.world.clearance import ObstacleIndex, segments_clear
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +60,9 @@ class SteeringWay:
         left = np.arange(len(places_m))
         for turn in range(len(self.turns_m) - 1, 0, -1):
             there = np.broadcast_to(self.turns_m[turn], (len(left), 2))
-            away = segment_clearance_m(self.index, places_m[left], there)
-            seen = is_clear(away, self.clearance_m, CLEARANCE_TOLERANCE_M)
+            seen = segments_clear(
+                self.index, places_m[left], there, self.clearance_m, CLEARANCE_TOLERANCE_M
+            )
             found[left[seen]] = turn
             left = left[~seen]
         return found

@@ -18,7 +18,6 @@ from planopt.planning.files.solution_json import no_plan_json
 from planopt.planning.files.team_saved import save_team_solution
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_solve import solve_team
 from planopt.problems.load import load
 from planopt.world.workspace import Obstacle
 
@@ -28,7 +27,7 @@ def saved(tmp_path_factory):
     """A saved plan whose threshold is some dB too high, and what it says."""
     problem = terms_problem(TRACKING, p_min=0.8, horizon=3)
     high = replace(problem.stations[0], threshold_dbm=-23.0)
-    solution = solve_team(replace(problem, stations=(high,)), seed=2)
+    solution = solve(replace(problem, stations=(high,)), seed=2)
     assert solution.verdict is Verdict.VIOLATED
     folder = tmp_path_factory.mktemp("violated")
     save_team_solution(replace(solution, explanation=explain(solution)), folder)
@@ -86,7 +85,7 @@ def test_rules_are_judged_again(form, tmp_path):
     radio = replace(problem.stations[0], threshold_dbm=-33.0)
     planner = replace(problem.planner, name="lattice", horizon=3)
     problem = replace(problem, stations=(radio,), planner=planner)
-    solution = solve_team(problem, seed=3)
+    solution = solve(problem, seed=3)
     assert solution.verdict is Verdict.VIOLATED
     save_team_solution(replace(solution, explanation=explain(solution)), tmp_path)
     data = json.loads((tmp_path / "plan.json").read_text())
@@ -108,7 +107,7 @@ def test_more_than_is_within_reach_is_no_help(tmp_path):
     problem = ruled_problem("average", p_min=0.999)
     radio = replace(problem.stations[0], threshold_dbm=-25.0)
     planner = replace(problem.planner, name="lattice", horizon=3)
-    solution = solve_team(replace(problem, stations=(radio,), planner=planner), seed=3)
+    solution = solve(replace(problem, stations=(radio,), planner=planner), seed=3)
     save_team_solution(replace(solution, explanation=explain(solution)), tmp_path)
     data = json.loads((tmp_path / "plan.json").read_text())
     assert blamed(tmp_path, data) == []
@@ -126,7 +125,7 @@ def _outage(keys):
 
 def test_a_verified_plan_needs_no_explanation(tmp_path, saved):
     """One that has one is rejected."""
-    save_team_solution(solve_team(terms_problem(TRACKING, horizon=2), seed=2), tmp_path)
+    save_team_solution(solve(terms_problem(TRACKING, horizon=2), seed=2), tmp_path)
     data = json.loads((tmp_path / "plan.json").read_text())
     assert data["explanation"] == [] and check(tmp_path).reasons == ()
     assert blamed(tmp_path, {**data, "explanation": saved[1]["explanation"][:1]})

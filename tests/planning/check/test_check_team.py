@@ -13,8 +13,8 @@ from planopt.errors import InputError
 from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_run, save_team_solution
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 
 STEERED = {
     "kind": "mapping",
@@ -30,7 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     for name in ("plan", "run"):
         (folder / name).mkdir()
-    save_team_solution(solve_team(two_trackers(), seed=1), folder / "plan")
+    save_team_solution(solve(two_trackers(), seed=1), folder / "plan")
     save_team_run(simulate_team(two_trackers(), seed=1), folder / "run")
     return folder
 

@@ -15,7 +15,7 @@ from planopt.channel.kriging import predict
 from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.explain.explain import explain
 from planopt.planning.plan import Verdict
-from planopt.planning.team.team_solve import solve_team_on
+from planopt.planning.solve import solve_on
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 
@@ -71,14 +71,14 @@ def is_least(problem: Problem, belief, one) -> None:
     """Verified with the value that is proposed, not with 5 % less of it."""
     assert one.verified
     changed = with_value(problem, one.constraint, one.relaxed_value)
-    assert solve_team_on(changed, belief, 0).verdict is Verdict.VERIFIED
+    assert solve_on(changed, belief, 0).verdict is Verdict.VERIFIED
     less = with_value(problem, one.constraint, shorter(one.value, one.relaxed_value))
-    assert solve_team_on(less, belief, 0).verdict is Verdict.VIOLATED
+    assert solve_on(less, belief, 0).verdict is Verdict.VIOLATED
 
 
 def said_of(problem: Problem, belief) -> dict:
     """What is said, by key."""
-    solution = solve_team_on(problem, belief, 0)
+    solution = solve_on(problem, belief, 0)
     assert solution.verdict is Verdict.VIOLATED
     return {one.constraint: one for one in explain(solution)}
 
@@ -154,14 +154,14 @@ def test_separation_that_keeps_a_robot_from_a_good_place():
         planner={"name": "lattice", "horizon": 3, "step_s": 1.0},
     )
     belief = belief_where(problem, lambda x, y: np.hypot(x - 30.0, y - 20.0) < 5.0)
-    solution = solve_team_on(problem, belief, 0)
+    solution = solve_on(problem, belief, 0)
     assert [plan.verdict for plan in solution.plans] == [Verdict.VERIFIED, Verdict.VIOLATED]
     said = {one.constraint: one for one in explain(solution)}
     one = said["constraints.separation_m"]
     assert one.robot == "r1" and one.value == 9.0 and one.verified
     assert 0.0 < one.relaxed_value < 9.0
     changed = with_value(problem, one.constraint, one.relaxed_value)
-    again = solve_team_on(changed, belief, 0)
+    again = solve_on(changed, belief, 0)
     assert again.plans[1].verdict is Verdict.VERIFIED
     assert again.plans[1].certificate.min_separation_m >= one.relaxed_value - 1e-6
     is_least(problem, belief, one)
@@ -186,7 +186,7 @@ def test_moving_obstacle_that_cannot_be_dodged():
         },
     )
     belief = belief_where(problem, lambda x, _: x > -1.0)
-    solution = solve_team_on(problem, belief, 0)
+    solution = solve_on(problem, belief, 0)
     assert solution.verdict is Verdict.VIOLATED
     said = {one.constraint: one for one in explain(solution)}
     found = solution.plans[0].certificate.min_moving_clearance_m
@@ -195,7 +195,7 @@ def test_moving_obstacle_that_cannot_be_dodged():
     gone = said["world.moving (tram)"]
     assert gone.verified and gone.value is None and gone.relaxed_value is None
     rest = replace(problem, workspace=replace(problem.workspace, moving=()))
-    assert solve_team_on(rest, belief, 0).verdict is Verdict.VERIFIED
+    assert solve_on(rest, belief, 0).verdict is Verdict.VERIFIED
     for key in ("constraints.clearance_m", "robots[0].speed_max_m_s"):
         if said[key].verified:
             is_least(problem, belief, said[key])

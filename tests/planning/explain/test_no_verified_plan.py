@@ -16,6 +16,7 @@ from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solution import Solution
+from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -25,7 +26,7 @@ def solved(problem: Problem, power_at) -> Solution:
     belief = belief_of(problem, power_at)
     start = np.asarray(problem.robots[0].start_m)
     plan = ReachPlanner(problem, build_scene(problem)).plan(belief, start)
-    return Solution(problem, 0, belief, plan)
+    return Solution(problem, 0, belief, (plan,), (Aim(),))
 
 
 def changed(problem: Problem, key: str, value: float) -> Problem:

@@ -10,7 +10,7 @@ from silent_field import best_chances, silent_belief, silent_problem
 
 from planopt.planning.explain.explain import explain
 from planopt.planning.plan import Verdict
-from planopt.planning.team.team_solve import solve_team_on
+from planopt.planning.solve import solve_on
 from planopt.problems.problem import Problem
 
 CASES = {
@@ -38,7 +38,7 @@ def case(request):
     """A rule, its problem, what is believed and what is said, by key."""
     problem = asked(request.param)
     belief = silent_belief(problem)
-    solution = solve_team_on(problem, belief, 0)
+    solution = solve_on(problem, belief, 0)
     assert solution.verdict is Verdict.VIOLATED
     said = explain(solution)
     return request.param, problem, belief, {one.constraint: one for one in said}
@@ -98,9 +98,7 @@ def test_missing_decibels(case):
 def test_data_that_can_be_delivered():
     """Less data, more time, or a faster link: the pace is what the straight way delivers."""
     problem = asked("data")
-    said = {
-        one.constraint: one for one in explain(solve_team_on(problem, silent_belief(problem), 0))
-    }
+    said = {one.constraint: one for one in explain(solve_on(problem, silent_belief(problem), 0))}
     pace = best_chances().sum() / 5.0
     for key, limit in (
         ("constraints.data_mbit", 20.0 * pace),
@@ -123,7 +121,7 @@ def test_with_what_is_proposed_there_is_a_plan_and_with_less_there_is_none(case)
     for one in said.values():
         assert one.verified
         changed = with_value(problem, one.constraint, one.relaxed_value)
-        assert solve_team_on(changed, belief, 0).verdict is Verdict.VERIFIED, one
+        assert solve_on(changed, belief, 0).verdict is Verdict.VERIFIED, one
         if one.constraint != "planner.horizon":
             less = with_value(problem, one.constraint, shorter(one.value, one.relaxed_value))
-            assert solve_team_on(less, belief, 0).verdict is Verdict.VIOLATED, one
+            assert solve_on(less, belief, 0).verdict is Verdict.VIOLATED, one

@@ -73,7 +73,7 @@ def test_infinite_clearance_is_null(solution: Solution) -> None:
     """Without obstacles the clearance is infinite, for which JSON has no number."""
     certificate = replace(solution.plan.certificate, min_clearance_m=np.inf, kkt_residual=None)
     plan = replace(solution.plan, certificate=certificate)
-    data = json.loads(strict_text(solution_json(replace(solution, plan=plan))))
+    data = json.loads(strict_text(solution_json(replace(solution, plans=(plan,)))))
     assert data["certificate"]["min_clearance_m"] is None
     assert data["certificate"]["kkt_residual"] is None
 
@@ -81,9 +81,9 @@ def test_infinite_clearance_is_null(solution: Solution) -> None:
 def test_polish_gain_is_the_saved_share(solution: Solution) -> None:
     """A lattice cost of 8 polished to 6 is a gain of a quarter; of 0 there is none."""
     plan = replace(solution.plan, lattice_objective=8.0, objective=6.0)
-    assert solution_json(replace(solution, plan=plan))["polish_gain"] == 0.25
+    assert solution_json(replace(solution, plans=(plan,)))["polish_gain"] == 0.25
     plan = replace(solution.plan, lattice_objective=0.0, objective=0.0)
-    assert solution_json(replace(solution, plan=plan))["polish_gain"] == 0.0
+    assert solution_json(replace(solution, plans=(plan,)))["polish_gain"] == 0.0
 
 
 def test_no_plan_has_the_same_keys(solution: Solution) -> None:

@@ -24,8 +24,8 @@ from planopt.planning.proof.broad_prediction import (
     broad_prediction,
     mixture_quantile_dbm,
 )
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 
 SEED = 3
 
@@ -55,7 +55,7 @@ def test_quantile_of_a_mixture(p_min):
 def test_margin_is_that_of_the_mixture():
     """At any place: zero margin where the mixture's chance of connection is p_min."""
     problem = all_uncertain(terms_problem(TRACKING, p_min=0.9))
-    posterior = solve_team(problem, seed=SEED).belief.posterior
+    posterior = solve(problem, seed=SEED).belief.posterior
     broad = broad_prediction(problem, [posterior])
     assert isinstance(broad, BroadPrediction)
     places = np.random.default_rng(1).uniform(5.0, 35.0, (40, 2))
@@ -70,7 +70,7 @@ def test_margin_is_that_of_the_mixture():
 def test_plan_keeps_the_bound_of_the_mixture(tmp_path: Path):
     """Planned, driven and checked; where it binds the mixture's chance is p_min."""
     problem = all_uncertain(terms_problem(TRACKING, p_min=0.92, horizon=4, max_steps=3))
-    solution = solve_team(problem, seed=SEED)
+    solution = solve(problem, seed=SEED)
     plan, posterior = solution.plans[0], solution.belief.posterior
     assert plan.verdict is Verdict.VERIFIED
     marginal = marginalise(posterior.parameters, posterior.measurements)
@@ -98,7 +98,7 @@ def test_what_is_possible_is_asked_of_the_mixture():
     """A step that is missed is excused by margins of the same law that it is missed by."""
     problem = all_uncertain(terms_problem(TRACKING, p_min=0.9))
     problem = replace(problem, robots=(replace(problem.robots[0], start_m=(37.0, 37.0)),))
-    solution = solve_team(problem, seed=SEED)
+    solution = solve(problem, seed=SEED)
     plan, posterior = solution.plans[0], solution.belief.posterior
     broad = broad_prediction(problem, [posterior])
     assert broad is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planopt.planning.budget import Budget
 from planopt.planning.search.way_climb import climb_ways
 
 START = np.array([1.0, -2.0])
@@ -44,6 +45,15 @@ def test_reachable_places_are_reached(horizon):
     found, worths = climbed(some_ways(horizon), near(wanted))
     assert worths[0] == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(found[0], wanted, atol=1e-3)
+
+
+def test_a_spent_budget_hands_the_best_ways_on():
+    """Nothing climbs any more; the best of what there is comes first."""
+    ways, slope = some_ways(4), near(some_ways(4, 1)[0] + 0.3)
+    spent = Budget(search_ends_s=0.0)
+    found, worths = climb_ways(START, ways, 1.0, drive, slope, (9, 9), (9, 9), 0.5, spent)
+    assert worths[0] == slope(ways)[0].max()
+    assert all((way == ways).all(axis=(1, 2)).any() for way in found)
 
 
 def test_places_out_of_reach_are_approached_at_full_speed():

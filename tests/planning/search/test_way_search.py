@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planopt.planning.budget import Budget
 from planopt.planning.search.way_search import commands_of, distinct, search_ways
 
 START = np.array([1.0, -2.0])
@@ -54,6 +55,15 @@ def test_best_way_stays():
     ways = np.concatenate([some_ways(4), best])
     found, _ = search_ways(START, ways, 1.0, drive, near(best[0, -1]), np.random.default_rng(1))
     np.testing.assert_array_equal(found[0], best[0])
+
+
+def test_a_spent_budget_hands_the_best_ways_on():
+    """Nothing is bent any more; the best of what there is comes first."""
+    ways, value = some_ways(5), near(START + 2.0)
+    spent = Budget(search_ends_s=0.0)
+    found, worths = search_ways(START, ways, 1.0, drive, value, np.random.default_rng(1), spent)
+    assert worths[0] == value(ways).max()
+    assert all((way == ways).all(axis=(1, 2)).any() for way in found)
 
 
 def test_same_seed_finds_the_same():

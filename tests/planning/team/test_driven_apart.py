@@ -16,8 +16,8 @@ from terms_scene import LEARNING, TABLES, TRACKING
 from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_run, save_team_solution
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
@@ -163,7 +163,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     for name in ("plan", "run"):
         (folder / name).mkdir()
-    save_team_solution(solve_team(problem, seed=1), folder / "plan")
+    save_team_solution(solve(problem, seed=1), folder / "plan")
     save_team_run(simulate_team(problem, seed=1), folder / "run")
     return folder
 

@@ -14,8 +14,8 @@ from terms_scene import LEARNING, TABLES, TRACKING, terms_problem
 from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_run, save_team_solution
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 
@@ -93,7 +93,7 @@ def pair() -> Problem:
 def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Plans and a run of the pair, saved."""
     folders = {name: tmp_path_factory.mktemp(name) for name in ("plan", "run")}
-    save_team_solution(solve_team(pair(), seed=2), folders["plan"])
+    save_team_solution(solve(pair(), seed=2), folders["plan"])
     save_team_run(simulate_team(pair(), seed=2), folders["run"])
     return folders
 
@@ -144,7 +144,7 @@ def test_an_edited_plan_of_a_run_is_rejected(saved, tmp_path: Path, key: str) ->
 
 def test_files_of_single_integrators_are_as_they_were(tmp_path: Path) -> None:
     """No column and no key more."""
-    save_team_solution(solve_team(terms_problem(TRACKING, horizon=2)), tmp_path)
+    save_team_solution(solve(terms_problem(TRACKING, horizon=2)), tmp_path)
     assert (tmp_path / "steps.csv").read_text().splitlines()[0].endswith(",rung,verdict")
     assert "drive" not in (tmp_path / "plan.json").read_text()
 

@@ -17,9 +17,9 @@ from planopt.planning.check.check import check
 from planopt.planning.files.team_saved import save_team_run, save_team_solution
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.planning.start_polish import RETURNED
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.problems.connectivity_rule import ConnectivityRule
 
@@ -28,13 +28,13 @@ SEED = 3
 
 def free_plan():
     """The plan without a rule."""
-    return solve_team(terms_problem(TRACKING), seed=SEED).plans[0]
+    return solve(terms_problem(TRACKING), seed=SEED).plans[0]
 
 
 @pytest.mark.parametrize("form", RULES)
 def test_plan_keeps_a_rule_that_binds(form):
     """Verified, at a worth below that of the free plan, which breaks the rule; and polished."""
-    plan = solve_team(ruled_problem(form), seed=SEED).plans[0]
+    plan = solve(ruled_problem(form), seed=SEED).plans[0]
     assert plan.verdict is Verdict.VERIFIED
     result = plan.certificate.rule
     assert result.missing <= 1e-7
@@ -75,9 +75,9 @@ def test_no_driven_way_of_many_is_worth_more(form):
 @pytest.mark.parametrize("form", ["average", "joint", "data"])
 def test_priced_slack_is_used_up_to_its_bound(form):
     """Cheap slack is worth its price: the objective has it subtracted, the bound holds."""
-    hard = solve_team(ruled_problem(form), seed=SEED).plans[0]
-    soft = solve_team(ruled_problem(form, slack_max_db=1.0, slack_price=0.01), seed=SEED).plans[0]
-    dear = solve_team(ruled_problem(form, slack_max_db=1.0, slack_price=1e3), seed=SEED).plans[0]
+    hard = solve(ruled_problem(form), seed=SEED).plans[0]
+    soft = solve(ruled_problem(form, slack_max_db=1.0, slack_price=0.01), seed=SEED).plans[0]
+    dear = solve(ruled_problem(form, slack_max_db=1.0, slack_price=1e3), seed=SEED).plans[0]
     assert soft.verdict is dear.verdict is Verdict.VERIFIED
     assert 0.0 < soft.certificate.rule.slack_db <= 1.0
     assert soft.objective > hard.objective
@@ -102,7 +102,7 @@ def test_slack_of_single_steps_has_its_price():
 
 def test_rule_that_nothing_keeps_is_said():
     """No verified plan; the reason has the rule's words and its key."""
-    plan = solve_team(ruled_problem("joint", p_min=0.999999), seed=SEED).plans[0]
+    plan = solve(ruled_problem("joint", p_min=0.999999), seed=SEED).plans[0]
     assert plan.verdict is Verdict.VIOLATED
     assert "all steps of the plan" in plan.message
     assert "constraints.p_min" in plan.message
@@ -113,7 +113,7 @@ def test_rules_for_terms_that_couple_places():
     for form in ("joint", "data"):
         problem = ruled_problem(form)
         learning = replace(terms_problem(LEARNING, horizon=4), constraints=problem.constraints)
-        plan = solve_team(learning, seed=SEED).plans[0]
+        plan = solve(learning, seed=SEED).plans[0]
         assert plan.verdict is Verdict.VERIFIED
         assert plan.certificate.rule.connectivity == form
 
@@ -139,7 +139,7 @@ def test_check_agrees_from_disk_and_finds_edits(form, tmp_path: Path):
         assert any(metric in reason for reason in check(tmp_path).reasons)
     folder = tmp_path / "plan"
     folder.mkdir()
-    save_team_solution(solve_team(problem, seed=SEED), folder)
+    save_team_solution(solve(problem, seed=SEED), folder)
     assert check(folder).reasons == ()
     data = json.loads((folder / "plan.json").read_text())
     data["robots"][0]["certificate"]["rule"]["achieved"] -= 0.01
@@ -163,7 +163,7 @@ def test_run_minds_what_has_happened():
 def test_planned_probability_is_kept_by_sampled_channels():
     """Where our plan's bound is active, 90 % of the channels given the measurements connect."""
     problem = terms_problem(TRACKING, p_min=0.9)
-    solution = solve_team(problem, seed=SEED)
+    solution = solve(problem, seed=SEED)
     plan = solution.plans[0]
     drawn = sample_power(
         solution.belief.posterior, plan.positions_m[1:], 20_000, np.random.default_rng(11)

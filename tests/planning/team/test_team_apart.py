@@ -10,8 +10,8 @@ import pytest
 from apart_scene import CART, apart_problem
 
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.world.moving_obstacle import centres_at
 
@@ -106,9 +106,9 @@ def test_far_things_change_nothing():
     """A cart far away, and robots farther apart than they must be, plan as if alone."""
     far = {**CART, "start_m": [5000.0, 20.0]}
     starts = [(4.0, 6.0), (36.0, 6.0)]
-    plain = solve_team(apart_problem(starts, (), 0.0, horizon=3), seed=2)
-    beside = solve_team(apart_problem(starts, (far,), 0.0, horizon=3), seed=2)
-    apart = solve_team(apart_problem(starts, (), 0.5, horizon=3), seed=2)
+    plain = solve(apart_problem(starts, (), 0.0, horizon=3), seed=2)
+    beside = solve(apart_problem(starts, (far,), 0.0, horizon=3), seed=2)
+    apart = solve(apart_problem(starts, (), 0.5, horizon=3), seed=2)
     for other in (beside, apart):
         for one, two in zip(plain.plans, other.plans, strict=True):
             # Rows that bind nothing still move the solver's last digits.

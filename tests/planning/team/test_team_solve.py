@@ -7,14 +7,14 @@ from terms_scene import LEARNING, TRACKING, terms_problem
 
 from planopt.planning.files.team_solution_json import team_solution_json
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 
 
 def test_a_run_begins_with_the_plans_of_a_solution() -> None:
     """Same seed, same belief, same expected target, same streams: the same plans."""
     problem = two_trackers()
-    solution, run = solve_team(problem, seed=3), simulate_team(problem, seed=3)
+    solution, run = solve(problem, seed=3), simulate_team(problem, seed=3)
     for plan, aim, made, known in zip(
         solution.plans, solution.aims, run.plans, run.aims, strict=True
     ):
@@ -24,14 +24,14 @@ def test_a_run_begins_with_the_plans_of_a_solution() -> None:
 
 def test_the_target_is_expected_where_its_first_estimate_moves() -> None:
     """Without measurements its expected way is straight and of even speed."""
-    aim = solve_team(two_trackers(horizon=4), seed=1).aims[0]
+    aim = solve(two_trackers(horizon=4), seed=1).aims[0]
     assert aim.target_m is not None and aim.steering_turns_m is None
     np.testing.assert_allclose(np.diff(aim.target_m, n=2, axis=0), 0.0, atol=1e-12)
 
 
 def test_keys_are_sums_and_the_worst() -> None:
     """Objective, times and iterations add up; the certificate is the worst in each respect."""
-    solution = solve_team(two_trackers(), seed=1)
+    solution = solve(two_trackers(), seed=1)
     data = team_solution_json(solution)
     plans = solution.plans
     assert data["sense"] == "max" and data["bound"] is None and data["pivot"] is None
@@ -48,7 +48,7 @@ def test_the_verdict_is_the_worst() -> None:
     """A robot that starts where the bound cannot be met makes the team's plans violated."""
     problem = two_trackers(p_min=0.999)
     low = problem.stations[0].__class__(**{**vars(problem.stations[0]), "threshold_dbm": 0.0})
-    solution = solve_team(problem.__class__(**{**vars(problem), "stations": (low,)}))
+    solution = solve(problem.__class__(**{**vars(problem), "stations": (low,)}))
     assert solution.verdict is Verdict.VIOLATED
     data = team_solution_json(solution)
     assert data["verdict"] == "violated" and data["message"].startswith("robot: ")
@@ -57,7 +57,7 @@ def test_the_verdict_is_the_worst() -> None:
 @pytest.mark.parametrize("term", [TRACKING, LEARNING])
 def test_what_the_polish_gains_is_not_negative(term: dict) -> None:
     """More of a value is better, and the guard releases nothing worse than the start."""
-    plan = solve_team(terms_problem(term, horizon=3)).plans[0]
+    plan = solve(terms_problem(term, horizon=3)).plans[0]
     assert plan.sense == "max"
     assert plan.gain == plan.objective - plan.lattice_objective >= 0.0
     assert plan.polish_gain == plan.gain / abs(plan.lattice_objective)

@@ -14,8 +14,8 @@ from planopt.channel.fields.truth import true_power_dbm
 from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 
 
 def connected(path: Any) -> Any:
@@ -62,5 +62,5 @@ def test_a_run_is_verified_and_judged_again(case: str, tmp_path: Path) -> None:
 def test_plans_are_judged_again(tmp_path: Path) -> None:
     """From one belief of both stations."""
     problem = terms_problem(TRACKING, stations=2, horizon=3, p_min=0.8)
-    save_team_solution(solve_team(problem, seed=2), tmp_path)
+    save_team_solution(solve(problem, seed=2), tmp_path)
     assert check(tmp_path).reasons == ()

@@ -6,8 +6,8 @@ from apart_scene import apart_problem
 
 import planopt.planning.team.team_step as team_step
 from planopt.planning.plan import Verdict
+from planopt.planning.solve import solve
 from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_solve import solve_team
 
 LANE = [
     {"polygon": [[0.0, 10.0], [40.0, 10.0], [40.0, 19.0], [0.0, 19.0]]},
@@ -51,9 +51,9 @@ def test_without_making_room_it_is_owned_up_to(monkeypatch: pytest.MonkeyPatch):
 def test_the_order_of_robots_does_not_decide_who_is_verified():
     """Named the other way round, the one ahead plans first and nobody is stuck."""
     problem = lane_problem(((14.0, 20.0), (10.0, 20.0)))
-    plans = solve_team(problem, seed=0).plans
+    plans = solve(problem, seed=0).plans
     assert all(plan.verdict is Verdict.VERIFIED for plan in plans)
-    other = solve_team(lane_problem(), seed=0).plans
+    other = solve(lane_problem(), seed=0).plans
     assert all(plan.verdict is Verdict.VERIFIED for plan in other)
     separations = [plan.certificate.min_separation_m for plan in (*plans, *other)]
     assert np.min(separations) >= 3.0 - 1e-6

@@ -5,22 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from planopt.plain_values import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
-from planopt.problems.objective import (
-    CostToGo,
-    LearningTerm,
-    MappingTerm,
-    ReachObjective,
-    Term,
-    TermsObjective,
-    TrackingTerm,
-    UntilConnectedTerm,
-)
+from planopt.problems.objective import CostToGo, ReachObjective, Term, TermsObjective
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.target import Target
@@ -189,17 +180,7 @@ class Problem:
         """What the problem asks: its goal, or its first term."""
         if isinstance(self.objective, ReachObjective):
             return "reach"
-        match self.objective.terms[0]:
-            case TrackingTerm():
-                return "track"
-            case LearningTerm():
-                return "learn"
-            case MappingTerm():
-                return "map"
-            case UntilConnectedTerm():
-                return "connect"
-            case _:
-                return "custom"
+        return cast("Task", self.objective.terms[0].task or "custom")
 
 
 def _objective(
@@ -212,4 +193,4 @@ def _objective(
         return given
     terms = given.terms if isinstance(given, TermsObjective) else given
     remedy = "give terms of planopt.objectives"
-    return TermsObjective(parts_of("objective.terms", terms, Term, remedy))  # pyright: ignore
+    return TermsObjective(parts_of("objective.terms", terms, Term, remedy))

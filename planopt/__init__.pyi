@@ -22,7 +22,6 @@ from planopt.planning.solution import Solution as Solution
 from planopt.planning.solve import solve as solve
 from planopt.planning.team.team_run import TeamRun as TeamRun
 from planopt.problems.base_station import BaseStation as BaseStation
-from planopt.problems.casadi_term import casadi_term as casadi_term
 from planopt.problems.channel_setup import ArrayTruth as ArrayTruth
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup
 from planopt.problems.channel_setup import FunctionTruth as FunctionTruth
@@ -34,7 +33,6 @@ from planopt.problems.connectivity_rule import ConnectivityRule as ConnectivityR
 from planopt.problems.constraints import Constraints as Constraints
 from planopt.problems.library import list_problems as list_problems
 from planopt.problems.load import load as load
-from planopt.problems.objective import ReachObjective as ReachObjective
 from planopt.problems.planner_kinds import PlannerKind as PlannerKind
 from planopt.problems.planner_kinds import register_planner as register_planner
 from planopt.problems.problem import Problem as Problem

@@ -37,8 +37,9 @@ class Problem:
     planner
         Duration of a step, horizon and further settings.
     objective
-        A :class:`ReachObjective`, or terms to be maximised, of which the first says what the task
-        is. By default the goals of the robots are to be reached.
+        A :class:`planopt.objectives.ReachObjective`, or terms of :mod:`planopt.objectives` to be
+        maximised, of which the first says what the task is. By default the goal of the robot is to
+        be reached.
     constraints
         What every plan must keep.
     channel

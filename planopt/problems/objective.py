@@ -43,7 +43,7 @@ class ReachObjective:
 
 @dataclass(frozen=True)
 class TrackingTerm:
-    """What the packets of a path tell the station of the target (seed, (4); theory 4.6).
+    """Information on the target that the packets of a path bring (equations 4.11 to 4.13).
 
     A packet sent at distance r of the target's predicted position has the information 1 / g(r),
     ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
@@ -53,9 +53,9 @@ class TrackingTerm:
     weight
         In the sum of terms.
     noise_curvature, noise_floor_m2, sweet_spot_m
-        The seed's varpi, nu (m^2) and r_s.
+        varpi, nu (m^2) and r_s of equation 4.8.
     form
-        ``additive``: P(connected) / g(r) of each step, the seed's. The others follow the station's
+        ``additive``: P(connected) / g(r) of each step. The others follow the station's
         filter: ``information`` bounds the expected gain of information from above, ``covariance``
         removes covariance as if losses were independent in time, ``sampled`` averages over joint
         losses.
@@ -70,14 +70,14 @@ class TrackingTerm:
 
 @dataclass(frozen=True)
 class LearningTerm:
-    """Information on path loss gathered along the way (seed, (2); theory 4.4).
+    """Information on path loss gathered along the path (equations 4.1 and 4.2).
 
     Attributes
     ----------
     weight
         In the sum of terms.
     criterion
-        ``T`` (the seed's trace), ``D``, ``A`` or ``V`` (prediction over the workspace).
+        ``T`` (trace, as in [GM11]), ``D``, ``A`` or ``V`` (prediction over the workspace).
     """
 
     weight: float
@@ -86,15 +86,15 @@ class LearningTerm:
 
 @dataclass(frozen=True)
 class MappingTerm:
-    """Uncertainty of the channel removed along the way (seed, (3); theory 4.5).
+    """Uncertainty of the channel removed along the path (equations 4.3 to 4.6).
 
     Attributes
     ----------
     weight
         In the sum of terms.
     form
-        ``two_layer`` (the seed's: steer to the maximiser of J_CH), ``path`` (J_CH summed along the
-        path), ``information`` or ``average`` (over the workspace, the seed's footnote 3).
+        ``two_layer`` (steer to the maximiser of J_CH), ``path`` (J_CH summed along the
+        path), ``information`` or ``average`` (over the workspace).
     variance_threshold_db2
         sigma_TH^2 in dB^2.
     closeness_per_m
@@ -109,7 +109,7 @@ class MappingTerm:
 
 @dataclass(frozen=True)
 class MotionEnergyTerm:
-    """Energy of motion, a cost (theory 3.2): k1 |v| + k2 while moving, in joules.
+    """Energy of motion, a cost (equation 4.14): k1 |v| + k2 while moving, in joules.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class MotionEnergyTerm:
 
 @dataclass(frozen=True)
 class UntilConnectedTerm:
-    """Expected distance until connected, a cost (theory 4.3).
+    """Expected distance until connected, a cost (equation 4.16).
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class UntilConnectedTerm:
 
 @dataclass(frozen=True)
 class TransmissionEnergyTerm:
-    """Expected energy of sending some bits at the end of every step, a cost (theory 3.2).
+    """Expected energy of sending some bits at the end of every step, a cost (equation 4.15).
 
     Attributes
     ----------

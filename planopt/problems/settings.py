@@ -23,7 +23,7 @@ class PlannerSettings:
     name
         ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
         programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
-        tasks other than reach ``one_step`` (the seed's dense local search), ``random`` and
+        tasks other than reach ``one_step`` (dense local search), ``random`` and
         ``lawnmower``.
     horizon
         Steps ahead, N.

@@ -24,4 +24,6 @@ from planopt.problems.casadi_term import casadi_term as casadi_term
 from planopt.problems.library import list_problems as list_problems
 from planopt.problems.load import load as load
 from planopt.problems.problem import Problem as Problem
+from planopt.problems.systems import SystemProblem as SystemProblem
+from planopt.problems.systems import load_system as load_system
 from planopt.studies.compare import compare_horizons as compare_horizons

@@ -157,9 +157,9 @@ class ProblemFile(Table):
         return self
 
 
-def json_schema() -> dict[str, Any]:
+def json_schema(model: type[Table] = ProblemFile) -> dict[str, Any]:
     """JSON schema of problem files (draft 2020-12), as ``planopt schema`` prints it."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **ProblemFile.model_json_schema(),
+        **model.model_json_schema(),
     }

@@ -33,6 +33,7 @@ from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_pl
 from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
+from planopt.problems.systems import judge_saved
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,9 @@ def check(path: Path | str) -> CheckResult:
         A file is missing, truncated or not what it should be; with file, key or row.
     """
     file, data = read_object(Path(path))
+    judged = judge_saved(file, data)
+    if judged is not None:
+        return CheckResult(Verdict.VIOLATED if judged else Verdict.VERIFIED, (), tuple(judged))
     if is_team(data):
         return _check_team(read_team(file, data))
     saved = saved_from(file, data)

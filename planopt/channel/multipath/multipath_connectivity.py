@@ -41,7 +41,7 @@ def multipath_connection_probability(
 ) -> NDArray[np.float64]:
     """P(power >= threshold) = int N(s; mean, latent^2) P(fading >= threshold - s) ds; ``(n,)``.
 
-    Equation 3.3, by equally spaced sums rather than Gauss and Hermite's nodes: for weak multipath the
+    Equation 3.3 by equally spaced sums, not Gauss and Hermite's nodes: for weak multipath the
     second factor is nearly a step, which the former resolve to rounding with nodes in proportion
     to latent deviation over omega, the latter only slowly. Error below 1e-9.
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, get_args
 
+from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.schema_objective import LearningTable, MappingTable, TrackingTable
 from planopt.problems.schema_terms import (
     CasadiTable,
     TransmissionEnergyTable,
     UntilConnectedTable,
 )
-from planopt.problems.settings import BASELINES
 from planopt.problems.tables import Table
 
 if TYPE_CHECKING:
@@ -52,10 +52,10 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         return "task reach has no targets"
     if tables.constraints.p_min == 0.0 and tables.constraints.connectivity != "data":
         return "task reach needs constraints.p_min above 0"
-    if tables.planner.name in BASELINES:
+    if not planner_kind(tables.planner.name).reaches_goals:
         return (
-            f"planner.name {tables.planner.name} is not for task reach: use auto, nlp, scp or "
-            "lattice"
+            f"planner.name {tables.planner.name} is not for task reach: use "
+            f"{names_with('reaches_goals')}"
         )
     return _dynamics_fault(tables)
 
@@ -94,10 +94,10 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
     for number, robot in enumerate(tables.robots):
         if robot.dynamics == "single_integrator":
             continue
-        if tables.planner.name in BASELINES:
+        if not planner_kind(tables.planner.name).has_dynamics:
             return (
                 f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
-                f"robots[{number}] has {robot.dynamics}: use auto, nlp, scp or lattice"
+                f"robots[{number}] has {robot.dynamics}: use {names_with('has_dynamics')}"
             )
         turn_rad = (robot.turn_rate_max_rad_s or 0.0) * tables.planner.step_s
         if turn_rad > MOST_TURN_RAD:

@@ -112,6 +112,8 @@ def ranked_value(term: Term, ways: RankedWays) -> NDArray[np.float64]:
             return -link_energy_j(term, at, ways.each).reshape(ways.shape).sum(axis=1)
         case CasadiTerm():
             return _expression(term, ways)
+        case _:
+            raise AssertionError(f"{term.kind} has no value here")
 
 
 def _added(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:

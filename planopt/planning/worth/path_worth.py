@@ -77,6 +77,8 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
             return -float(link_energy_j(term, at, at.powers(path_m)).sum())
         case CasadiTerm():
             return _expression(term, at, path_m)
+        case _:
+            raise AssertionError(f"{term.kind} has no value here")
 
 
 def _tracking(term: TrackingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:

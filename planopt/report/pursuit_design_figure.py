@@ -14,6 +14,16 @@ from planopt.report.style import BLACK, BLUE, SERIES, VERMILLION, dress, head, l
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+NAMES = {
+    "evader_speed_m_s": "evader's speed",
+    "pursuer_speed_m_s": "pursuer's speed",
+    "bit_rate_bit_s": "bit rate",
+    "header_bits": "header",
+    "record_bits": "record",
+    "mote_spacing_m": "mote spacing",
+}
+"""Of sensitivities."""
+
 CURVES = 5
 """Numbers of bits whose power is drawn: those that cost least."""
 
@@ -80,7 +90,7 @@ def _worth(panel: Panel, data: Mapping[str, Any]) -> None:
         colour = VERMILLION if value > 0.0 else BLUE
         panel.plot([0.0, value], [place, place], color=colour, linewidth=9.0, solid_capstyle="butt")
     panel.plot([0.0, 0.0], [-0.5, len(found) - 0.5], color=BLACK, linewidth=0.8)
-    panel.set_yticks(list(range(len(found))), [spaced(name) for name, _ in found])
+    panel.set_yticks(list(range(len(found))), [NAMES[name] for name, _ in found])
     what = "energy" if data["objective_name"] == "energy_per_capture_j" else "power"
     dress(panel, "one per cent more of a quantity", f"change of the least {what} [%]", "")
 
@@ -94,11 +104,9 @@ def _front(panel: Panel, data: Mapping[str, Any]) -> None:
     times_s = [row["capture_time_s"] for row in front]
     energies_j = [row["energy_per_capture_j"] for row in front]
     panel.plot(times_s, energies_j, color=BLUE, marker="o", markersize=4.0, linewidth=1.4)
-    panel.set_xscale("log")
-    panel.set_yscale("log")
     dress(
         panel,
-        "energy against time to capture",
+        "energy against time, by the Lemma",
         "longest time to capture [s]",
         "energy a capture [J]",
     )

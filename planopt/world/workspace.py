@@ -34,7 +34,7 @@ class Obstacle:
 
 @dataclass(frozen=True, init=False)
 class Workspace:
-    """The rectangle that robots may be in, and its obstacles.
+    """The rectangle that robots may be in, and its obstacles (W and O of [GM11]).
 
     Attributes
     ----------

@@ -210,7 +210,7 @@ def path_form_parts(
 
 
 def _average(told: ToldBatch) -> NDArray[np.float64]:
-    """sum_g w_g c(g)' S^-1 c(g), both with what is not known of theta (theory 4.5)."""
+    """Return sum_g w_g c(g)' S^-1 c(g), theta's uncertainty counted (equation 4.6)."""
     across = told.across
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)

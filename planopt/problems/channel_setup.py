@@ -10,7 +10,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.plain_values import make_plain, part_of
 

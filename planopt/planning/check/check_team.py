@@ -12,7 +12,6 @@ from planopt.planning.check.check_team_run import check_team_run
 from planopt.planning.files.read_team import SavedTeam
 from planopt.planning.files.team_run_json import TeamRunRecord
 from planopt.planning.given import Given
-from planopt.problems.objective import steers
 
 
 def check_team(saved: SavedTeam, given: Given | None) -> tuple[list[Certificate], list[str]]:
@@ -34,7 +33,7 @@ def not_judged(saved: SavedTeam, given: Given | None) -> list[str]:
     """What nothing but planning again could tell, or what is not to be had without the truth."""
     remarks: list[str] = []
     problem = saved.problem
-    if any(steers(term) for term in problem.terms):
+    if any(term.steers for term in problem.terms):
         remarks.append(
             "the ways that a term steers along (steering_m, steering_turns_m) are taken as they "
             "stand"

@@ -34,7 +34,6 @@ from planopt.planning.team.team_tables import (
     TARGET_FILE,
     target_columns,
 )
-from planopt.problems.objective import TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict
 
@@ -134,7 +133,7 @@ def _read_tables(
     file: Path, problem: Problem, rows: int
 ) -> dict[str, dict[str, NDArray[np.float64]]]:
     columns: dict[str, tuple[str, ...]] = {KNOWLEDGE_FILE: KNOWLEDGE_COLUMNS}
-    if problem.targets and any(isinstance(term, TrackingTerm) for term in problem.terms):
+    if problem.targets and any(term.sensor is not None for term in problem.terms):
         columns[TARGET_FILE] = target_columns(problem)
     tables = {name: read_table(file.parent / name, wanted) for name, wanted in columns.items()}
     for name, table in tables.items():

@@ -112,6 +112,8 @@ def ranked_value(term: Term, ways: RankedWays) -> NDArray[np.float64]:
             return -link_energy_j(term, at, ways.each).reshape(ways.shape).sum(axis=1)
         case CasadiTerm():
             return _expression(term, ways)
+        case _:
+            raise AssertionError(f"{term.kind} has no value here")
 
 
 def _added(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -208,7 +210,7 @@ def path_form_parts(
 
 
 def _average(told: ToldBatch) -> NDArray[np.float64]:
-    """sum_g w_g c(g)' S^-1 c(g), both with what is not known of theta (theory 4.5)."""
+    """Return sum_g w_g c(g)' S^-1 c(g), theta's uncertainty counted (equation 4.6)."""
     across = told.across
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)

@@ -20,7 +20,6 @@ from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.worth.link_energy import link_energy_j
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay
-from planopt.planning.worth.structure import shares_measurements
 from planopt.problems.objective import (
     LearningTerm,
     MappingTerm,
@@ -157,7 +156,7 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
         if isinstance(term, MotionEnergyTerm):
             moving = np.where(lengths_m > 0.0, problem.planner.step_s, 0.0)
             value -= term.weight * (term.per_metre_j_m * lengths_m + term.power_w * moving)
-    if any(shares_measurements(term) for term in problem.terms):
+    if any(term.shares_places for term in problem.terms):
         value[lengths_m == 0.0] = -np.inf
     return value
 

@@ -16,9 +16,9 @@ from planopt.files.regular import read_text
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import write_text
 from planopt.planning.plan import Verdict
-from planopt.problems.library import library_folder, list_problems
+from planopt.problems.library import library_folder
 from planopt.problems.load import load
-from planopt.studies.bench.cases import PLAN, RUN, Case, Question
+from planopt.studies.bench.cases import PLAN, RUN, Case, Question, library_names
 from planopt.studies.bench.row import Row
 
 OBJECTIVE_SHARE = 0.01
@@ -244,25 +244,25 @@ def fast_cases(references: References) -> tuple[list[Case], list[str]]:
     """
     cases: list[Case] = []
     missing: list[str] = []
-    for entry in list_problems():
-        problem = load(entry.name)
+    names = library_names()
+    for name in names:
+        problem = load(name)
         asked = (problem.planner.horizon, problem.cost_to_go or "")
         mine = [
             one
             for one in references.values()
-            if one.problem == entry.name
+            if one.problem == name
             and one.seed == FAST_SEED
             and (one.horizon, one.cost_to_go) == asked
         ]
         plans = [one.case for one in mine if one.kind == PLAN and one.planner in FAST_PLANNERS]
         runs = [one.case for one in mine if one.kind == RUN and one.cpu_s <= FAST_RUN_CPU_S]
         if not plans:
-            missing.append(f"{entry.name}: no reference with its own settings, seed {FAST_SEED}")
+            missing.append(f"{name}: no reference with its own settings, seed {FAST_SEED}")
         cases += [*sorted(plans), *sorted(runs)]
-    names = {entry.name for entry in list_problems()}
     missing += [
         f"{name}: has references, but the library has no such problem"
-        for name in sorted({one.problem for one in references.values()} - names)
+        for name in sorted({one.problem for one in references.values()}.difference(names))
     ]
     return cases, missing
 

@@ -9,8 +9,7 @@ import pytest
 from bench_rows import row
 
 from planopt.errors import InputError
-from planopt.problems.library import list_problems
-from planopt.studies.bench.cases import library_cases
+from planopt.studies.bench.cases import library_cases, library_names
 from planopt.studies.bench.references import (
     fast_cases,
     frozen,
@@ -119,7 +118,7 @@ def test_a_case_twice(tmp_path: Path) -> None:
 def test_a_problem_without_reference_is_told() -> None:
     """And one that is gone."""
     cases, missing = fast_cases({row().case: REFERENCE})
-    assert cases == [] and len(missing) == len(list_problems()) + 1
+    assert cases == [] and len(missing) == len(library_names()) + 1
     assert "open_field: no reference" in " ".join(missing)
     assert missing[-1].startswith("yard: has references, but")
 

@@ -75,8 +75,10 @@ docs: $(VENV)/.installed-docs
 # A run that is not verified throughout, or does not arrive, has a picture as well.
 pictures: $(VENV)/.installed
 	@for name in munich_courier crowded_track; do \
-		$(BIN)/planopt simulate $$name --out build/$$name || case $$? in 3|4) ;; *) exit 1 ;; esac; \
-		cp build/$$name/run.png docs/pictures/$$name.png; done
+		$(BIN)/planopt simulate $$name --animation --out build/$$name \
+			|| case $$? in 3|4) ;; *) exit 1 ;; esac; \
+		cp build/$$name/run.png docs/pictures/$$name.png; \
+		cp build/$$name/run.gif docs/pictures/$$name.gif; done
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist .coverage .coverage.* .pytest_cache .ruff_cache .benchmarks \

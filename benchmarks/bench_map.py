@@ -26,7 +26,7 @@ from planopt.world.raster import cell_centres_m
 SIDE_M = 50.0
 GRID = 320
 CHANNEL = ChannelParameters(-10.0, 2.0, 4.0, 10.0, 1.99, Station((25.0, 25.0)))
-"""The outdoor channel of the seed's Fig. 3."""
+"""The outdoor channel of Fig. 3 of [GM11]."""
 
 TILE, NEIGHBOURS = 10, 64
 ROUNDS = 5

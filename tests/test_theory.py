@@ -25,6 +25,11 @@ PAGES = [ROOT / "docs" / "theory" / f"{name}.md" for name in CHAPTERS]
 TAG = re.compile(r"\\tag\{(\d+)\.(\d+)\}")
 CODE = re.compile(r"^\*\*Code:\*\*(.*?)(?=\n\n|\Z)", flags=re.MULTILINE | re.DOTALL)
 MENTION = re.compile(r"\bequations? (\d+\.\d+)(?:(?:,| and| to) (\d+\.\d+))*")
+CITED = re.compile(r"(?<!\[)\[((?:GM|CZ|CK|CP|KG|NW|OW|RW)\d\d|KAS|[A-Z][a-z]{2}\d\d)\](?!\()")
+OUTSIDE = re.compile(
+    r"(?i)\bthe seed's\b|\(seed, (?:section|Lemma|Fig|eq|footnote|Algorithm|\(|proof|after)"
+    r"|\btheory \d|\bdesign\.md|\bexperiments? [A-Z]\)|theory, errata"
+)
 BARE = re.compile(r"(?<![\w.])\((\d+\.\d+)\)")
 
 
@@ -125,3 +130,27 @@ def test_citations_are_in_the_references() -> None:
         for key in re.findall(r"\[\[(\w+)\]\]\((?:\.\./)?references\.md\)", text)
     }
     assert cited == entries
+
+
+def test_citations_in_code_are_in_the_references() -> None:
+    """A [GM11] in a docstring or comment is an entry of the references."""
+    references = (ROOT / "docs" / "references.md").read_text("utf-8")
+    wrong = [
+        (name, found.group())
+        for name, text in tracked_texts()
+        if not name.endswith(".md") and name != "tests/test_theory.py"
+        for found in CITED.finditer(text)
+        if f"**[{found.group(1)}]**" not in references
+    ]
+    assert wrong == []
+
+
+def test_no_reference_leads_outside() -> None:
+    """No text refers to a paper by nickname, or to notes that are not in the repository."""
+    wrong = [
+        (name, found.group())
+        for name, text in tracked_texts()
+        if name not in ("tests/test_theory.py", "tests/test_docs.py")
+        for found in OUTSIDE.finditer(text)
+    ]
+    assert wrong == []

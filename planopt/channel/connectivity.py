@@ -8,7 +8,7 @@ from scipy.special import ndtr, ndtri  # pyright: ignore[reportUnknownVariableTy
 
 
 def bound_quantile(p_min: float) -> float:
-    """z_p: the `p_min` quantile of the standard normal (theory 4.1)."""
+    """Return z_p, the `p_min` quantile of the standard normal (equation 3.2)."""
     return float(np.asarray(ndtri(p_min), dtype=np.float64))
 
 
@@ -18,7 +18,7 @@ def bound_margin_db(
     threshold_dbm: float,
     p_min: float,
 ) -> NDArray[np.float64]:
-    """By how many dB the bound P(power >= threshold) >= `p_min` is kept (theory 4.1).
+    """Return the margin in dB by which P(power >= threshold) >= `p_min` holds (equation 3.2).
 
     ``mean - z_p deviation - threshold`` with z_p the `p_min` quantile of the standard normal;
     negative where the bound is missed, NaN where the prediction is. Shapes as `mean_db`.
@@ -29,7 +29,7 @@ def bound_margin_db(
 def connection_probability(
     mean_db: NDArray[np.float64], deviation_db: NDArray[np.float64], threshold_dbm: float
 ) -> NDArray[np.float64]:
-    """P(power >= threshold) = Phi((mean - threshold) / deviation) (seed, equation (4)'s 1 - Q).
+    """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1).
 
     NaN where the prediction is; 0 or 1 where the deviation is 0. Shapes as `mean_db`.
     """

@@ -1,4 +1,4 @@
-"""Lemma 2 at places: mean and deviation from a posterior.
+"""Kriging: mean and standard deviation of the power at places, from a posterior.
 
 With a factor every measurement counts. Without one the nearest do
 (:mod:`planopt.channel.nearest.nearby`).
@@ -44,7 +44,7 @@ def predict(
     positions_m: ArrayLike,
     position_std_m: NDArray[np.float64] | None = None,
 ) -> Prediction:
-    """Mean and deviation of the power that would be measured (theory 4.1).
+    """Predict mean and standard deviation of the power that would be measured (equation 1.8).
 
     From all measurements where `posterior` has a factor, else from the `NEIGHBOURS_BEYOND` nearest
     to each place and theta from all.

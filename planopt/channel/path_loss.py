@@ -19,7 +19,7 @@ def station_distance_m(positions_m: NDArray[np.float64], station: Station) -> ND
 
 
 def regressors(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
-    """Rows gamma(q) = [1, -10 log10 d(q)] (seed, section II-A); (n, 2) -> (n, 2)."""
+    """Return the rows gamma(q) = [1, -10 log10 d(q)] of equation 1.1; (n, 2) -> (n, 2)."""
     rows = np.ones(np.shape(positions_m))
     rows[..., 1] = -10.0 * np.log10(station_distance_m(positions_m, station))
     return rows

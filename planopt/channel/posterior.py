@@ -1,4 +1,4 @@
-"""Lemma 2: the received power anywhere, given measurements, with path loss estimated on the way.
+"""The posterior: received power anywhere, given measurements, with path loss estimated.
 
 The factor of the measurements' covariance is what costs. It is kept, shared between successive
 posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies nothing. Beyond
@@ -58,7 +58,7 @@ grow."""
 
 @dataclass(frozen=True, eq=False)
 class ChannelPosterior:
-    """The channel given measurements (seed, Lemma 2; universal kriging, theory 4.1).
+    """The channel given measurements (universal kriging, equations 1.6 to 1.8).
 
     Attributes
     ----------
@@ -197,7 +197,7 @@ def condition(
     theta: ThetaRule = "estimated",
     exact_limit: int = EXACT_LIMIT,
 ) -> ChannelPosterior:
-    """Condition the channel model on measurements (seed, Lemma 2).
+    """Condition the channel model on measurements (Lemma 2 of [GM11], equation 1.8).
 
     Parameters
     ----------
@@ -206,11 +206,12 @@ def condition(
     measurements
         Any number, none included. Censored and rounded ones enter as Gaussian sites.
     theta
-        ``estimated``: path loss by generalised least squares, its uncertainty counted (theory
-        4.1); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary least squares
-        where that identifies it, its uncertainty counted too. What kriging leaves of the power at
-        a place is uncorrelated with all measurements, and so with any theta that is linear in
-        them: the variance is s + varphi' M varphi with that theta's error covariance M.
+        ``estimated``: path loss by generalised least squares, its uncertainty counted
+        (equation 1.8); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary
+        least squares where that identifies it, its uncertainty counted too (equation 1.9). What
+        kriging leaves of the power at a place is uncorrelated with all measurements, and so with
+        any theta that is linear in them: the variance is s + varphi' M varphi with that theta's
+        error covariance M.
     exact_limit
         Beyond so many measurements predictions are from the nearest
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation

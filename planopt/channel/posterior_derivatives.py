@@ -52,7 +52,7 @@ class PosteriorDerivatives:
 def posterior_derivatives(
     posterior: ChannelPosterior, positions_m: ArrayLike
 ) -> PosteriorDerivatives:
-    """Differentiate mean and deviation twice (theory 4.1).
+    """Differentiate mean and standard deviation (equation 1.8) twice.
 
     With r = U^-1 (y - Gamma theta), c = U^-1 phi, A = U^-1 Gamma and b = gamma - A' phi:
 

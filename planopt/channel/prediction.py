@@ -31,7 +31,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class KrigingTerms:
-    """Parts of a prediction that do not depend on theta (theory 4.0), for n places.
+    """Parts of a prediction that do not depend on theta (equation 1.6), for n places.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class KrigingTerms:
 def combine(
     terms: KrigingTerms, theta: NDArray[np.float64], theta_covariance: NDArray[np.float64]
 ) -> Prediction:
-    """Mean a + varphi' theta and variance s + varphi' M varphi (theory 4.1)."""
+    """Combine to mean a + varphi' theta and variance s + varphi' M varphi (equation 1.8)."""
     first, second = terms.trend[..., 0], terms.trend[..., 1]
     mean = terms.data_db + first * theta[0] + second * theta[1]
     variance = terms.variance_db2 + (

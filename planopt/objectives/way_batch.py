@@ -19,7 +19,7 @@ twice would make the covariance singular."""
 
 
 class WayBatch:
-    """S and B of theory 4.0 for every way.
+    """S and B of equation 1.11 for every path.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class WayBatch:
     def across(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Distances of all places from the grid's ``(c N, g)``, the kernel, and c(g) weighted.
 
-        The last is ``(c, N, g)``, c of theory 4.5 with what is not known of theta, times the square
+        The last is ``(c, N, g)``, c of equation 4.6 with theta's uncertainty, times the square
         root of the weight of g.
         """
         channel, grid = self.channel, self.required_grid

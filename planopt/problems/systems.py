@@ -22,7 +22,9 @@ from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
 from planopt.problems.tables import Table
 
-SYSTEMS: dict[str, str] = {}
+SYSTEMS = {
+    "pursuit_design": "planopt.systems.pursuit_design.system",
+}
 """The module of each system, by task; its attribute ``SYSTEM`` is the :class:`System`."""
 
 ACTIONS = ("solve", "simulate", "compare")

@@ -64,7 +64,7 @@ class EstimationCase:
 
 
 def published_case(name: str, side_m: float, multipath: Multipath | None = None) -> EstimationCase:
-    """The channel of the seed's Fig. 3 (`fig3`) or Fig. 4 (`fig4`), the station in the centre.
+    """The channel of Fig. 3 (`fig3`) or Fig. 4 (`fig4`) of [GM11], the station in the centre.
 
     Parameters are theory's 3.3, B and C. The seed does not state the side.
     """

@@ -1,4 +1,4 @@
-"""Theta by both estimators: dense formulas, Lemma 3's recursion, and the error by simulation."""
+"""Theta by both estimators: dense formulas, equation 1.10, and the error by simulation."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Lemma 2 against scikit-learn and GSTools, to 1e-10 of the values.
+"""The posterior (equation 1.8) against scikit-learn and GSTools, to 1e-10 of the values.
 
 Neither library has planopt's mean with an unknown theta built in. scikit-learn knows the mean, so
 it is compared with theta known. GSTools takes the second regressor as a drift function beside its

@@ -18,7 +18,7 @@ GRID = np.random.default_rng(1).uniform(0.0, 60.0, (7, 2))
 
 
 def test_terms_are_the_boxed_formulas():
-    """Theory 4.0 by dense inverses; covariance() adds B M B'."""
+    """Equation 1.11 by dense inverses; covariance() adds B M B'."""
     inverse = np.linalg.inv(
         shadow_covariance_db2(DATA.positions_m, DATA.positions_m, CHANNEL) + 4.0 * np.eye(25)
     )

@@ -1,4 +1,4 @@
-"""Learning path loss: batch = sequential = re-estimation, the seed's (1) and (2), invariances."""
+"""Learning path loss: batch = sequential = re-estimation, equations 1.10 and 4.1, invariances."""
 
 import dataclasses
 
@@ -81,7 +81,7 @@ def test_batch_equals_the_sum_over_steps():
 
 
 def test_one_step_is_the_seeds_equation_2():
-    """J_PL = |gamma - Gamma' U^-1 phi|^2 / sigma^2 of Lemma 2, by dense inverses."""
+    """J_PL = |gamma - Gamma' U^-1 phi|^2 / sigma^2 (equation 4.1), by dense inverses."""
     u = shadow_covariance_db2(DATA.positions_m, DATA.positions_m, CHANNEL) + 4.0 * np.eye(12)
     phi = shadow_covariance_db2(DATA.positions_m, PATH, CHANNEL)
     solved = np.linalg.solve(u, phi)

@@ -73,7 +73,7 @@ def test_plan_is_verified_and_better_than_its_start(terms, horizon):
 
 @pytest.mark.parametrize("horizon", [1, 5])
 def test_an_expression_of_ones_own_is_planned(horizon):
-    """One that is the seed's tracking has the worth of the built-in term, from the coupled search.
+    """One that is equation 4.11 has the value of the built-in term, from the coupled search.
 
     The lattice adds that up over stages; both are polished.
     """

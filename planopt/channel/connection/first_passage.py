@@ -1,4 +1,4 @@
-"""How far a robot drives until it is connected, along a given path (theory 4.3)."""
+"""How far a robot drives until it is connected, along a given path (equation 3.14)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def first_passage(
     disconnected_now: bool = False,
     tolerance: float = 1e-4,
 ) -> FirstPassage:
-    """First connection along a path, given the measurements (theory 4.3).
+    """Return the law of the first connection along a path, given measurements (equation 3.14).
 
     pi_k = P(power < threshold at q_1 .. q_k) by the multivariate normal distribution. Chances at
     the places are not taken as independent, which would promise too much.

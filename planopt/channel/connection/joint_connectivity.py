@@ -58,7 +58,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class JointConnectivity:
-    """P(power >= threshold at every place) and its bounds (theory 4.2).
+    """P(power >= threshold at every place) and its bounds (equations 3.10 to 3.12).
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def joint_connectivity(
     generator: np.random.Generator | None = None,
     tolerance: float = 1e-4,
 ) -> JointConnectivity:
-    """P(power >= threshold) at all of the predicted places, and bounds (theory 4.2).
+    """Return P(power >= threshold at all places) and bounds (equations 3.10 to 3.12).
 
     With the exact value for reports, without for constraints: the bounds cost O(h^2).
 

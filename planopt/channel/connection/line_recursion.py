@@ -42,8 +42,8 @@ def line_prefix_probabilities(
     """P(event at places 1 .. k) for every k, before any measurement; ``(h,)``.
 
     J_0(s) = N(s; 0, xi^2) g_0(s), J_k(s) = g_k(s) int N(s; rho s', xi^2 (1 - rho^2)) J_{k-1}(s')
-    ds', rho = exp(-leg / beta), g_k(s) = P(event at k | shadowing s) (theory 4.2); the integral of
-    J_k is the value. Exact to about 1e-12.
+    ds', rho = exp(-leg / beta), g_k(s) = P(event at k | shadowing s) (equation 3.13); the integral
+    of J_k is the value. Exact to about 1e-12.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""The empirical correlation of shadowing at binned lags (the seed's r-hat(d), Lemma 1).
+"""The empirical correlation of shadowing at binned lags, r-hat(d) of equation 2.2.
 
-The seed averages products over pairs at *equal* distance. Distances between real positions never
+[GM11] averages products over pairs at *equal* distance. Distances between real positions never
 repeat, so pairs are collected in bins of equal width, each standing at its pairs' mean distance.
 """
 

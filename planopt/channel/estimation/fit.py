@@ -72,7 +72,7 @@ def fit_channel(
     station
         The fixed station.
     method
-        ``lemma1``: Lemma 1 as printed (``seed`` is its earlier name). ``capped``: the same with
+        ``lemma1``: Lemma 1 of [GM11] as printed (once ``seed``). ``capped``: the same with
         a lag cap and weights n r^2. ``convex``: that as a convex programme with xi^2 <= alpha and
         beta bounded. ``nls``: the exponential fitted without logarithm to all bins. ``reml``:
         restricted maximum likelihood (default); of more than

@@ -1,4 +1,4 @@
-"""Lemma 1: a weighted line through the logarithm of the empirical correlation, in closed form.
+"""Lemma 1 of [GM11]: a weighted line through the log of the empirical correlation (equation 2.3).
 
 log r(d) = log xi^2 - d / beta, over the bins L = {d : 0 < r-hat(d) < alpha-hat}. As printed the
 set keeps only the positive noise at long lags, which makes xi too small and beta too long however
@@ -108,7 +108,7 @@ def enough(bins: LogBins) -> bool:
 def lemma1_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds
 ) -> CovarianceFit:
-    """xi, beta and omega from the line (seed, Lemma 1), brought within `bounds`.
+    """Estimate xi, beta and omega from the line (equation 2.3), brought within `bounds`.
 
     Parameters
     ----------

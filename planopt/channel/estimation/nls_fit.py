@@ -2,8 +2,8 @@
 """The exponential fitted to the empirical correlation as it is: the boundary to CasADi and IPOPT.
 
 Without the logarithm, bins whose correlation came out negative count too, so nothing is selected
-and Lemma 1's bias does not arise. The problem is not convex in beta: a scan over beta, in which
-xi^2 is linear, gives the start, and IPOPT polishes.
+and the bias of Lemma 1 does not arise (equation 2.5). The problem is not convex in beta: a scan
+over beta, in which xi^2 is linear, gives the start, and IPOPT polishes.
 """
 
 from __future__ import annotations

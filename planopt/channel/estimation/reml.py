@@ -1,8 +1,8 @@
 """Restricted maximum likelihood of xi, omega and beta, with generalised least squares for theta.
 
-The default fit: unlike Lemma 1 it has no selection bias, weighs every pair rightly, and takes
-censored measurements for what they are. Up to `MOST_DENSE` measurements the likelihood is exact,
-from one factor; beyond, it is that of blocks
+The default fit: unlike Lemma 1 of [GM11] it has no selection bias, weighs every pair rightly, and
+takes censored measurements for what they are. Up to `MOST_DENSE` measurements the likelihood is
+exact, from one factor; beyond, it is that of blocks
 (:mod:`planopt.channel.estimation.block_likelihood`), whose cost grows with their number alone.
 """
 

@@ -1,7 +1,7 @@
 """The restricted likelihood of xi^2, omega^2 and beta, with gradient, of intervals too.
 
 Of exact measurements, with V = xi^2 exp(-d / beta) + omega^2 I and P = V^-1 - V^-1 G M G' V^-1,
-M = (G' V^-1 G)^-1 (theory 4.7):
+M = (G' V^-1 G)^-1 (equations 2.6 and 2.7):
 
     log L = -(log |V| + log |G' V^-1 G| + y' P y + (n - p) log 2 pi) / 2
     dlog L = -(tr(P dV) - y' P dV P y) / 2

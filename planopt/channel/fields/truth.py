@@ -79,7 +79,7 @@ def model_truth(
     generator: np.random.Generator,
     multipath: Multipath | None = None,
 ) -> Truth:
-    """Truth drawn from the channel model itself (seed, section II).
+    """Truth drawn from the channel model itself (equation 1.1).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Lemma 2 on a grid, where rows and columns share their coordinate differences."""
+"""Kriging on a grid, where rows and columns share their coordinate differences."""
 
 from __future__ import annotations
 

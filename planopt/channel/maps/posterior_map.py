@@ -65,7 +65,7 @@ class PosteriorMap:
 def posterior_map(
     posterior: ChannelPosterior, bounds_m: Bounds, cell_m: float, threshold_dbm: float
 ) -> PosteriorMap:
-    """Predict on a grid (seed, Lemma 2).
+    """Predict on a grid (equation 1.8).
 
     Parameters
     ----------

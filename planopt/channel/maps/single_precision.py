@@ -1,4 +1,4 @@
-"""Lemma 2 over a large map in single precision: half the time of the exact map where it matters.
+"""Kriging over a large map in single precision: half the time of the exact map.
 
 At many measurements a map costs the triangular solve, whose speed is the processor's; in single
 precision that is twice as high. Only covariances between places and measurements are rounded: the

@@ -2,7 +2,7 @@
 
 The amplitude is a constant plus a complex Gaussian; K is the ratio of their powers. Given a
 Poisson variable J of mean K the power times K + 1 is Gamma(1 + J), which gives the moments of
-its logarithm as a series (theory, errata).
+its logarithm as a series (equation 1.5).
 """
 
 from __future__ import annotations

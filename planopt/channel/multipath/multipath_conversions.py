@@ -1,6 +1,6 @@
 """Between the numbers that multipath is given by: Nakagami's m, Rician K, omega in dB.
 
-All exact (theory, errata). The seed's pairs (m, omega) are those of Rician K = 5, 10, 30: its
+All exact (equation 1.5). The pairs (m, omega) of [GM11] are those of Rician K = 5, 10, 30: their
 omega is near the Rician one and is not the Nakagami one, so whoever gives m or omega must say
 which of both is meant.
 """

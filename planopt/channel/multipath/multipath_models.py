@@ -1,6 +1,6 @@
 """The distributions of multipath: lognormal, Nakagami-m and Rician (Rayleigh at K = 0).
 
-Of unit mean power, the mean in dB subtracted as the field does (theory, errata), so that the
+Of unit mean power, the mean in dB subtracted as the field does (equation 1.5), so that the
 predicted mean stays what it is.
 """
 

@@ -100,7 +100,7 @@ def _of_group(
     position_std_m: NDArray[np.float64] | None,
     used: NDArray[np.intp],
 ) -> KrigingTerms:
-    """Lemma 2 from the measurements `used`; what an error of the place adds to path loss left out.
+    """Predict from the measurements `used`; what an error of the place adds to path loss left out.
 
     Receivers' offsets given theta are those of all measurements.
     """

@@ -18,7 +18,7 @@ from planopt.channel.parameters import ChannelParameters
 
 @dataclass(frozen=True, eq=False)
 class NeighbourRegression:
-    """What m neighbours say of each of k powers, about their path loss (theory 4.0).
+    """Regress each of k powers on m neighbours, about their path loss (equation 1.6).
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Where the station is: both ways of the seed's footnote 2.
+"""Estimate the station's position, both ways of footnote 2 of [GM11].
 
 ``line`` takes the errors for independent: least squares of the path loss line over the position and
 theta. ``joint`` takes them for shadowing and multipath: maximum likelihood over the position, theta

@@ -1,4 +1,4 @@
-"""Fit the channel when the station's position is not known (seed, footnote 2).
+"""Fit the channel when the station's position is not known (equation 2.12).
 
 The position is found by :mod:`planopt.channel.station.station_position`, the channel is fitted with
 the station there, and the position's uncertainty is carried into theta's.

@@ -36,7 +36,7 @@ is then 6.53 dB instead of 6.48."""
 
 
 def learn_channel(measurements: Measurements, station: Station) -> Predictor:
-    """Path loss, shadowing and multipath by restricted likelihood, then Lemma 2."""
+    """Fit by restricted likelihood, then predict by the posterior (equation 1.8)."""
     return channel_predictor(fit_channel(measurements, station, intervals=False), measurements)
 
 
@@ -46,7 +46,7 @@ def learn_marginal(measurements: Measurements, station: Station) -> Predictor:
 
 
 def channel_predictor(fit: ChannelFit, measurements: Measurements) -> Predictor:
-    """Lemma 2 from the measurements that `fit` is of."""
+    """Predict from the measurements that were fitted (equation 1.8)."""
     return partial(predict_readings, condition(fit.parameters, measurements))
 
 

@@ -188,7 +188,7 @@ class MappingTerm(Term):
         if self.form == "information":
             diagonal = np.diagonal(told.factor, axis1=1, axis2=2)
             return np.log(diagonal / np.sqrt(told.noise_db2)).sum(axis=1)
-        # sum_g w_g c(g)' S^-1 c(g), both with what is not known of theta, as tr(S^-1 C C') with
+        # sum_g w_g c(g)' S^-1 c(g), theta uncertain (equation 4.6), as tr(S^-1 C C') with
         # C C' small: solving for C itself would cost several times as much.
         across = told.across
         gathered = across @ across.transpose(0, 2, 1)

@@ -1,7 +1,7 @@
-"""The seed's planner: the best of a dense set of places within one step.
+"""The one-step planner of [GM11]: the best of a dense set of places within one step.
 
 Equations (2), the inner layer of (3), and (4) are maximised over places within one step, each of
-them free and, where measuring is what counts, not measured yet (the seed's "q not in Q"). A plan of
+them free and, where measuring is what counts, not measured yet ("q not in Q" in [GM11]). A plan of
 more steps repeats this greedily on what would be known after the earlier ones: each step gains what
 the whole path so far is worth more than before. From a place around which all is measured the robot
 takes the shortest way out.

@@ -1,7 +1,7 @@
 """What robots and their station know of a moving target: one filter each.
 
 A robot's own filter has all its own measurements of the target; the station's has those whose
-packets arrived (seed, section III-B). Everything random about the target comes from one generator.
+packets arrived (equation 4.9). Everything random about the target comes from one generator.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lemma 1's line in closed form."""
+"""The line of equation 2.3 in closed form."""
 
 import math
 

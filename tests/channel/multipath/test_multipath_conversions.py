@@ -27,7 +27,7 @@ from planopt.errors import InputError
     ],
 )
 def test_errata_of_the_theory(k_factor, m, nakagami, offset, rician):
-    """The seed's three channels: m of K, both exact deviations, Nakagami's mean."""
+    """The three channels of [GM11]: m of K, both exact deviations, Nakagami's mean."""
     assert nakagami_m_of_rician(k_factor) == pytest.approx(m, abs=5e-3)
     assert nakagami_std_db(m) == pytest.approx(nakagami, abs=6e-3)
     assert nakagami_mean_db(m) == pytest.approx(offset, abs=2e-2)

@@ -1,4 +1,4 @@
-"""The trap of theory 4.1: a plan in open loop must reckon with today's deviation.
+"""The trap of the reduced deviation: an open-loop plan must use today's (equation 3.2).
 
 Measurements on the way will reduce the deviation at its end, but the mean there will change by what
 they are, and nobody knows that today. A bound of 90 % asked with the reduced deviation is kept in

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from planopt.errors import InputError, require_text
 from planopt.problems.messages import input_error
-from planopt.problems.objective import TermsObjective
+from planopt.problems.objective_forms import TermsObjective
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.save import problem_to_dict

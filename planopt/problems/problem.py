@@ -8,7 +8,7 @@ from typing import Literal, cast
 
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
-from planopt.problems.objective import CostToGo, ReachObjective, Term, TermsObjective
+from planopt.problems.objective_forms import CostToGo, ReachObjective, Term, TermsObjective
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings

@@ -17,7 +17,7 @@ import shapely
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements, ModelTruth, RasterTruth
 from planopt.problems.load import problem_from_tables
-from planopt.problems.objective import Term
+from planopt.problems.objective_forms import Term
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION

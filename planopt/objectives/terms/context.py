@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity import connection_probability
-from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.objectives.batch import KnownPlaces
@@ -323,6 +322,25 @@ class NearPath:
         return LENGTH_ROUNDING_SHARE * self.at.step_length_m
 
 
+class NodeChannel(Protocol):
+    """Predictions of one station's power at the nodes of a lattice."""
+
+    @property
+    def mean_db(self) -> NDArray[np.float64]:
+        """``(ny, nx)``."""
+        ...
+
+    @property
+    def deviation_db(self) -> NDArray[np.float64]:
+        """``(ny, nx)``."""
+        ...
+
+    @property
+    def trend(self) -> NDArray[np.float64]:
+        """``(ny, nx, 2)`` regressors of the path loss less what measurements say of them."""
+        ...
+
+
 class Nodes(Protocol):
     """Predictions at the nodes of a lattice."""
 
@@ -332,7 +350,7 @@ class Nodes(Protocol):
         ...
 
     @property
-    def stations(self) -> Sequence[TileMap]:
+    def stations(self) -> Sequence[NodeChannel]:
         """Each station's own predictions at the nodes."""
         ...
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.information_derivatives import path_loss_derivatives
@@ -19,7 +18,7 @@ from planopt.objectives.path_loss_learning import (
     path_loss_gain,
     theta_information,
 )
-from planopt.objectives.terms.context import NearPath, Nodes, Paths, StepContext
+from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Paths, StepContext
 from planopt.objectives.terms.measured import added, added_derivatives, measured_reward
 from planopt.objectives.terms.term import Term
 from planopt.objectives.told_batch import ToldBatch
@@ -116,7 +115,7 @@ class LearningTerm(Term):
         """Return what measuring at each node alone would tell."""
         return measured_reward(at, nodes, self._told)
 
-    def _told(self, station: TileMap, posterior: ChannelPosterior) -> NDArray[np.float64]:
+    def _told(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
         trend, covariance = station.trend, posterior.theta_covariance
         spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
         latent = np.maximum(station.deviation_db**2 - spread, 1e-12)

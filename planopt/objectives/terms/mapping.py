@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.batch_derivatives import PathDerivatives
@@ -27,6 +26,7 @@ from planopt.objectives.path_form_derivatives import path_uncertainty_derivative
 from planopt.objectives.terms.context import (
     NearPath,
     NearStation,
+    NodeChannel,
     Nodes,
     Part,
     Paths,
@@ -266,7 +266,7 @@ class MappingTerm(Term):
             return -steering.lattice_m
         return -steering.distance_m(nodes.grid_m.reshape(-1, 2)).reshape(shape)
 
-    def _node_told(self, station: TileMap, posterior: ChannelPosterior) -> NDArray[np.float64]:
+    def _node_told(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
         variance = station.deviation_db**2
         match self.form:
             case "path":

@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.terms.context import Nodes, StepContext
+from planopt.objectives.terms.context import NodeChannel, Nodes, StepContext
 
 
 def added(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -36,7 +35,7 @@ def added_derivatives(parts: Iterable[PathDerivatives]) -> PathDerivatives:
 def measured_reward(
     at: StepContext,
     nodes: Nodes,
-    told: Callable[[TileMap, ChannelPosterior], NDArray[np.float64]],
+    told: Callable[[NodeChannel, ChannelPosterior], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
     """Return what measuring at each node alone would tell of all stations; (ny, nx).
 

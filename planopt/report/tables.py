@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 
-from planopt.channel.validation.reliability import FEWEST_GROUPS, ReliabilityBin
+from planopt.channel.validation.calibration import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
 from planopt.studies.comparison import Comparison, Row
 
@@ -86,7 +86,7 @@ def reliability_lines(
     Parameters
     ----------
     bins
-        As :func:`planopt.channel.validation.reliability.reliability` gives them.
+        As :func:`planopt.channel.validation.calibration.reliability` gives them.
     what, groups
         What was predicted and what it is grouped by, in the plural; None for one group.
     """

@@ -19,9 +19,9 @@ from terms_scene import (
     terms_problem,
 )
 
-from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.fields.truth import measure
 from planopt.channel.posterior import condition, predict
+from planopt.channel.prediction import bound_margin_db
 from planopt.errors import InputError
 from planopt.planning import start_polish
 from planopt.planning.given import free_places

@@ -14,9 +14,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.local_channel import LocalChannel, LocalGrid

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.expression import START, WIDTHS, expression_values, names_in

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
     information_gain_derivatives,

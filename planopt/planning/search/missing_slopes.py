@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.channel.connectivity import bound_quantile
+from planopt.channel.prediction import bound_quantile
 from planopt.objectives.way_batch import WayBatch
 from planopt.objectives.way_slopes import Pull, pull_of_power
 from planopt.planning.proof.rules.asked import asked_steps

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule

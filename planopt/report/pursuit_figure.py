@@ -113,7 +113,7 @@ def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
         writer.setup(figure, str(temporary), dpi=ANIMATION_DPI)
         # Laid out once: panels would move, and layout takes most of the time.
         cast(_Drawn, figure.canvas).draw()
-        figure.set_layout_engine("none")
+        cast(_LaidOut, figure).set_layout_engine("none")
         for step in [*steps.tolist(), *[last] * FRAMES_PER_S]:
             cast(Any, title).set_text(f"{spaced(name)}, {moving.show(step)}")
             writer.grab_frame()
@@ -168,6 +168,12 @@ class _Drawn(Protocol):
     """The method of a canvas that draws it."""
 
     def draw(self) -> None: ...
+
+
+class _LaidOut(Protocol):
+    """The method of a figure that says how it is laid out, typed."""
+
+    def set_layout_engine(self, layout: str, /) -> None: ...
 
 
 class _Line(Protocol):
@@ -259,7 +265,7 @@ def _scene(panel: Panel, pursuit: Pursuit) -> dict[str, Artist]:
     if arena.bounds_m is not None:
         x0, y0, x1, y1 = arena.bounds_m
         panel.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=OBSTACLE_EDGE, linewidth=0.8)
-    panel.set_aspect("equal")
+    panel.set_aspect("equal", adjustable="datalim")
     dress(panel, "", "x [m]", "y [m]")
     return entries
 

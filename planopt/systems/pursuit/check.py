@@ -260,8 +260,8 @@ def _read(file: Path, data: Mapping[str, Any], content: PursuitProblem) -> Pursu
         raise InputError("has not one entry for each evader", file=file, key="evaders")
     own_names = [each.name for each in given.pursuers]
     for number, entry in enumerate(cast("list[Any]", said)):
-        time_s = entry.get("capture_time_s") if isinstance(entry, dict) else None
-        captor = cast("dict[str, Any]", entry).get("captor") if isinstance(entry, dict) else None
+        row = cast("dict[str, Any]", entry) if isinstance(entry, dict) else dict[str, Any]()
+        time_s, captor = row.get("capture_time_s"), row.get("captor")
         if isinstance(time_s, float | int) and captor in own_names:
             capture_s[number], captors[number] = float(time_s), own_names.index(captor)
     times_s = numbers[0, :, 0]

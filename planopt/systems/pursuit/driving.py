@@ -35,6 +35,11 @@ class Driven:
     seed: int
 
     @property
+    def alone(self) -> bool:
+        """Whether there is one pursuer and one evader."""
+        return len(self.problem.given.pursuers) == len(self.problem.given.evaders) == 1
+
+    @property
     def in_stages(self) -> bool:
         """Whether the theorems speak of it: stages of straight driving, in open space."""
         return self.planner == "drive" and self.problem.arena.obstacles is None

@@ -119,15 +119,22 @@ def run_json(driven: Driven) -> dict[str, Any]:
 
 
 def guarantee_json(driven: Driven) -> dict[str, Any]:
-    """Return what was promised for the first pursuer and evader, and what came of it."""
+    """Return what was promised for the first pursuer and evader, and what came of it.
+
+    A time is promised only where there are no others, whom it may have been after before.
+    """
     problem, pursuit = driven.problem, driven.pursuit
     radius_m = problem.given.pursuit.capture_radius_m
-    first = next((use for use in pursuit.uses if (use.pursuer, use.evader) == (0, 0)), None)
+    first = pursuit.uses[0] if driven.alone and pursuit.uses else None
     theorems: dict[str, Any] = {}
     for theorem, each in problem.guarantees(0, 0).items():
         if theorem not in THEOREMS:
             continue
-        shares = [s.largest_share for s in stages(driven) if s.guarantee.theorem is theorem]
+        shares = [
+            chase.largest_share
+            for chase in stages(driven)
+            if chase.guarantee.theorem is theorem and len(chase.bounds_m) > 1
+        ]
         lasts_s = math.inf if first is None else each.capture_time_s(first.distance_m, radius_m)
         theorems[theorem.value] = {
             "holds": bool(each.holds),
@@ -152,8 +159,7 @@ def faults(driven: Driven) -> list[str]:
                 f"{name}: a stage of pursuer {each.pursuer} after evader {each.evader} exceeds "
                 f"its bound by {100.0 * (each.largest_share - 1.0):.3g} %"
             )
-    alone = len(pursuit.scene.pursuers) == len(pursuit.scene.evaders) == 1
-    if driven.in_stages and alone and pursuit.uses:
+    if driven.in_stages and driven.alone and pursuit.uses:
         for theorem in THEOREMS:
             promised = driven.problem.guarantees(0, 0)[theorem]
             lasts_s = promised.capture_time_s(pursuit.uses[0].distance_m, radius_m)
@@ -193,11 +199,14 @@ def in_words(name: str, data: Mapping[str, Any]) -> tuple[str, ...]:
         if failing:
             lines.append(f"  {theorem}: no guarantee, {failing[0]['text']}")
         else:
-            share = each["largest_share_of_bound"]
-            lines.append(
-                f"  {theorem}: capture within {each['capture_time_s']:.4g} s guaranteed; stages "
-                f"reached at most {100.0 * (share or 0.0):.1f} % of their bound"
+            lasts_s, share = each["capture_time_s"], each["largest_share_of_bound"]
+            promised = "" if lasts_s is None else f" within {lasts_s:.4g} s"
+            reached = (
+                "no stage but the first"
+                if share is None
+                else f"stages reached at most {100.0 * share:.1f} % of their bound"
             )
+            lines.append(f"  {theorem}: capture guaranteed{promised}; {reached}")
     return tuple(lines)
 
 

@@ -33,7 +33,7 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
     if missed is not None:
         error = NoPlanError(f"capture is not guaranteed: {missed}")
         nothing = dict.fromkeys(("capture_time_s", "guarantee"))
-        data = {
+        data: dict[str, Any] = {
             **{"problem": problem.name, "horizon": planner.horizon, "planner": planner.name},
             **{"seed": request.seed, "outcome": "no_plan", "reason": str(error), **nothing},
             **{"metrics": {}, "evaders": [], "robots": [], "wall_s": None},

@@ -21,7 +21,7 @@ from planopt.channel.validation.held_out import (
     learn_path_loss,
     marginal_predictor,
 )
-from planopt.channel.validation.plain_predictors import learn_plain_line, learn_plain_process
+from planopt.channel.validation.held_out_report import learn_plain_line, learn_plain_process
 
 LEARNT, CENSORED_SHARE = 4_000, 0.6
 PRODUCT_SIZE = 1_500

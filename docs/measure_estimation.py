@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from planopt.channel.multipath.multipath_models import Multipath, Rician
-from planopt.channel.validation.grouped_ratio import GroupedRatio
+from planopt.channel.validation.held_out import GroupedRatio
 from planopt.studies.estimation import estimation_study, published_case
 
 SIDES_M = {"fig3": 50.0, "fig4": 100.0}

@@ -7,12 +7,12 @@ from planopt.channel.connection.joint_connectivity import JointConnectivity as J
 from planopt.channel.connection.joint_connectivity import joint_connectivity as joint_connectivity
 from planopt.channel.connection.outage import DeliveredData as DeliveredData
 from planopt.channel.connection.outage import LongestOutage as LongestOutage
+from planopt.channel.connection.outage import Traffic as Traffic
 from planopt.channel.connection.outage import delivered_data as delivered_data
 from planopt.channel.connection.outage import longest_outage as longest_outage
 from planopt.channel.connection.several_stations import SharedShadowing as SharedShadowing
 from planopt.channel.connection.several_stations import connected_to_any as connected_to_any
 from planopt.channel.connection.several_stations import strongest_station as strongest_station
-from planopt.channel.connection.traffic import Traffic as Traffic
 from planopt.channel.estimation.channel_fit import ChannelFit as ChannelFit
 from planopt.channel.estimation.fit import fit_channel as fit_channel
 from planopt.channel.estimation.profile_likelihood import profile_likelihood as profile_likelihood

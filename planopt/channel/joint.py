@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.factor import whiten
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     own_covariance_db2,
     place_origins,
 )
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.semidefinite import semidefinite_factor

@@ -11,22 +11,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS
+from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS, regress_on_neighbours
 from planopt.channel.factor import whiten
 from planopt.channel.maps.many_places import PLACES_AT_ONCE, RowWhitener
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
     measured_path_loss_variance_db2,
     own_variance_db2,
+    path_loss_variance_db2,
     place_origins,
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, nearby_terms
-from planopt.channel.nearest.neighbour_regression import regress_on_neighbours
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
-from planopt.channel.position_error import path_loss_variance_db2
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ def predict(
         ``(n, 2)``; memory stays bounded whatever n.
     position_std_m
         ``(n,)`` deviation of either coordinate, where the robot that would measure is not sure of
-        its own place (:mod:`planopt.channel.position_error`). None where it is.
+        its own place (:mod:`planopt.channel.measurement_covariance`). None where it is.
 
     Raises
     ------

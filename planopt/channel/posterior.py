@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.conditioning import with_rows, without_factor
 from planopt.channel.connection.connection_outcomes import ConnectionOutcomes, add_outcomes
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.factor import FactorBuffer, spacious
 from planopt.channel.intervals.censoring import (
     MIN_NOISE_VARIANCE_DB2,
@@ -34,19 +33,18 @@ from planopt.channel.measurement_covariance import (
     measured_path_loss_variance_db2,
 )
 from planopt.channel.measurements import Measurements, Table, as_measurements, join
-from planopt.channel.nearest.near_factors import NearFactors
+from planopt.channel.nearest.near_factors import NearFactors, neighbour_sites
 from planopt.channel.nearest.neighbour_information import NeighbourInformation
-from planopt.channel.nearest.neighbour_sites import neighbour_sites
 from planopt.channel.nearest.place_index import PlaceIndex
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_finite
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 MOST_JOINT_SITES = 300
 """Beyond so many censored or coarsely rounded measurements their sites are matched window by window
-(:mod:`planopt.channel.nearest.neighbour_sites`): jointly a sweep costs the cube of their number, at
+(:mod:`planopt.channel.nearest.near_factors`): jointly a sweep costs the cube of their number, at
 750 ten times as much."""
 
 ThetaRule = Literal["estimated", "known", "least_squares"]

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.cholesky import solve_upper
 from planopt.channel.factor import whiten
 from planopt.channel.kriging import kriging_terms
+from planopt.channel.mean_model import MIN_DISTANCE_M
 from planopt.channel.measurement_covariance import ageing
 from planopt.channel.parameters import Station
-from planopt.channel.path_loss import MIN_DISTANCE_M
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError

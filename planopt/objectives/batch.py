@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.factor import unwhiten, whiten
 from planopt.channel.joint import joint_terms
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import covariance_db2, place_origins
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.validation.reliability import ReliabilityBin, reliability
+from planopt.channel.validation.calibration import ReliabilityBin, reliability
 from planopt.planning.loop.run import Run
 from planopt.planning.team.team_summary import TeamSummary
 from planopt.problems.problem import Problem

@@ -9,9 +9,9 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import kriging_terms, predict
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition, extend
 from planopt.channel.prediction import combine
 from planopt.channel.theta_estimate import WEAK_THETA_DEVIATION

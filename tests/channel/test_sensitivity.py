@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
 from planopt.channel.sensitivity import (
     PERTURBED,

@@ -17,7 +17,7 @@ from planopt.channel.estimation.covariance_fit import (
     CovarianceFit,
     from_correlation,
 )
-from planopt.channel.estimation.empirical_correlation import EmpiricalCorrelation
+from planopt.channel.estimation.lemma1 import EmpiricalCorrelation
 
 SCAN = 60
 """Values of beta that are tried for the start, spaced geometrically."""

@@ -22,9 +22,8 @@ from planopt.channel.estimation.covariance_fit import (
     CovarianceFit,
     at_bound,
 )
-from planopt.channel.estimation.likelihood import Covariance, Likelihood
 from planopt.channel.estimation.likelihood_climb import FINE, LikelihoodClimb, Top, variances
-from planopt.channel.estimation.likelihood_data import likelihood_data
+from planopt.channel.estimation.likelihood_data import Covariance, Likelihood, likelihood_data
 from planopt.channel.estimation.likelihood_starts import (
     at_ends,
     beyond_best,

@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.kriging import predict
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, multipath_survival
 from planopt.channel.places import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 
 REACH = 8.5

@@ -11,16 +11,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.multipath.fading import rician_field_db, rician_std_db
-from planopt.channel.multipath.multipath_conversions import (
+from planopt.channel.multipath.multipath_models import (
+    Lognormal,
+    Multipath,
+    Nakagami,
+    Rician,
     nakagami_m_of_rician,
     nakagami_m_of_std,
     nakagami_mean_db,
     nakagami_std_db,
+    rician_field_db,
     rician_k_of_nakagami,
     rician_k_of_std,
+    rician_std_db,
 )
-from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.errors import InputError
 
 MultipathKind = Literal["nakagami", "rician", "rayleigh", "lognormal"]

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import whitened_by
 from planopt.channel.factor import whiten
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     own_covariance_db2,
+    path_loss_variance_db2,
     place_origins,
 )
 from planopt.channel.nearest.close_places import close_together, halves
 from planopt.channel.nearest.near_factors import NearGroup
 from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
-from planopt.channel.path_loss import regressors
-from planopt.channel.position_error import path_loss_variance_db2
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 if TYPE_CHECKING:

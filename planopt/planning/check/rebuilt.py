@@ -9,8 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.files.run_json import PlannedRecord, ReleasedRecord
 from planopt.planning.files.solution_json import PlanRecord
 from planopt.planning.files.team_solution_json import RobotPlanRecord

@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import (
     covariance_gain,

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.planning.search.guide import Guide
 from planopt.planning.search.lattice_window import Window
 from planopt.planning.search.node_field import NodeField

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.path_loss import regressors
+from planopt.channel.mean_model import regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.objectives.local_channel import LocalChannel, LocalGrid
 from planopt.planning.search.single_kernel import single_kernel

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import covariance_gain, information_gain, sampled_gain

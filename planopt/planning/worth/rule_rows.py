@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_quantile, connection_probability
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.planning.proof.rules.asked import (
     asked_steps,
     connected_steps_asked,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from planopt.channel.connection.line_recursion import line_prefix_probabilities
-from planopt.channel.connection.orthant import prefix_probabilities
+from planopt.channel.connection.first_passage import line_prefix_probabilities
+from planopt.channel.connection.joint_connectivity import prefix_probabilities
 from planopt.channel.joint import joint_prediction
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station

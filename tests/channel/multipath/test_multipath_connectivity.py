@@ -9,9 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 from simulated_channel import simulated
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.kriging import predict
-from planopt.channel.multipath.fading import rician_field_db
 from planopt.channel.multipath.multipath_connectivity import (
     multipath_connection_probability,
     multipath_connectivity,
@@ -21,9 +19,11 @@ from planopt.channel.multipath.multipath_models import (
     Nakagami,
     Rician,
     multipath_survival,
+    rician_field_db,
 )
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 
 

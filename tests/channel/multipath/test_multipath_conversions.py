@@ -6,14 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import loggamma
 
-from planopt.channel.multipath.fading import rician_mean_db, rician_std_db
-from planopt.channel.multipath.multipath_conversions import (
+from planopt.channel.multipath.multipath_models import (
     nakagami_m_of_rician,
     nakagami_m_of_std,
     nakagami_mean_db,
     nakagami_std_db,
     rician_k_of_nakagami,
     rician_k_of_std,
+    rician_mean_db,
+    rician_std_db,
 )
 from planopt.errors import InputError
 

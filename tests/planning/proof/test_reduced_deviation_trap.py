@@ -12,11 +12,11 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from planopt.channel.connectivity import bound_quantile
 from planopt.channel.joint import joint_prediction
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import bound_quantile
 
 P_MIN, FIELDS, SEED = 0.9, 20_000, 41
 MEASURED = np.array([[0.0, 0.0], [6.0, -5.0], [-8.0, 4.0]])

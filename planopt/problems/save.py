@@ -26,7 +26,7 @@ from planopt.problems.channel_setup import (
     SampledMeasurements,
 )
 from planopt.problems.load import problem_from_tables
-from planopt.problems.objective import Term
+from planopt.problems.objective_forms import Term
 from planopt.problems.problem import Problem
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.problems.schema_constraints import constraints_table

@@ -63,14 +63,13 @@ if TYPE_CHECKING:
         predictors_of,
     )
     from planopt.errors import InputError, NoPlanError, OutputError, PlanoptError
-    from planopt.planning.any_task import simulate
     from planopt.planning.check.check import check
     from planopt.planning.explain.explain import explain, explain_no_plan
-    from planopt.planning.loop.simulation import Simulation
+    from planopt.planning.loop.closed_loop import simulate
     from planopt.planning.plan import Termination, Verdict
+    from planopt.planning.run import Run
     from planopt.planning.solution import Solution
     from planopt.planning.solve import solve
-    from planopt.planning.team.team_run import TeamRun
     from planopt.problems.casadi_term import casadi_term
     from planopt.problems.library import list_problems
     from planopt.problems.load import load
@@ -103,11 +102,10 @@ __all__ = [
     "Prediction",
     "Problem",
     "Rician",
+    "Run",
     "SharedShadowing",
-    "Simulation",
     "Solution",
     "Station",
-    "TeamRun",
     "Termination",
     "Traffic",
     "Truth",
@@ -183,11 +181,10 @@ _MODULES = {
     "Prediction": "planopt.channel.prediction",
     "Problem": "planopt.problems.problem",
     "Rician": "planopt.channel.multipath.multipath_models",
+    "Run": "planopt.planning.run",
     "SharedShadowing": "planopt.channel.connection.several_stations",
-    "Simulation": "planopt.planning.loop.simulation",
     "Solution": "planopt.planning.solution",
     "Station": "planopt.channel.parameters",
-    "TeamRun": "planopt.planning.team.team_run",
     "Termination": "planopt.planning.plan",
     "Traffic": "planopt.channel.connection.traffic",
     "Truth": "planopt.channel.fields.truth",
@@ -231,14 +228,14 @@ _MODULES = {
     "scattered_field_db": "planopt.channel.fields.scattered_field",
     "sensitivity_curves": "planopt.channel.sensitivity",
     "shadow_field_db": "planopt.channel.fields.field",
-    "simulate": "planopt.planning.any_task",
+    "simulate": "planopt.planning.loop.closed_loop",
     "solve": "planopt.planning.solve",
     "strongest_station": "planopt.channel.connection.several_stations",
     "true_power_dbm": "planopt.channel.fields.truth",
 }
 """Where each public name stands."""
 
-_FORMER = {"TeamSolution": "Solution"}
+_FORMER = {"Simulation": "Run", "TeamRun": "Run", "TeamSolution": "Solution"}
 """Former public names, accepted for one version, and the names that replace them."""
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.planning.files.csv_rows import read_number, read_rows
 from planopt.planning.files.drive_table import drive_table
-from planopt.planning.files.solution_json import REMEDY, finite_list
-from planopt.planning.loop.run import StepLog
+from planopt.planning.files.record import REMEDY, finite_list
+from planopt.planning.loop.log import StepLog
 from planopt.planning.plan import Plan
 from planopt.robots.drive import Drive
 

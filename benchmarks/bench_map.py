@@ -13,12 +13,11 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.maps.cached_map import CachedMap
-from planopt.channel.maps.grid_prediction import predict_grid
-from planopt.channel.maps.single_precision import predict_single
-from planopt.channel.maps.tile_map import TileMap
+from planopt.channel.maps.posterior_map import predict_grid
+from planopt.channel.maps.tile_map import TileMap, predict_single
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import ChannelPosterior, condition, extend
 from planopt.channel.prediction import Prediction
 from planopt.world.raster import cell_centres_m
@@ -26,7 +25,7 @@ from planopt.world.raster import cell_centres_m
 SIDE_M = 50.0
 GRID = 320
 CHANNEL = ChannelParameters(-10.0, 2.0, 4.0, 10.0, 1.99, Station((25.0, 25.0)))
-"""The outdoor channel of the seed's Fig. 3."""
+"""The outdoor channel of Fig. 3 of [GM11]."""
 
 TILE, NEIGHBOURS = 10, 64
 ROUNDS = 5

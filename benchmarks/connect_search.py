@@ -37,7 +37,7 @@ class Search:
     Attributes
     ----------
     start, horizon
-        Number of the start, which is the seed of the run too, and N.
+        Number of the start, which is the run's random seed too, and N.
     outcome
         How the run ended.
     shortest_m, driven_m

@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_quantile
 from planopt.channel.factor import whiten
-from planopt.channel.path_loss import regressors
+from planopt.channel.mean_model import regressors
+from planopt.channel.prediction import bound_quantile
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING
 from planopt.planning.programme.ipopt import OPTIONS
 from planopt.planning.worth.situation import Situation

@@ -12,7 +12,7 @@ from time import process_time
 
 import numpy as np
 
-from planopt import LogFormat, Station, fit_channel, read_log
+from planopt.channel import LogFormat, Station, fit_channel, read_log
 
 PARAMETERS = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
 SEED = 0

@@ -15,13 +15,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from planopt import LogFormat, Station, fit_channel, read_log
+from planopt.channel import LogFormat, Station, fit_channel, read_log
 from planopt.channel.validation.held_out import (
     channel_predictor,
     learn_path_loss,
     marginal_predictor,
 )
-from planopt.channel.validation.plain_predictors import learn_plain_line, learn_plain_process
+from planopt.channel.validation.held_out_report import learn_plain_line, learn_plain_process
 
 LEARNT, CENSORED_SHARE = 4_000, 0.6
 PRODUCT_SIZE = 1_500

@@ -15,9 +15,8 @@ from tracking_scene import single_step
 
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Verdict
-from planopt.problems.settings import PlannerName
 
-METHODS: tuple[PlannerName, ...] = ("nlp", "scp")
+METHODS: tuple[str, ...] = ("nlp", "scp")
 AGREEMENT = 0.01
 
 
@@ -29,9 +28,9 @@ def main() -> None:
     parser.add_argument("--measurements", type=int, default=1000)
     parser.add_argument("--munich-like", action="store_true")
     chosen = parser.parse_args()
-    plans: dict[PlannerName, list[Plan]] = {name: [] for name in METHODS}
-    wall_s: dict[PlannerName, list[float]] = {name: [] for name in METHODS}
-    cpu_s: dict[PlannerName, list[float]] = {name: [] for name in METHODS}
+    plans: dict[str, list[Plan]] = {name: [] for name in METHODS}
+    wall_s: dict[str, list[float]] = {name: [] for name in METHODS}
+    cpu_s: dict[str, list[float]] = {name: [] for name in METHODS}
     for seed in range(chosen.instances):
         place, situation, judge = single_step(
             chosen.horizon, chosen.measurements, seed, chosen.munich_like

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief, update
-from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.mapping import Region
 from planopt.planning.given import draw_truth, free_places
 from planopt.planning.ground import Ground, build_ground

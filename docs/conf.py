@@ -28,6 +28,7 @@ autodoc_typehints = "none"
 autodoc_class_signature = "separated"
 numpydoc_show_class_members = False
 myst_heading_anchors = 3
+myst_enable_extensions = ["amsmath", "dollarmath"]
 sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "auto_examples",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planopt import load
 from planopt.channel.connection.serving_power import any_probability
 from planopt.channel.posterior import condition
-from planopt.channel.validation.reliability import reliability
+from planopt.channel.validation.calibration import reliability
 from planopt.errors import NoPlanError
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from planopt.channel.multipath.multipath_models import Multipath, Rician
-from planopt.channel.validation.grouped_ratio import GroupedRatio
+from planopt.channel.validation.held_out import GroupedRatio
 from planopt.studies.estimation import estimation_study, published_case
 
 SIDES_M = {"fig3": 50.0, "fig4": 100.0}
@@ -15,7 +15,7 @@ LAWS: dict[str, dict[str, Multipath | None]] = {
     "fig3": {"Gaussian in dB": None, "Rician, K = 10": Rician(10.0)},
     "fig4": {"Gaussian in dB": None, "Rician, K = 30": Rician(30.0)},
 }
-"""The seed gives omega = 1.99 and 1.13, which is Rician K = 10 and 30 (theory, errata)."""
+"""[GM11] gives omega = 1.99 and 1.13, which is Rician K = 10 and 30 (equation 1.5)."""
 
 COLUMNS = (
     "channel",
@@ -31,7 +31,7 @@ COLUMNS = (
 
 
 def main(channels: str = "400") -> None:
-    """Run the study on both channels of the seed, both laws, 102 and 16 measurements."""
+    """Run the study on both channels of [GM11], both laws, 102 and 16 measurements."""
     print(f"| {' | '.join(COLUMNS)} |")
     print("|---" * len(COLUMNS) + "|")
     for name, side_m in SIDES_M.items():

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from planopt import load, measure
+from planopt import load
+from planopt.channel import measure
 from planopt.files.whole import write_text
 from planopt.planning.given import draw
 from planopt.world.clearance import clearance_m, index_obstacles

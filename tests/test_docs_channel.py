@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.cli import main
 
 PAGE = (Path(__file__).parents[1] / "docs" / "channel.md").read_text(encoding="utf-8")

@@ -35,7 +35,7 @@ def test_one_plan_by_public_names() -> None:
     assert isinstance(problem, planopt.Problem)
     assert solution.plan.verdict is planopt.Verdict.VERIFIED
     assert isinstance(solution.plan.termination, planopt.Termination)
-    assert isinstance(solution.belief.posterior, planopt.ChannelPosterior)
+    assert isinstance(solution.belief.posterior, planopt.channel.ChannelPosterior)
 
 
 def test_former_names_warn_and_give_their_successors() -> None:

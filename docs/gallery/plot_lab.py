@@ -4,7 +4,7 @@ Where 92 transmitters are, from their power alone
 
 A robot drove through a room of 5 by 5.5 m while a Wi-Fi router stood at one of 92 places (Yang et
 al., IROS 2024, repository wenhaol/DCM-RSSI, MIT licence). For each place the channel is fitted with
-the router's position unknown, both ways of the seed's footnote 2, and compared with where it was.
+the router's position unknown, both ways of footnote 2 of [GM11], and compared with where it was.
 
 The data are not part of planopt: they are read from ``../shared/data/lab`` beside the repository,
 and without them this page has no figure.

@@ -2,7 +2,7 @@
 Where to measure: path loss with few steps, or the whole map
 ============================================================
 
-Two tasks whose worth is what measurements teach. To learn path loss (the channel of the seed's
+Two tasks whose worth is what measurements teach. To learn path loss (the channel of [GM11],
 Fig. 2) two numbers are to be known well. To map (the channel of its Fig. 3) power is to be known
 everywhere.
 """

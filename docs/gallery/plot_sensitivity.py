@@ -3,7 +3,7 @@ Which parameter is worth learning
 =================================
 
 The mean squared error of a predicted map when one of the channel's parameters is wrong: Fig. 1 of
-the seed (section II-B), computed exactly rather than simulated.
+[GM11] (section II-B), computed exactly rather than simulated.
 """
 
 # %%
@@ -45,7 +45,7 @@ for _ in range(4):
 mean = {name: np.mean([curve[name] for curve in curves], axis=0) for name in curves[0]}
 
 # %%
-# As in the seed, the error in the path loss exponent dominates: at 50 % it multiplies the error by
+# As in [GM11], the error in the path loss exponent dominates: at 50 % it multiplies the error by
 # four. Errors in shadowing and multipath hardly matter, since at this density kriging gains little
 # to begin with.
 for name, curve in mean.items():

@@ -2,7 +2,7 @@
 Three robots that keep their station informed of a target
 =========================================================
 
-Someone walks through an outdoor channel (that of the seed's Fig. 4). Three robots measure where,
+Someone walks through an outdoor channel (that of Fig. 4 of [GM11]). Three robots measure where,
 and send it to a station over a link that loses packets where power is below the threshold. Near the
 target a robot sees well, near the station it is heard.
 """
@@ -10,7 +10,7 @@ target a robot sees well, near the station it is heard.
 # %%
 # The problem says how the target moves, how it is sensed, and that each step is worth
 # P(connected) / g(r), r the distance to where the target is expected. Here 50 steps are driven,
-# replanned by all robots at every step, at horizon 1 as in the seed and at horizon 10. A seed is a
+# replanned by all robots at every step, at horizon 1 as in [GM11] and at horizon 10. A seed is a
 # world: both horizons meet the same channel, first measurements and target.
 from dataclasses import replace
 

@@ -37,7 +37,7 @@ class Belief:
 
 
 def update(belief: Belief, more: Measurements, *further: Measurements) -> Belief:
-    """Add measurements to the belief (seed, Algorithm 1); the fit is kept.
+    """Add measurements to the belief (Algorithm 1 of [GM11]); the fit is kept.
 
     `further` are of further stations, in their order.
     """

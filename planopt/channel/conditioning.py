@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from planopt.channel.estimation.least_squares_theta import least_squares_theta
 from planopt.channel.factor import append_rows, with_room
+from planopt.channel.mean_model import regressors
 from planopt.channel.nearest.neighbour_information import (
     extended_information,
     neighbour_information,
 )
-from planopt.channel.path_loss import regressors
 from planopt.channel.theta_estimate import theta_estimate
 
 if TYPE_CHECKING:

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.factor import whiten
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     own_covariance_db2,
     place_origins,
 )
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.semidefinite import semidefinite_factor
@@ -73,7 +73,7 @@ def joint_prediction(
     """Mean and covariance of the powers at `positions_m`, from all measurements.
 
     mu, and S + B M B' with S = K + omega^2 I - Phi' U^-1 Phi and B = Gamma_h - Phi' U^-1 Gamma
-    (theory 4.0 and 4.1; M is zero where theta is known). The diagonal is what
+    (equations 1.11 and 1.12; M is zero where theta is known). The diagonal is what
     :func:`planopt.channel.kriging.predict` gives. Memory grows with h (kappa + h).
 
     Parameters

@@ -1,4 +1,4 @@
-"""Lemma 2 at places: mean and deviation from a posterior.
+"""Kriging: mean and standard deviation of the power at places, from a posterior.
 
 With a factor every measurement counts. Without one the nearest do
 (:mod:`planopt.channel.nearest.nearby`).
@@ -11,22 +11,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS
+from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS, regress_on_neighbours
 from planopt.channel.factor import whiten
 from planopt.channel.maps.many_places import PLACES_AT_ONCE, RowWhitener
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
     measured_path_loss_variance_db2,
     own_variance_db2,
+    path_loss_variance_db2,
     place_origins,
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, nearby_terms
-from planopt.channel.nearest.neighbour_regression import regress_on_neighbours
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
-from planopt.channel.position_error import path_loss_variance_db2
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def predict(
     positions_m: ArrayLike,
     position_std_m: NDArray[np.float64] | None = None,
 ) -> Prediction:
-    """Mean and deviation of the power that would be measured (theory 4.1).
+    """Predict mean and standard deviation of the power that would be measured (equation 1.8).
 
     From all measurements where `posterior` has a factor, else from the `NEIGHBOURS_BEYOND` nearest
     to each place and theta from all.
@@ -57,7 +56,7 @@ def predict(
         ``(n, 2)``; memory stays bounded whatever n.
     position_std_m
         ``(n,)`` deviation of either coordinate, where the robot that would measure is not sure of
-        its own place (:mod:`planopt.channel.position_error`). None where it is.
+        its own place (:mod:`planopt.channel.measurement_covariance`). None where it is.
 
     Raises
     ------

@@ -36,7 +36,7 @@ Table = Mapping[str, Any] | Frame
 
 @dataclass(frozen=True)
 class Measurements:
-    """Received power at known positions (the seed's Q and Y).
+    """Received power at known positions (Y of equation 1.3).
 
     Lists, and columns of a DataFrame, are taken as well as arrays; :func:`as_measurements` takes
     whole tables.

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.covariance_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
@@ -34,7 +33,7 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.short_repr import short_repr
 
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)

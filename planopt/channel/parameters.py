@@ -11,7 +11,7 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True)
 class Station:
-    """The fixed station (the seed's base station at q_b).
+    """The fixed base station; an access point or gateway as well.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Station:
 
 @dataclass(frozen=True)
 class ChannelParameters:
-    """Parameters of the received power in dBm (seed, section II).
+    """Parameters of the received power in dBm (equations 1.1 and 1.2).
 
     ``power(q) = k_pl_db - 10 n_pl log10 d(q) + shadowing(q) + multipath(q)``, with shadowing of
     covariance ``shadow_std_db**2 exp(-distance / decorrelation_m)`` and multipath white with

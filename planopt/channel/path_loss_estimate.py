@@ -43,7 +43,7 @@ class ThetaEstimate:
 def estimate_theta(
     measurements: Measurements | Table, parameters: ChannelParameters, how: Estimator = "ml"
 ) -> ThetaEstimate:
-    """Estimate path loss for given xi, beta and omega (seed, proof of Lemma 3).
+    """Estimate path loss for given xi, beta and omega (equations 1.7 and 1.9).
 
     Where the measurements do not identify theta, a weak prior about the theta of `parameters`
     stands in (:data:`planopt.channel.posterior.WEAK_THETA_DEVIATION`), and the covariance is that
@@ -76,7 +76,7 @@ def ml_covariance_after(
 ) -> NDArray[np.float64]:
     """M_ML after one more measurement at `position_m` (2,), whatever its power; ``(2, 2)``.
 
-    M_{t+1}^-1 = M_t^-1 + varphi varphi' / sigma^2 (seed, Lemma 3), with varphi = gamma - Gamma'
+    M_{t+1}^-1 = M_t^-1 + varphi varphi' / sigma^2 (equation 1.10), with varphi = gamma - Gamma'
     U^-1 phi and sigma^2 = xi^2 + omega^2 - phi' U^-1 phi; written so that nothing is inverted.
 
     Raises

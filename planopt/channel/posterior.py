@@ -1,4 +1,4 @@
-"""Lemma 2: the received power anywhere, given measurements, with path loss estimated on the way.
+"""The posterior: received power anywhere, given measurements, with path loss estimated.
 
 The factor of the measurements' covariance is what costs. It is kept, shared between successive
 posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies nothing. Beyond
@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.conditioning import with_rows, without_factor
 from planopt.channel.connection.connection_outcomes import ConnectionOutcomes, add_outcomes
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.factor import FactorBuffer, spacious
 from planopt.channel.intervals.censoring import (
     MIN_NOISE_VARIANCE_DB2,
@@ -34,19 +33,18 @@ from planopt.channel.measurement_covariance import (
     measured_path_loss_variance_db2,
 )
 from planopt.channel.measurements import Measurements, Table, as_measurements, join
-from planopt.channel.nearest.near_factors import NearFactors
+from planopt.channel.nearest.near_factors import NearFactors, neighbour_sites
 from planopt.channel.nearest.neighbour_information import NeighbourInformation
-from planopt.channel.nearest.neighbour_sites import neighbour_sites
 from planopt.channel.nearest.place_index import PlaceIndex
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_finite
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 MOST_JOINT_SITES = 300
 """Beyond so many censored or coarsely rounded measurements their sites are matched window by window
-(:mod:`planopt.channel.nearest.neighbour_sites`): jointly a sweep costs the cube of their number, at
+(:mod:`planopt.channel.nearest.near_factors`): jointly a sweep costs the cube of their number, at
 750 ten times as much."""
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
@@ -58,7 +56,7 @@ grow."""
 
 @dataclass(frozen=True, eq=False)
 class ChannelPosterior:
-    """The channel given measurements (seed, Lemma 2; universal kriging, theory 4.1).
+    """The channel given measurements (universal kriging, equations 1.6 to 1.8).
 
     Attributes
     ----------
@@ -197,7 +195,7 @@ def condition(
     theta: ThetaRule = "estimated",
     exact_limit: int = EXACT_LIMIT,
 ) -> ChannelPosterior:
-    """Condition the channel model on measurements (seed, Lemma 2).
+    """Condition the channel model on measurements (Lemma 2 of [GM11], equation 1.8).
 
     Parameters
     ----------
@@ -206,11 +204,12 @@ def condition(
     measurements
         Any number, none included. Censored and rounded ones enter as Gaussian sites.
     theta
-        ``estimated``: path loss by generalised least squares, its uncertainty counted (theory
-        4.1); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary least squares
-        where that identifies it, its uncertainty counted too. What kriging leaves of the power at
-        a place is uncorrelated with all measurements, and so with any theta that is linear in
-        them: the variance is s + varphi' M varphi with that theta's error covariance M.
+        ``estimated``: path loss by generalised least squares, its uncertainty counted
+        (equation 1.8); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary
+        least squares where that identifies it, its uncertainty counted too (equation 1.9). What
+        kriging leaves of the power at a place is uncorrelated with all measurements, and so with
+        any theta that is linear in them: the variance is s + varphi' M varphi with that theta's
+        error covariance M.
     exact_limit
         Beyond so many measurements predictions are from the nearest
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation

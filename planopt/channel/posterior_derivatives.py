@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.cholesky import solve_upper
 from planopt.channel.factor import whiten
 from planopt.channel.kriging import kriging_terms
+from planopt.channel.mean_model import MIN_DISTANCE_M
 from planopt.channel.measurement_covariance import ageing
 from planopt.channel.parameters import Station
-from planopt.channel.path_loss import MIN_DISTANCE_M
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -52,7 +52,7 @@ class PosteriorDerivatives:
 def posterior_derivatives(
     posterior: ChannelPosterior, positions_m: ArrayLike
 ) -> PosteriorDerivatives:
-    """Differentiate mean and deviation twice (theory 4.1).
+    """Differentiate mean and standard deviation (equation 1.8) twice.
 
     With r = U^-1 (y - Gamma theta), c = U^-1 phi, A = U^-1 Gamma and b = gamma - A' phi:
 

@@ -1,4 +1,7 @@
-"""Predicted power, and the parts that it is combined from once theta is known."""
+"""Predicted power, and the parts that it is combined from once theta is known.
+
+From predicted power to the probability of being connected.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.short_repr import short_repr
 
@@ -31,7 +35,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class KrigingTerms:
-    """Parts of a prediction that do not depend on theta (theory 4.0), for n places.
+    """Parts of a prediction that do not depend on theta (equation 1.6), for n places.
 
     Attributes
     ----------
@@ -51,7 +55,7 @@ class KrigingTerms:
 def combine(
     terms: KrigingTerms, theta: NDArray[np.float64], theta_covariance: NDArray[np.float64]
 ) -> Prediction:
-    """Mean a + varphi' theta and variance s + varphi' M varphi (theory 4.1)."""
+    """Combine to mean a + varphi' theta and variance s + varphi' M varphi (equation 1.8)."""
     first, second = terms.trend[..., 0], terms.trend[..., 1]
     mean = terms.data_db + first * theta[0] + second * theta[1]
     variance = terms.variance_db2 + (
@@ -60,3 +64,39 @@ def combine(
         + theta_covariance[1, 1] * second**2
     )
     return Prediction(mean, np.sqrt(variance))
+
+
+def bound_quantile(p_min: float) -> float:
+    """Return z_p, the `p_min` quantile of the standard normal (equation 3.2)."""
+    return float(np.asarray(ndtri(p_min), dtype=np.float64))
+
+
+def bound_margin_db(
+    mean_db: NDArray[np.float64],
+    deviation_db: NDArray[np.float64],
+    threshold_dbm: float,
+    p_min: float,
+) -> NDArray[np.float64]:
+    """Return the margin in dB by which P(power >= threshold) >= `p_min` holds (equation 3.2).
+
+    ``mean - z_p deviation - threshold`` with z_p the `p_min` quantile of the standard normal;
+    negative where the bound is missed, NaN where the prediction is. Shapes as `mean_db`.
+    """
+    return mean_db - bound_quantile(p_min) * deviation_db - threshold_dbm
+
+
+def connection_probability(
+    mean_db: NDArray[np.float64], deviation_db: NDArray[np.float64], threshold_dbm: float
+) -> NDArray[np.float64]:
+    """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1).
+
+    NaN where the prediction is; 0 or 1 where the deviation is 0. Shapes as `mean_db`.
+    """
+    above = mean_db - threshold_dbm
+    certain = np.where(above >= 0.0, np.inf, -np.inf)
+    return score_probability(np.divide(above, deviation_db, out=certain, where=deviation_db != 0.0))
+
+
+def score_probability(score: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Phi(score): how probable power above the threshold is, (mean - threshold) / deviation."""
+    return np.asarray(ndtr(score), dtype=np.float64)

@@ -1,8 +1,8 @@
-"""Delta^2(q): how wrong Lemma 2 is when it is computed with wrong parameters.
+"""Delta^2(q): the mean squared error of the posterior with wrong parameters (equation 1.17).
 
 The posterior's own deviation says what is left to know if the parameters are right. This is the
-mean squared error when they are not, so that one can ask which of them is worth learning (seed,
-section II-B and Fig. 1: the path loss exponent).
+mean squared error when they are not, so that one can ask which of them is worth learning (the path
+loss exponent: section II-B and Fig. 1 of [GM11]).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from planopt.channel.cholesky import lower_factor
 from planopt.channel.factor import whiten
 from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.mean_model import regressors
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import EXACT_LIMIT
 from planopt.errors import InputError
 
 PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")
-"""What Fig. 1 perturbs, one at a time: K_PL, n_PL, xi^2, beta and omega."""
+"""What Fig. 1 of [GM11] perturbs, one at a time: K_PL, n_PL, xi^2, beta and omega."""
 
 ELEMENTS = 2**20
 
@@ -36,21 +36,21 @@ def mean_squared_error_db2(
     measured_m: ArrayLike,
     positions_m: ArrayLike,
 ) -> NDArray[np.float64]:
-    """Delta^2(q), exactly, for any error in any parameter (seed, section II-B).
+    """Return Delta^2(q), exactly, for any error in any parameter (equation 1.17).
 
-    With w = U_est^-1 phi_est the weights that Lemma 2 uses and delta theta = theta - theta_est,
+    With w = U_est^-1 phi_est the weights of equation 1.6 and delta theta = theta - theta_est,
 
         Delta^2 = xi^2 + omega^2 - 2 w' phi + w' U w + ((gamma - Gamma' w)' delta theta)^2,
 
-    the seed's expression. The last term is the square of the bias, here formed from the two path
-    losses themselves, so that a wrong station is allowed too. Theta counts as known to Lemma 2.
+    as in [GM11]. The last term is the square of the bias, here formed from the two path losses
+    themselves, so that a wrong station is allowed too. Theta counts as known to the posterior.
 
     Parameters
     ----------
     true
         The channel's parameters.
     assumed
-        Those that Lemma 2 is computed with.
+        Those that the posterior is computed with.
     measured_m
         ``(kappa, 2)`` where power was measured, none of it censored; may be empty.
     positions_m
@@ -78,7 +78,7 @@ def mean_squared_error_db2(
     count = len(measured)
     total = shadow_covariance_db2(measured, measured, true)
     total[np.diag_indices(count)] += true.multipath_std_db**2
-    # Lemma 2 as planopt computes it, least nugget included.
+    # The posterior as planopt computes it, least nugget included.
     believed = shadow_covariance_db2(measured, measured, assumed)
     believed[np.diag_indices(count)] += max(assumed.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
     precision = _inverse(believed)
@@ -135,7 +135,7 @@ def sensitivity_curves(
     positions_m: NDArray[np.float64],
     relative_errors: Sequence[float],
 ) -> dict[str, NDArray[np.float64]]:
-    """Average of Delta^2 over places against the error in each parameter (seed, Fig. 1).
+    """Average Delta^2 over places against the error in each parameter (Fig. 1 of [GM11]).
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ MAX_INFORMATION_CONDITION = 1e10
 def theta_estimate(
     parameters: ChannelParameters, products: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Theta and its covariance M (seed, section III; theory 4.1).
+    """Estimate theta and its covariance M (equation 1.7).
 
     Parameters
     ----------

@@ -64,8 +64,8 @@ def compare(
 ) -> int:
     """Compare settings. Exit code 0 verified throughout, 3 not throughout, 4 a run not ended."""
     from planopt.planning.files.saved import write_record
-    from planopt.problems.load import load
     from planopt.problems.overrides import with_overrides
+    from planopt.problems.systems import Request, SystemProblem, load_any
     from planopt.report.tables import comparison_text
     from planopt.studies.compare import compare_horizons, default_costs_to_go
     from planopt.studies.study import BACKENDS
@@ -74,10 +74,28 @@ def compare(
         raise InputError(
             f"{backend!r} is not there", key="--backend", remedy=f"use {', '.join(BACKENDS)}"
         )
-    asked = load(problem)
+    asked = load_any(problem)
+    steps = listed(horizons, "--horizons", int)
+    if isinstance(asked, SystemProblem):
+        from planopt.commands.systems import answer_command
+
+        return answer_command(
+            asked,
+            "compare",
+            Request(
+                first_seed,
+                steps,
+                () if planners is None else listed(planners, "--planners", str),
+                range(first_seed, first_seed + seeds),
+            ),
+            out=out,
+            json=json,
+            replaced=COMPARISON,
+            file=COMPARISON_FILE,
+            not_for_it={"--costs-to-go": costs_to_go, "--calibration": calibration},
+        )
     if calibration is not None:
         asked = with_overrides(asked, calibration=calibration)
-    steps = listed(horizons, "--horizons", int)
     names = (asked.planner.name,) if planners is None else listed(planners, "--planners", str)
     ways = None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str)
     # Settings that are not allowed are found before the first run.

@@ -11,7 +11,7 @@ import typer
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
-    from planopt.channel.validation.grouped_ratio import GroupedRatio
+    from planopt.channel.validation.held_out import GroupedRatio
     from planopt.channel.validation.held_out_report import HeldOutReport, HeldOutScore
     from planopt.commands.log_fit import LogFit
 

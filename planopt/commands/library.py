@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from planopt.commands.options import JsonOption
 from planopt.commands.output import show
+from planopt.errors import InputError
 
 
 def list_problems(json: JsonOption = False) -> int:
@@ -23,12 +28,26 @@ def list_problems(json: JsonOption = False) -> int:
     return 0
 
 
-def schema(json: JsonOption = False) -> int:
+def schema(
+    task: Annotated[
+        str | None,
+        typer.Option("--task", metavar="NAME", help="A task with tables of its own."),
+    ] = None,
+    json: JsonOption = False,
+) -> int:
     """Print the JSON schema of problem files; --json prints it on one line."""
     from json import dumps
 
     from planopt.problems.schema import json_schema
+    from planopt.problems.systems import SYSTEMS, system_of
 
-    definition = json_schema()
+    system = system_of(task)
+    if task is not None and system is None:
+        raise InputError(
+            f"{task!r} has no tables of its own",
+            key="--task",
+            remedy=f"one of {', '.join(SYSTEMS)}, or nothing for motion planning",
+        )
+    definition = json_schema() if system is None else json_schema(system.model)
     show(json, definition, dumps(definition, indent=2))
     return 0

@@ -13,8 +13,7 @@ import typer
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
-    from planopt.channel.estimation.channel_fit import ChannelFit
-    from planopt.channel.estimation.fit_method import Loss
+    from planopt.channel.estimation.channel_fit import ChannelFit, Loss
     from planopt.channel.logs.log_format import LogFormat
     from planopt.channel.measurements import Measurements
     from planopt.channel.station.station_position import StationMethod
@@ -150,8 +149,8 @@ def read_and_fit(
     InputError
         An option or the log cannot be used; errors about a measurement name its line.
     """
+    from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel
-    from planopt.channel.estimation.fit_method import require_loss, require_method
     from planopt.channel.logs.log_file import at_file_line, parse_station, read_power_log
     from planopt.channel.station.station_search import fit_channel_and_station
 

@@ -53,11 +53,30 @@ def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
         out: OutOption = None,
         json: JsonOption = False,
     ) -> int:
-        from planopt.problems.load import load
         from planopt.problems.overrides import with_overrides
+        from planopt.problems.systems import Request, SystemProblem, load_any
 
+        found = load_any(problem)
+        if isinstance(found, SystemProblem):
+            from planopt.commands.systems import answer_command
+            from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
+
+            return answer_command(
+                found,
+                answer.__name__,
+                Request(
+                    seed,
+                    () if horizon is None else (horizon,),
+                    () if planner is None else (planner,),
+                ),
+                out=out,
+                json=json,
+                replaced=PLAN_OR_RUN,
+                file=PLAN_FILE if answer.__name__ == "solve" else RUN_FILE,
+                not_for_it={"--cost-to-go": cost_to_go, "--calibration": calibration},
+            )
         asked = with_overrides(
-            load(problem),
+            found,
             horizon=horizon,
             planner=planner,
             cost_to_go=cost_to_go,

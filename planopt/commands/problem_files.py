@@ -56,10 +56,14 @@ def init(
 
 def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
     """Print what a problem file says; --json prints all of it, with every default."""
-    from planopt.problems.load import load
     from planopt.problems.save import problem_to_dict
+    from planopt.problems.systems import SystemProblem, load_any
 
-    found = load(problem)
+    found = load_any(problem)
+    if isinstance(found, SystemProblem):
+        lines = found.system.words(found)
+        show(json, found.tables() if json else {}, "\n".join(lines))
+        return 0
     show(json, problem_to_dict(found) if json else {}, problem_in_words(found))
     return 0
 
@@ -67,9 +71,12 @@ def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
 def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
     """Check a problem file, its maps and logs, and that the channel can be fitted."""
     from planopt.planning.prepare import prepare
-    from planopt.problems.load import load
+    from planopt.problems.systems import SystemProblem, load_any
 
-    found = load(problem)
+    found = load_any(problem)
+    if isinstance(found, SystemProblem):
+        show(json, {"problem": found.name, "valid": True}, f"{found.name}: valid")
+        return 0
     with progress("reading maps and logs"):
         prepared = prepare(found, 0)
     fits = [belief.fit for belief in (prepared.belief, *prepared.belief.further)]

@@ -1,4 +1,4 @@
-"""What a batch of future measurements would tell: S, B and mu of theory 4.0, and covariances of it.
+"""A batch of future measurements: S, B and mu of equation 1.11, and covariances with them.
 
 Learning path loss and mapping the channel both ask what is known after the robot has measured at
 q_1 .. q_h. That does not depend on the values it will measure, only on these terms.
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.factor import unwhiten, whiten
 from planopt.channel.joint import joint_terms
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import covariance_db2, place_origins
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -23,7 +23,7 @@ from planopt.objectives.near_posterior import factored_near
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """h future measurements, given those there are (theory 4.0).
+    """Moments of h future measurements, given those there are (equation 1.11).
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ def cross_covariance_db2(
 ) -> NDArray[np.float64]:
     """Covariance of what is measured on a path with the power at other places; ``(h, g)``.
 
-    c(q) = k_h(q) - Phi' U^-1 phi(q) (theory 4.5), plus B M varphi(q) where `universal`.
+    c(q) = k_h(q) - Phi' U^-1 phi(q) (equation 4.6), plus B M varphi(q) where `universal`.
 
     Parameters
     ----------

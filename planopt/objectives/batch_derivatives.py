@@ -1,4 +1,4 @@
-"""S and B of theory 4.0 with first and second derivatives by the path, from a local channel.
+"""S and B of equation 1.11 with first and second derivatives by the path, from a local channel.
 
 Row and column i of S, and row i of B, depend on q_i. So the derivative of S by coordinate a of q_i
 is ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are kept. Coordinates are numbered

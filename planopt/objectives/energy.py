@@ -1,4 +1,4 @@
-"""Energy to move and to transmit: costs, in joules (theory 3.2)."""
+"""Energy to move and to transmit: costs, in joules (equations 4.14 and 4.15)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NEPERS_PER_DB = math.log(10.0) / 10.0
 
 @dataclass(frozen=True)
 class Motion:
-    """Power P = k_1 v + k_2 while the robot is on its way (Mei et al. 2006).
+    """Power P = k_1 v + k_2 while the robot is on its way (equation 4.14).
 
     Attributes
     ----------

@@ -1,9 +1,9 @@
 """What the packets of a path are worth to the station's filter, less that of receiving nothing.
 
-Three measures (theory 4.6), of one robot's path or of many at once:
+Three measures (equations 4.9 to 4.13), of one robot's path or of many at once:
 
 - :func:`information_gain`: at least the expected gain of information, however losses belong
-  together; for one step the seed's (4);
+  together; for one step equation 4.11;
 - :func:`covariance_gain`: the covariance recursion, which takes losses as independent in time.
   Under shadowing they are not, and it is no bound;
 - :func:`sampled_gain`: the expected gain itself, over a fixed set of draws of the joint law.
@@ -39,7 +39,7 @@ def information_gain(
 ) -> NDArray[np.float64]:
     """sum_k w_k (tr J-bar_k - tr J_k without packets); ``(...)``.
 
-    The trace is the seed's, of position (per m^2) and velocity (s^2 / m^2) together.
+    The trace is of position (per m^2) and velocity (s^2 / m^2) together.
 
     Parameters
     ----------

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import ageing
 from planopt.channel.nearest.neighbours import local_precision
+from planopt.channel.offsets import offsets_given_theta
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.receiver_offsets import offsets_given_theta
 
 
 @dataclass(frozen=True, eq=False)

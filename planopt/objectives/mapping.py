@@ -1,7 +1,7 @@
-"""What a path is worth for the map of the channel: the seed's (3) and its multi-step forms.
+"""The value of a path for the map of the channel (equations 4.3 to 4.6).
 
-`universal` says which variance counts: that as if theta were known (the seed's Lemma 2), or that
-with the uncertainty of theta (theory 4.5, exact). Where theta is known they are the same.
+`universal` says which variance counts: that as if theta were known (Lemma 2 of [GM11]), or that
+with the uncertainty of theta (exact). Where theta is known they are the same.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from planopt.objectives.weights import require_weights
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """The seed's J_CH: where variance counts, and how much nearness does.
+    """Settings of J_CH (equation 4.3): where variance counts, and how much nearness does.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Where the map is wanted (the seed's footnote 3).
+    """Where the map is wanted (equation 4.6; footnote 3 of [GM11]).
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ def channel_uncertainty(
     distance_m: NDArray[np.float64],
     settings: Uncertainty,
 ) -> NDArray[np.float64]:
-    """J_CH(q) = max{0, sigma^2(q) - sigma_TH^2} psi(d), dB^2 (seed, section III-A2); ``(n,)``.
+    """Return J_CH(q) = max{0, sigma^2(q) - sigma_TH^2} psi(d), dB^2 (equation 4.3); ``(n,)``.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def channel_uncertainty(
     positions_m
         ``(n, 2)`` q, none of them measured: there the power is known.
     distance_m
-        ``(n,)`` from the robot to each, straight as in the seed or around obstacles.
+        ``(n,)`` from the robot to each, straight as in [GM11] or around obstacles.
     settings
         Threshold and decay.
     """
@@ -109,7 +109,7 @@ def uncertainty_target(
     distance_m: NDArray[np.float64],
     settings: Uncertainty,
 ) -> int | None:
-    """Index of q* = argmax J_CH among the allowed places, the outer layer of (3).
+    """Return the index of q* = argmax J_CH (equation 4.3) among the allowed places.
 
     None where no place is above the threshold: the map is good enough. Arguments as
     :func:`channel_uncertainty`; the caller leaves out obstacles and measured places. Of equals the
@@ -126,7 +126,7 @@ def path_uncertainty(
     settings: Uncertainty,
     measured: NDArray[np.bool_] | None = None,
 ) -> float:
-    """sum_i max{0, L_ii^2 - sigma_TH^2} psi(l_i), dB^2 (theory 4.5); J_CH(q_1) for h = 1.
+    """Return sum_i max{0, L_ii^2 - sigma_TH^2} psi(l_i), dB^2 (equation 4.4).
 
     L_ii^2 is the variance at q_i after the earlier places of the path, l_i the length of the path
     up to it from `settings.start_m`. The sum is over the measured places.
@@ -155,10 +155,10 @@ def path_uncertainty(
 def path_information(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], universal: bool = True
 ) -> float:
-    """1/2 log det S - h/2 log omega^2, nats: what the path's measurements tell of the channel.
+    """Return 1/2 log det S - h/2 log omega^2, the information on the channel in nats.
 
-    Monotone and submodular in the set of places (theory 4.5). For h = 1 it has the maximiser of
-    (3) with psi = 1 and sigma_TH = 0.
+    Monotone and submodular in the set of places (equation 4.5). For h = 1 it has the maximiser of
+    J_CH with psi = 1 and sigma_TH = 0.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def average_reduction(
     settings: Region,
     known: KnownPlaces | None = None,
 ) -> float:
-    """sum_g w_g (sigma_t^2(g) - sigma_{t+h}^2(g)) = sum_g w_g c(g)' S^-1 c(g), dB^2 (theory 4.5).
+    """Return sum_g w_g (sigma_t^2(g) - sigma_{t+h}^2(g)) in dB^2 (equation 4.6).
 
     Parameters
     ----------

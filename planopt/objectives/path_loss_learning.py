@@ -1,6 +1,6 @@
-"""What a path teaches about path loss: the seed's (2) and its multi-step forms (theory 4.4).
+"""Information on path loss that a path gathers, in several criteria (equations 4.1 and 4.2).
 
-All rest on M_{t+h}^-1 = M_t^-1 + B' S^-1 B, which is exact. The seed maximises the trace of the
+All rest on M_{t+h}^-1 = M_t^-1 + B' S^-1 B, which is exact. [GM11] maximises the trace of the
 increment, criterion T. That is scale dependent, (10 log10 d)^2 dominates it and the robot runs for
 the far walls; D, the default, and A and V look at what is left unknown instead.
 
@@ -35,7 +35,7 @@ class Criterion:
     Attributes
     ----------
     kind
-        ``T``: tr(N - M_t^-1), the seed's (2). ``D``: log det N. ``A``: -tr N^-1.
+        ``T``: tr(N - M_t^-1), equation (2) of [GM11]. ``D``: log det N. ``A``: -tr N^-1.
         ``V``: -tr(G N^-1).
     goal
         ``(2, 2)`` G = sum_g w_g varphi(g) varphi(g)', from :func:`goal_criterion`; read by V only.
@@ -89,9 +89,9 @@ class Criterion:
 def goal_criterion(
     posterior: ChannelPosterior, goals_m: NDArray[np.float64], weight: NDArray[np.float64]
 ) -> Criterion:
-    """V: learn theta where it matters, -sum_g w_g varphi(g)' M_{t+h} varphi(g) (theory 4.4).
+    """Return V, -sum_g w_g varphi(g)' M_{t+h} varphi(g): theta where it matters (equation 4.2).
 
-    varphi(g) is today's, as in theory 4.4: what theta adds to the variance at g before the path's
+    varphi(g) is today's: what theta adds to the variance at g before the path's
     own measurements are used for shadowing there.
 
     Parameters
@@ -116,7 +116,7 @@ def goal_criterion(
 def path_loss_value(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], criterion: Criterion
 ) -> float:
-    """What measuring at `path_m` (h, 2) is worth for theta; equation (2) for T and h = 1.
+    """Return the criterion's value of measuring at `path_m` (h, 2) (equations 4.1 and 4.2).
 
     Raises
     ------
@@ -148,7 +148,7 @@ def path_loss_one_step(
 ) -> NDArray[np.float64]:
     """The value of a path of one step to each of `positions_m` (n, 2), together; ``(n,)``.
 
-    For T the seed's J_PL = ``|varphi(q)|^2 / sigma^2(q)`` with sigma^2 as if theta were known.
+    For T it is ``|varphi(q)|^2 / sigma^2(q)`` with sigma^2 as if theta were known, as in [GM11].
     """
     terms = kriging_terms(posterior, require_places(positions_m))
     gained = terms.trend[:, :, None] * terms.trend[:, None, :]

@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.mean_model import MIN_DISTANCE_M
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import MIN_DISTANCE_M
 from planopt.targets.rounding import Derivatives, radial
 
 CUSP_ROUNDING = 0.01

@@ -1,4 +1,4 @@
-"""Tracking: information that reaches the station, as the seed's (4) and its additive sum.
+"""Tracking: information that reaches the station, summed over steps (equation 4.11).
 
 A packet counts with the probability that it arrives. Summed over steps and robots that needs no
 joint law, so that a dynamic programme can plan with it; :mod:`planopt.objectives.tracking_filter`
@@ -60,7 +60,7 @@ def tracking_reward(
     stage: int,
     settings: Tracking,
 ) -> NDArray[np.float64]:
-    """w_k P(connected) tr Phi^-1(q, p_hat_{t+k|t}) per m^2 (seed, equation (4)); ``(n,)``.
+    """Return w_k P(connected) tr Phi^-1(q, p_hat_{t+k|t}) per m^2 (equation 4.11); ``(n,)``.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def tracking_stage_rewards(
 def tracking_value(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Tracking
 ) -> float:
-    """sum_k w_k P(connected at q_k) tr Phi^-1(q_k, p_hat_{t+k|t}); equation (4) for h = 1.
+    """Return sum_k w_k P(connected at q_k) tr Phi^-1(q_k, p_hat_{t+k|t}) (equation 4.11).
 
     Raises
     ------

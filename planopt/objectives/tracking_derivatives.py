@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import score_probability
+from planopt.channel.prediction import score_probability
 from planopt.targets.rounding import Derivatives, add_products
 
 

@@ -1,9 +1,9 @@
 """Tracking as the station's filter sees it: two recursions, and sampling that is right.
 
 The bound on information holds however the losses belong together. The recursion for the covariance
-holds for losses that are independent in time, which under shadowing they are not: with the seed's
-outdoor channel it claims a third to an eighteenth of what is true. It is never a bound there, and
-only sampling the joint law of the losses says what is to be expected (theory 4.6).
+holds for losses that are independent in time, which under shadowing they are not: with the outdoor
+channel of [GM11] it claims a third to an eighteenth of what is true. It is never a bound there, and
+only sampling the joint law of the losses says what is to be expected (equations 4.9 to 4.13).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.sampled_distribution import SampledDistribution
+from planopt.channel.connection.connection_law import SampledDistribution
 from planopt.channel.joint import sample_power
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -61,11 +61,11 @@ def information_bound(
     paths_m: Sequence[NDArray[np.float64]],
     settings: FilteredTracking,
 ) -> float:
-    """sum_k w_k tr J-bar_k, at least sum_k w_k E tr J_k (theory 4.6); a value.
+    """Return sum_k w_k tr J-bar_k, at least sum_k w_k E tr J_k (equation 4.12); a value.
 
     J-bar_{k+1} = (A J-bar_k^-1 A' + B Theta B')^-1 + sum_i p_i H' Lambda_i^-1 H. The prediction is
     concave in J and the update linear in the losses, so that this holds whatever their joint law
-    is. For h = 1 it is (4) plus a constant. The trace is the seed's, of position (per m^2) and
+    is. For h = 1 it is equation 4.11 plus a constant. The trace is of position (per m^2) and
     velocity (s^2 / m^2) together.
 
     Parameters
@@ -118,7 +118,7 @@ def covariance_recursion_m2(
 
     P-bar+ = P- - p P- H' (H P- H' + Lambda)^-1 H P-, for the robots one after the other. It is at
     least E tr P where losses are independent in time. **Under shadowing it is no bound and far too
-    small** (theory 4.6): report :func:`sampled_tracking` instead. Arguments as
+    small** (equation 4.13): report :func:`sampled_tracking` instead. Arguments as
     :func:`information_bound`.
     """
     arrival, sensing = delivery(posteriors, paths_m, settings.tracking)

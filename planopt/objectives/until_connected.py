@@ -1,4 +1,4 @@
-"""How far a robot drives along a path until it is connected (theory 4.3): a cost, in metres."""
+"""How far a robot drives along a path until it is connected (equation 4.16): a cost, in metres."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.problems.problem import Problem
 
 

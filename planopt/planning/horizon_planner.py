@@ -20,8 +20,6 @@ from planopt.planning.shifted import shifted_path
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import is_measured
-from planopt.problems.objective import MotionEnergyTerm
 from planopt.problems.problem import Problem
 
 
@@ -91,14 +89,14 @@ class HorizonPlanner:
         None where one does, where a term asks for more than measurements, or none is left.
         """
         terms = self.problem.terms
-        if not any(map(is_measured, terms)) or not all(
-            is_measured(term) or isinstance(term, MotionEnergyTerm) for term in terms
+        if not any(term.is_measured for term in terms) or not all(
+            term.is_measured or term.is_motion_cost for term in terms
         ):
             return None
         worth = PathWorth(situation)
         for start in starts:
             gains = zip(terms, worth.by_term(start.path_m), strict=True)
-            if any(gain > 0.0 for term, gain in gains if is_measured(term)):
+            if any(gain > 0.0 for term, gain in gains if term.is_measured):
                 return None
         return way_to_unmeasured(situation, self.ground)
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.connectivity import connection_probability
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.candidate import Candidate
 from planopt.planning.message import plan_message

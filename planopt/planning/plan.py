@@ -94,7 +94,7 @@ class Plan:
         ``(N + 1, 2)`` now and after each step; the way between is straight.
     mean_dbm, deviation_db, connectivity
         ``(N + 1,)`` predicted power, its deviation and P(connected) at those places, from the
-        exact posterior (today's deviation: theory 4.1).
+        exact posterior (today's standard deviation, equation 3.2).
     objective
         What the plan is worth: a cost in seconds, cost to go included, where a goal is to be
         reached (sense: min), else the weighted sum of the terms (sense: max).

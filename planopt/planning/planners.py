@@ -14,8 +14,8 @@ from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
-from planopt.planning.programme.methods import METHODS
 from planopt.planning.worth.situation import Situation
+from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem
 
 
@@ -52,23 +52,35 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
     Raises
     ------
     InputError
-        The planner is not for the robot's dynamics.
+        The planner is not for the robot's dynamics, or cannot be imported.
     """
-    robot = problem.robots[0]
-    if robot.dynamics is not None and problem.planner.name not in (*METHODS, "lattice"):
+    robot, kind = problem.robots[0], planner_kind(problem.planner.name)
+    if robot.dynamics is not None and not kind.has_dynamics:
         raise InputError(
-            f"is {problem.planner.name}, which plans for single integrators only; "
+            f"is {kind.name}, which plans for single integrators only; "
             f"{robot.name} is a {robot.dynamics.kind}",
             file=problem.file,
             key="planner.name",
-            remedy="use auto, nlp, scp or lattice",
+            remedy=f"use {names_with('has_dynamics')}",
         )
-    match problem.planner.name:
-        case "auto" | "nlp" | "scp" | "lattice":
-            return HorizonPlanner(problem, ground)
-        case "one_step":
-            return OneStepPlanner(problem, ground)
-        case "random":
-            return RandomPlanner(problem, ground, generator)
-        case "lawnmower":
-            return LawnmowerPlanner(problem, ground)
+    return kind.maker()(problem, ground, generator)
+
+
+def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
+    """Make the planner that searches, refines and verifies over a horizon."""
+    return HorizonPlanner(problem, ground)
+
+
+def one_step_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
+    """Make the baseline that looks one step ahead."""
+    return OneStepPlanner(problem, ground)
+
+
+def random_planner(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
+    """Make the baseline that walks at random."""
+    return RandomPlanner(problem, ground, generator)
+
+
+def lawnmower_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
+    """Make the baseline that mows the workspace."""
+    return LawnmowerPlanner(problem, ground)

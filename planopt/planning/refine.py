@@ -9,8 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_quantile
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_quantile
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate

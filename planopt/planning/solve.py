@@ -55,7 +55,7 @@ def solve(
     return _solved(problem, prepare(problem, seed).belief, seed, scene)
 
 
-def solve_on(problem: Problem, belief: Belief, seed: int) -> Solution:
+def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = None) -> Solution:
     """Plan for each robot from its start, on a belief that is given.
 
     Parameters
@@ -66,13 +66,16 @@ def solve_on(problem: Problem, belief: Belief, seed: int) -> Solution:
         Of the channel, the same for all robots.
     seed
         Of the first estimate of a target, and of planners that draw.
+    scene
+        Geometry of a problem with a goal, if it is built already.
 
     Raises
     ------
     NoPlanError
         Obstacles cut the goal off.
     """
-    scene = build_scene(problem) if problem.task == "reach" else None
+    if scene is None and problem.task == "reach":
+        scene = build_scene(problem)
     return _solved(problem, belief, seed, scene)
 
 

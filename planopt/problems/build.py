@@ -97,7 +97,7 @@ def _objective(tables: ProblemFile) -> ReachObjective | TermsObjective:
     table = tables.objective
     if tables.problem.task == "reach":
         return ReachObjective(table.effort_weight_s2_m2, table.cost_to_go, table.outage_price)
-    return TermsObjective(tuple(term.term for term in table.terms))
+    return TermsObjective(tuple(table.terms))
 
 
 def _obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:

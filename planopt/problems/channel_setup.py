@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from planopt.channel.estimation.fit_method import FitMethod
+from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
 
 CalibrationName = Literal["none", "platt"]

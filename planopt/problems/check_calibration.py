@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from planopt.errors import InputError
-from planopt.objectives.expression import names_in
-from planopt.problems.objective import CasadiTerm, Term, TrackingTerm, UntilConnectedTerm
 from planopt.problems.problem import Problem
 
 KEY = "channel.calibration"
@@ -31,7 +29,7 @@ def check_calibration(problem: Problem) -> None:
             remedy=f"{NORMAL}, or ask for path_loss: outcomes show what the estimate misses",
         )
     for number, term in enumerate(problem.terms):
-        words = _why_not(term)
+        words = term.calibration_fault
         if words is not None:
             raise InputError(
                 f'is "{problem.channel.calibration}", and {words}',
@@ -39,16 +37,3 @@ def check_calibration(problem: Problem) -> None:
                 key=KEY,
                 remedy=f"{NORMAL}, or change objective.terms[{number}]",
             )
-
-
-def _why_not(term: Term) -> str | None:
-    """Why a term does not go with a calibrated law; None where it does."""
-    if isinstance(term, UntilConnectedTerm):
-        return "the distance until connected rests on the normal law of a whole path"
-    if isinstance(term, TrackingTerm) and term.form == "sampled":
-        return 'tracking of the form "sampled" draws from the normal law of a whole path'
-    if isinstance(term, CasadiTerm):
-        for name in ("mean_db", "deviation_db"):
-            if name in names_in(term.program):
-                return f"an expression reads {name}, which would stand for the calibrated law"
-    return None

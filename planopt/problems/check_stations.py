@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from planopt.errors import InputError
-from planopt.objectives.expression import names_in
 from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
-from planopt.problems.objective import CasadiTerm, MappingTerm, Term
 from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import MOST_PROBABLE_DRAWN
 from planopt.problems.station_sources import log_of, raster_truth_of
@@ -29,8 +27,6 @@ def check_stations(problem: Problem) -> None:
     if len(problem.stations) > 1:
         _check_own_channels(problem)
         _check_rule(problem)
-        for number, term in enumerate(problem.terms):
-            _check_term(problem, term, f"objective.terms[{number}]")
 
 
 def _check_keys(problem: Problem) -> None:
@@ -115,24 +111,3 @@ def _check_rule(problem: Problem) -> None:
             key="constraints.parameter_uncertainty",
             remedy=f"ask for path_loss, or {ONE_STATION}",
         )
-
-
-def _check_term(problem: Problem, term: Term, key: str) -> None:
-    """Terms that are of the one power that there is."""
-    if isinstance(term, MappingTerm) and term.form == "two_layer":
-        raise InputError(
-            f"two_layer steers by one station's map, and there are {len(problem.stations)}",
-            file=problem.file,
-            key=f"{key}.form",
-            remedy=f"information, average or path, or {ONE_STATION}",
-        )
-    if isinstance(term, CasadiTerm):
-        for name in ("mean_db", "deviation_db"):
-            if name in names_in(term.program):
-                raise InputError(
-                    f"reads {name}, which is of one station's power, and there are "
-                    f"{len(problem.stations)} stations",
-                    file=problem.file,
-                    key=f"{key}.program",
-                    remedy=f"read connectivity, which is to any of them, or {ONE_STATION}",
-                )

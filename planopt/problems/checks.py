@@ -7,15 +7,14 @@ the key to change.
 from __future__ import annotations
 
 from planopt.errors import InputError
+from planopt.objectives.terms.term import Term, TermSetting
 from planopt.problems.check_apart import check_apart
 from planopt.problems.check_calibration import check_calibration
 from planopt.problems.check_channel import check_channel
-from planopt.problems.check_expression import check_expression
 from planopt.problems.check_motion import check_stopping
 from planopt.problems.check_place import check_bounds, check_place
 from planopt.problems.check_size import check_size
 from planopt.problems.check_stations import check_stations
-from planopt.problems.objective import CasadiTerm
 from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import check_rule
 from planopt.world.clearance import index_obstacles
@@ -50,8 +49,21 @@ def check(problem: Problem) -> None:
     check_rule(problem)
     check_size(problem)
     for number, term in enumerate(problem.terms):
-        if isinstance(term, CasadiTerm):
-            check_expression(problem, term, f"objective.terms[{number}]")
+        _check_term(problem, term, f"objective.terms[{number}]")
+
+
+def _check_term(problem: Problem, term: Term, key: str) -> None:
+    """A term can be planned for in its problem."""
+    setting = TermSetting(problem.planner.horizon, len(problem.stations), bool(problem.targets))
+    try:
+        term.check(setting)
+    except InputError as error:
+        raise InputError(
+            error.message,
+            file=problem.file,
+            key=f"{key}.{error.key}" if error.key else key,
+            remedy=error.remedy,
+        ) from None
 
 
 def _check_step(problem: Problem, number: int) -> None:

@@ -24,11 +24,14 @@ class LibraryEntry:
         For people.
     path
         Its file.
+    task
+        What it asks for.
     """
 
     name: str
     description: str
     path: Path
+    task: str
 
 
 def library_folder() -> Path:
@@ -47,7 +50,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
         A file of the library does not parse or has no ``[problem]`` table with a description.
     """
     return tuple(
-        LibraryEntry(path.stem, _description(path), path)
+        LibraryEntry(path.stem, _text(path, "description", ""), path, _text(path, "task", "reach"))
         for path in sorted(library_folder().glob(f"*{SUFFIX}"))
     )
 
@@ -84,13 +87,14 @@ def find_problem(path_or_name: Path | str) -> Path:
     raise InputError("there is no such file", file=path, remedy=nearest(path.stem, known))
 
 
-def _description(path: Path) -> str:
-    """Return the description in `path`, without the seconds that validating all of it takes."""
+def _text(path: Path, key: str, default: str) -> str:
+    """Return a text of ``[problem]``, without the seconds that validating all of it takes."""
     head: Any = read_toml(path).get("problem")
-    tables = cast("dict[str, Any]", head if isinstance(head, dict) else {"description": None})
-    description = tables.get("description", "")
-    if not isinstance(description, str):
+    # Not even a table: the error below names the key.
+    tables = cast("dict[str, Any]", head if isinstance(head, dict) else {key: None})
+    text = tables.get(key, default)
+    if not isinstance(text, str):
         raise InputError(
-            "is missing or no text", file=path, key="problem.description", remedy="one sentence"
+            "is missing or no text", file=path, key=f"problem.{key}", remedy="one sentence"
         )
-    return description
+    return text

@@ -37,9 +37,20 @@ def load(path_or_name: Path | str) -> Problem:
         is not allowed, an obstacle is no polygon, a named file is missing, or a start or goal is
         not free.
     """
+    from planopt.problems.systems import task_of_system  # imports this module
+
     path = find_problem(path_or_name)
     require_text(str(path.absolute()), "the path")
-    problem = problem_from_tables(read_toml(path), folder=path.absolute().parent, file=path)
+    data = read_toml(path)
+    task = task_of_system(data)
+    if task is not None:
+        raise InputError(
+            f"is {task}, which is no motion planning",
+            file=path,
+            key="problem.task",
+            remedy="load it with planopt.load_system",
+        )
+    problem = problem_from_tables(data, folder=path.absolute().parent, file=path)
     check_files(problem)
     return problem
 

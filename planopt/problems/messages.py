@@ -12,7 +12,7 @@ import re
 import reprlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, Protocol, cast, get_args, runtime_checkable
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -27,6 +27,16 @@ LONGEST_KEY = 100
 """Keys and names are compared with known ones up to this length."""
 
 KeyPath = tuple[str | int, ...]
+
+
+@runtime_checkable
+class OpenTables(Protocol):
+    """Alternatives of a table that are known only when a file is read."""
+
+    def tables(self) -> Sequence[type[BaseModel]]:
+        """Return their models."""
+        ...
+
 
 _ALLOWED = {
     "bool_type": "should be true or false",
@@ -203,7 +213,9 @@ def _kinds(model: type[BaseModel]) -> tuple[object, ...]:
 
 
 def _tables(annotation: Any) -> list[type[BaseModel]]:
-    """Every table that `annotation` mentions."""
+    """Every table that `annotation` mentions, those of an open set at the time of asking."""
+    if isinstance(annotation, OpenTables):
+        return list(annotation.tables())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [table for inner in get_args(annotation) for table in _tables(inner)]

@@ -5,16 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from planopt.objectives.terms.expression import CasadiTerm
+from planopt.objectives.terms.learning import LearningCriterion, LearningTerm
+from planopt.objectives.terms.mapping import MappingForm, MappingTerm
+from planopt.objectives.terms.motion_energy import MotionEnergyTerm
+from planopt.objectives.terms.term import Term
+from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
+from planopt.objectives.terms.transmission_energy import TransmissionEnergyTerm
+from planopt.objectives.terms.until_connected import UntilConnectedTerm
+
+__all__ = [
+    "CasadiTerm",
+    "CostToGo",
+    "LearningCriterion",
+    "LearningTerm",
+    "MappingForm",
+    "MappingTerm",
+    "MotionEnergyTerm",
+    "ReachObjective",
+    "Term",
+    "TermsObjective",
+    "TrackingForm",
+    "TrackingTerm",
+    "TransmissionEnergyTerm",
+    "UntilConnectedTerm",
+]
+
 CostToGo = Literal["geodesic", "connected"]
-
-
-TrackingForm = Literal["additive", "information", "covariance", "sampled"]
-
-
-LearningCriterion = Literal["T", "D", "A", "V"]
-
-
-MappingForm = Literal["two_layer", "path", "information", "average"]
 
 
 @dataclass(frozen=True)
@@ -39,164 +56,6 @@ class ReachObjective:
     effort_weight_s2_m2: float
     cost_to_go: CostToGo
     outage_price: float = 10.0
-
-
-@dataclass(frozen=True)
-class TrackingTerm:
-    """What the packets of a path tell the station of the target (seed, (4); theory 4.6).
-
-    A packet sent at distance r of the target's predicted position has the information 1 / g(r),
-    ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
-
-    Attributes
-    ----------
-    weight
-        In the sum of terms.
-    noise_curvature, noise_floor_m2, sweet_spot_m
-        The seed's varpi, nu (m^2) and r_s.
-    form
-        ``additive``: P(connected) / g(r) of each step, the seed's. The others follow the station's
-        filter: ``information`` bounds the expected gain of information from above, ``covariance``
-        removes covariance as if losses were independent in time, ``sampled`` averages over joint
-        losses.
-    """
-
-    weight: float
-    noise_curvature: float
-    noise_floor_m2: float
-    sweet_spot_m: float
-    form: TrackingForm = "additive"
-
-
-@dataclass(frozen=True)
-class LearningTerm:
-    """Information on path loss gathered along the way (seed, (2); theory 4.4).
-
-    Attributes
-    ----------
-    weight
-        In the sum of terms.
-    criterion
-        ``T`` (the seed's trace), ``D``, ``A`` or ``V`` (prediction over the workspace).
-    """
-
-    weight: float
-    criterion: LearningCriterion
-
-
-@dataclass(frozen=True)
-class MappingTerm:
-    """Uncertainty of the channel removed along the way (seed, (3); theory 4.5).
-
-    Attributes
-    ----------
-    weight
-        In the sum of terms.
-    form
-        ``two_layer`` (the seed's: steer to the maximiser of J_CH), ``path`` (J_CH summed along the
-        path), ``information`` or ``average`` (over the workspace, the seed's footnote 3).
-    variance_threshold_db2
-        sigma_TH^2 in dB^2.
-    closeness_per_m
-        zeta of ``psi(d) = exp(-zeta d)``.
-    """
-
-    weight: float
-    form: MappingForm
-    variance_threshold_db2: float
-    closeness_per_m: float
-
-
-@dataclass(frozen=True)
-class MotionEnergyTerm:
-    """Energy of motion, a cost (theory 3.2): k1 |v| + k2 while moving, in joules.
-
-    Attributes
-    ----------
-    weight
-        In the sum of terms, per joule; the energy is subtracted.
-    per_metre_j_m, power_w
-        k1 and k2.
-    """
-
-    weight: float
-    per_metre_j_m: float
-    power_w: float
-
-
-@dataclass(frozen=True)
-class UntilConnectedTerm:
-    """Expected distance until connected, a cost (theory 4.3).
-
-    Attributes
-    ----------
-    weight
-        In the sum of terms, per metre; the distance is subtracted.
-    beyond_m
-        Metres that the search is expected to go on for where the place that the robot is steered
-        to is not connected; None: estimated from what is believed.
-    """
-
-    weight: float
-    beyond_m: float | None = None
-
-
-@dataclass(frozen=True)
-class TransmissionEnergyTerm:
-    """Expected energy of sending some bits at the end of every step, a cost (theory 3.2).
-
-    Attributes
-    ----------
-    weight
-        In the sum of terms, per joule; the energy is subtracted.
-    bits, bandwidth_hz
-        Bits a step, and symbols a second.
-    bits_per_symbol, bit_error_rate, noise_dbm
-        As in :class:`planopt.objectives.energy.Radio`.
-    """
-
-    weight: float
-    bits: float
-    bandwidth_hz: float
-    bits_per_symbol: float
-    bit_error_rate: float
-    noise_dbm: float
-
-
-@dataclass(frozen=True)
-class CasadiTerm:
-    """A user's own value of a path, written by :func:`planopt.casadi_term`.
-
-    Attributes
-    ----------
-    weight
-        In the sum of terms.
-    steps
-        The horizon that it is for.
-    program
-        Its instructions (:mod:`planopt.objectives.expression`).
-    """
-
-    weight: float
-    steps: int
-    program: str
-
-
-Term = (
-    TrackingTerm
-    | LearningTerm
-    | MappingTerm
-    | MotionEnergyTerm
-    | UntilConnectedTerm
-    | TransmissionEnergyTerm
-    | CasadiTerm
-)
-
-
-def steers(term: Term) -> bool:
-    """Whether a term steers along a way, whose end is found before a plan is made."""
-    two_layer = isinstance(term, MappingTerm) and term.form == "two_layer"
-    return two_layer or isinstance(term, UntilConnectedTerm)
 
 
 @dataclass(frozen=True)

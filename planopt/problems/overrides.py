@@ -14,10 +14,11 @@ from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
 from planopt.problems.messages import input_error
 from planopt.problems.objective import ReachObjective
+from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem
 from planopt.problems.schema import PlannerTable
 from planopt.problems.schema_objective import ObjectiveTable
-from planopt.problems.settings import BASELINES, PlannerSettings
+from planopt.problems.settings import PlannerSettings
 from planopt.problems.tables import Table
 
 AnyTable = TypeVar("AnyTable", bound=Table)
@@ -101,12 +102,13 @@ def _overridden(
     )
     changed = replace(problem, planner=PlannerSettings(**planner_table.model_dump()))
     check_dynamics(changed)
-    if isinstance(problem.objective, ReachObjective) and changed.planner.name in BASELINES:
+    kind = planner_kind(changed.planner.name)
+    if isinstance(problem.objective, ReachObjective) and not kind.reaches_goals:
         raise InputError(
             f"is {changed.planner.name}, which has no way to a goal",
             file=problem.file,
             key="planner.name",
-            remedy="use auto, nlp, scp or lattice for the task reach",
+            remedy=f"use {names_with('reaches_goals')} for the task reach",
         )
     check_tables(problem)
     check(changed)

@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
-from planopt.problems.objective import (
-    CostToGo,
-    LearningTerm,
-    MappingTerm,
-    ReachObjective,
-    Term,
-    TermsObjective,
-    TrackingTerm,
-    UntilConnectedTerm,
-)
+from planopt.problems.objective import CostToGo, ReachObjective, Term, TermsObjective
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings
@@ -108,14 +99,4 @@ class Problem:
         """What the problem asks: its goal, or its first term."""
         if isinstance(self.objective, ReachObjective):
             return "reach"
-        match self.objective.terms[0]:
-            case TrackingTerm():
-                return "track"
-            case LearningTerm():
-                return "learn"
-            case MappingTerm():
-                return "map"
-            case UntilConnectedTerm():
-                return "connect"
-            case _:
-                return "custom"
+        return cast("Task", self.objective.terms[0].task or "custom")

@@ -17,21 +17,11 @@ import shapely
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements, ModelTruth, RasterTruth
 from planopt.problems.load import problem_from_tables
-from planopt.problems.objective import (
-    CasadiTerm,
-    LearningTerm,
-    MappingTerm,
-    MotionEnergyTerm,
-    Term,
-    TrackingTerm,
-    TransmissionEnergyTerm,
-    UntilConnectedTerm,
-)
+from planopt.problems.objective import Term
 from planopt.problems.problem import Problem
 from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.problems.schema_constraints import constraints_table
-from planopt.problems.schema_objective import FORM_KEYS, FORMS_WITH_KEYS
 from planopt.problems.schema_robot import robot_table
 from planopt.world.moving_obstacle import MovingObstacle
 from planopt.world.workspace import Obstacle
@@ -91,18 +81,6 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> P
     return problem_from_tables(data, folder=folder, file=file)
 
 
-KINDS = {
-    TrackingTerm: "tracking",
-    LearningTerm: "path_loss_learning",
-    MappingTerm: "mapping",
-    MotionEnergyTerm: "motion_energy",
-    UntilConnectedTerm: "until_connected",
-    TransmissionEnergyTerm: "transmission_energy",
-    CasadiTerm: "casadi",
-}
-"""What problem files call the terms."""
-
-
 def _objective(problem: Problem) -> dict[str, Any]:
     if problem.task == "reach":
         return asdict(problem.reach)
@@ -110,10 +88,8 @@ def _objective(problem: Problem) -> dict[str, Any]:
 
 
 def _term(term: Term) -> dict[str, Any]:
-    table = {"kind": KINDS[type(term)], **_plain(asdict(term))}
-    if isinstance(term, MappingTerm) and term.form not in FORMS_WITH_KEYS:
-        table = {key: value for key, value in table.items() if key not in FORM_KEYS}
-    return table
+    table = {"kind": term.kind, **_plain(asdict(term))}
+    return {key: value for key, value in table.items() if key not in term.left_out}
 
 
 def _constraints(problem: Problem) -> dict[str, Any]:

@@ -8,18 +8,19 @@ asks of several tables in :mod:`planopt.problems.task_faults`.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.problems.planner_kinds import OWN, planner_names
 from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
 from planopt.problems.schema_constraints import ConstraintsTable
 from planopt.problems.schema_objective import ObjectiveTable, TargetTable
 from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_world import WorldTable
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerName, ReportSettings
+from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table
 from planopt.problems.task_faults import task_fault
 
@@ -87,14 +88,26 @@ class StationTable(Table):
     )
 
 
+def _known_planner(name: str) -> str:
+    """Refuse the name of a planner that does not exist."""
+    known = planner_names()
+    if name not in known:
+        listed = ", ".join(f"'{each}'" for each in known[:-1])
+        raise PydanticCustomError(
+            "planner_name", "Input should be {names}", {"names": f"{listed} or '{known[-1]}'"}
+        )
+    return name
+
+
 class PlannerTable(Table):
     """``[planner]``: how plans are found."""
 
-    name: PlannerName = Field(
+    name: Annotated[str, AfterValidator(_known_planner)] = Field(
         default="auto",
+        examples=list(OWN),
         description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
         "programming), auto (the better of them, nlp), lattice (no polish), and for tasks other "
-        "than reach one_step, random or lawnmower.",
+        "than reach one_step, random or lawnmower; or a planner that is registered.",
     )
     horizon: int = Field(default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead (N).")
     step_s: float = Field(gt=0, le=1e4, description="Duration of a step in seconds.")
@@ -157,9 +170,9 @@ class ProblemFile(Table):
         return self
 
 
-def json_schema() -> dict[str, Any]:
+def json_schema(model: type[Table] = ProblemFile) -> dict[str, Any]:
     """JSON schema of problem files (draft 2020-12), as ``planopt schema`` prints it."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **ProblemFile.model_json_schema(),
+        **model.model_json_schema(),
     }

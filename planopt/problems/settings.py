@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
-
-PlannerName = Literal["auto", "nlp", "scp", "lattice", "one_step", "random", "lawnmower"]
-
-BASELINES: tuple[PlannerName, ...] = ("one_step", "random", "lawnmower")
-"""Planners to compare with: no goal, no lattice path, and only robots that can turn and stop at
-will."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +16,8 @@ class PlannerSettings:
     name
         ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
         programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
-        tasks other than reach ``one_step`` (the seed's dense local search), ``random`` and
-        ``lawnmower``.
+        tasks other than reach ``one_step`` (dense local search one step ahead), ``random`` and
+        ``lawnmower``, or a planner from outside (:mod:`planopt.problems.planner_kinds`).
     horizon
         Steps ahead, N.
     step_s
@@ -38,7 +31,7 @@ class PlannerSettings:
         proof; None for no limit.
     """
 
-    name: PlannerName
+    name: str
     horizon: int
     step_s: float
     neighbours: int

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """A moving target and what is known of it at the start (seed, section III-B).
+    """A moving target and what is known of it at the start (equation 4.7).
 
     Attributes
     ----------
@@ -16,7 +16,7 @@ class Target:
     start_m, velocity_m_s
         Where it truly is and how it moves at the start, ``(x, y)``.
     acceleration_std_m_s2
-        Deviation of the white acceleration along either axis (the seed's Theta is its square).
+        Standard deviation of the white acceleration along either axis (Theta is its square).
     position_std_m, velocity_std_m_s
         Deviation of the first estimate of position and velocity along either axis (P_0).
     """

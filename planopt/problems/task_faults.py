@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
-from planopt.problems.schema_objective import LearningTable, MappingTable, TrackingTable
-from planopt.problems.schema_terms import (
-    CasadiTable,
-    TransmissionEnergyTable,
-    UntilConnectedTable,
-)
-from planopt.problems.settings import BASELINES
-from planopt.problems.tables import Table
+from planopt.objectives.terms.term import registered_terms
+from planopt.problems.planner_kinds import names_with, planner_kind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,15 +17,6 @@ if TYPE_CHECKING:
 
 MOST_TURN_RAD = 2.0 * math.pi
 """What a robot may turn in a step: more than a circle of the same input is nothing to plan."""
-
-TASK_TERMS: dict[str, tuple[type[Table], ...]] = {
-    "track": (TrackingTable,),
-    "learn": (LearningTable,),
-    "map": (MappingTable,),
-    "connect": (UntilConnectedTable,),
-    "custom": (CasadiTable, TransmissionEnergyTable),
-}
-"""The terms that each task's objective may begin with."""
 
 
 def task_fault(tables: ProblemFile) -> str | None:
@@ -52,10 +37,10 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         return "task reach has no targets"
     if tables.constraints.p_min == 0.0 and tables.constraints.connectivity != "data":
         return "task reach needs constraints.p_min above 0"
-    if tables.planner.name in BASELINES:
+    if not planner_kind(tables.planner.name).reaches_goals:
         return (
-            f"planner.name {tables.planner.name} is not for task reach: use auto, nlp, scp or "
-            "lattice"
+            f"planner.name {tables.planner.name} is not for task reach: use "
+            f"{names_with('reaches_goals')}"
         )
     return _dynamics_fault(tables)
 
@@ -63,8 +48,8 @@ def _reach_fault(tables: ProblemFile) -> str | None:
 def _terms_fault(tables: ProblemFile) -> str | None:
     """What keeps tables from being a problem whose objective is a sum of terms."""
     task, terms = tables.problem.task, tables.objective.terms
-    if not terms or not isinstance(terms[0], TASK_TERMS[task]):
-        kinds = [get_args(each.model_fields["kind"].annotation)[0] for each in TASK_TERMS[task]]
+    if not terms or terms[0].task != task:
+        kinds = [each.kind for each in registered_terms() if each.task == task]
         return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
     if any(robot.goal_m is not None for robot in tables.robots):
         return f"task {task} has no robots.goal_m"
@@ -73,17 +58,12 @@ def _terms_fault(tables: ProblemFile) -> str | None:
             return f"objective.{key} is for task reach, not for {task}"
     if "goal_radius_m" in tables.constraints.model_fields_set:
         return f"constraints.goal_radius_m is for task reach, not for {task}"
-    steering = [
-        term
-        for term in terms
-        if isinstance(term, UntilConnectedTable) or getattr(term, "form", None) == "two_layer"
-    ]
-    if len(steering) > 1:
+    if sum(term.steers is not None for term in terms) > 1:
         return (
             "two of objective.terms steer: only one may have the form two_layer or the kind "
             "until_connected"
         )
-    tracked = any(isinstance(term, TrackingTable) for term in terms)
+    tracked = any(term.sensor is not None for term in terms)
     if tracked != bool(tables.targets):
         return "a term of kind tracking and an entry of targets go together"
     return _same_name("robots", tables.robots) or _dynamics_fault(tables)
@@ -94,10 +74,10 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
     for number, robot in enumerate(tables.robots):
         if robot.dynamics == "single_integrator":
             continue
-        if tables.planner.name in BASELINES:
+        if not planner_kind(tables.planner.name).has_dynamics:
             return (
                 f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
-                f"robots[{number}] has {robot.dynamics}: use auto, nlp, scp or lattice"
+                f"robots[{number}] has {robot.dynamics}: use {names_with('has_dynamics')}"
             )
         turn_rad = (robot.turn_rate_max_rad_s or 0.0) * tables.planner.step_s
         if turn_rad > MOST_TURN_RAD:

@@ -25,7 +25,7 @@ from planopt.pursuit.network import MoteNetwork
 from planopt.pursuit.service import relative_error, require_count, require_number
 
 MAX_BITS = 16
-"""No more bits an axis are tried: reports are then a thousandth of a per cent of the distance."""
+"""No more bits an axis are tried: errors are then a thousandth of a per cent of the distance."""
 
 SLOT_SHARE = 1e-10
 """Share of its width to which the widest slot is found by halving."""
@@ -188,7 +188,7 @@ def least_energy_design(task: DesignTask) -> Design:
     """Return the design of least energy per capture, by the Lemma's bound of the time.
 
     Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``: for each c least at half of
-    the Lemma's slot width, if the payload fits.
+    the Lemma's slot width, if the payload fits and the deadline, if there is one, is met.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def least_energy_design(task: DesignTask) -> Design:
     _first_distance_m(task)
     return _scan(
         task,
-        partial(_energy_candidate, replace(task, deadline_s=None)),
+        partial(_energy_candidate, task),
         worth=lambda design: design.energy_per_capture_j,
     )
 
@@ -259,11 +259,14 @@ def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]
     return found
 
 
-def sensitivities(task: DesignTask, solve: Callable[[DesignTask], Design]) -> dict[str, float]:
-    """Return by how many per cent the least power changes with one per cent more of a quantity.
+def sensitivities(
+    task: DesignTask,
+    solve: Callable[[DesignTask], Design],
+    worth: Callable[[Design], float] = lambda design: design.cost_w,
+) -> dict[str, float]:
+    """Return by how many per cent the optimum changes with one per cent more of a quantity.
 
-    The number of bits stays that of the optimum, and so does the pursuer's speed where the
-    evader's changes.
+    The number of bits stays that of the optimum.
 
     Parameters
     ----------
@@ -271,6 +274,8 @@ def sensitivities(task: DesignTask, solve: Callable[[DesignTask], Design]) -> di
         Of the optimum.
     solve
         :func:`cheapest_design` or another one whose slots change smoothly.
+    worth
+        What it minimises.
     """
     fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
     chase, network = fixed.chase, fixed.network
@@ -296,7 +301,7 @@ def sensitivities(task: DesignTask, solve: Callable[[DesignTask], Design]) -> di
     }
     found: dict[str, float] = {}
     for name, change in changed.items():
-        high, low = (solve(change(1.0 + sign * ELASTICITY_STEP)).cost_w for sign in (1.0, -1.0))
+        high, low = (worth(solve(change(1.0 + sign * ELASTICITY_STEP))) for sign in (1.0, -1.0))
         found[name] = (math.log(high) - math.log(low)) / (2.0 * ELASTICITY_STEP)
     return found
 

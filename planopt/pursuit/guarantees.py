@@ -3,9 +3,10 @@
 A pursuer drives in stages: it takes a record, drives straight to the reported place, and takes the
 next record there. W is what bounds the evader's distance at the start of a stage: the distance to
 where it was sampled, plus how far it may have moved since. Each theorem bounds the W of the next
-stage by this one's, from what the service promises (docs/pursuit.md derives them):
+stage by this one's, from what the service promises (docs/theory/pursuit.md derives them):
 
-* the Lemma counts the distance to the sampled place alone, which must shrink in every stage;
+* the Lemma (III.3 of [KAS]) counts the distance to the sampled place alone, which must shrink in
+  every stage;
 * `any_instant` holds if age and error are bounded by the distance at any one instant between the
   sample and now, whichever it is;
 * `sampled_distance` holds if they are bounded by the distance to the sampled place and a record no

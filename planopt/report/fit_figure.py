@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.empirical_correlation import BINS, empirical_correlation
+from planopt.channel.estimation.lemma1 import BINS, empirical_correlation
 from planopt.channel.estimation.likelihood_starts import thinned
 from planopt.channel.estimation.profile import Profile
 from planopt.channel.estimation.profile_likelihood import profiles_around
+from planopt.channel.mean_model import regressors, station_distance_m
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors, station_distance_m
 from planopt.errors import InputError
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.profile_panel import draw_profiles

@@ -1,4 +1,4 @@
-"""Which wrong parameter spoils a map: mean Delta^2 against the error in each (seed, Fig. 1)."""
+"""Which wrong parameter spoils a map: mean Delta^2 against the error in each (equation 1.17)."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 
-from planopt.channel.validation.reliability import FEWEST_GROUPS, ReliabilityBin
+from planopt.channel.validation.calibration import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
 from planopt.studies.comparison import Comparison, Row
 
@@ -86,7 +86,7 @@ def reliability_lines(
     Parameters
     ----------
     bins
-        As :func:`planopt.channel.validation.reliability.reliability` gives them.
+        As :func:`planopt.channel.validation.calibration.reliability` gives them.
     what, groups
         What was predicted and what it is grouped by, in the plural; None for one group.
     """
@@ -104,7 +104,7 @@ def reliability_lines(
     elif groups is not None:
         title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
     header = [heading for heading, _ in columns]
-    return [title, *_aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
+    return [title, *aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
 
 
 def _range(one: ReliabilityBin) -> str:
@@ -179,12 +179,12 @@ def _in_blocks(table: Sequence[Sequence[str]], words: int) -> list[str]:
     for block in blocks:
         height = max(len(heading) for heading, _ in block)
         padded = [[*[""] * (height - len(heading)), *heading, *below] for heading, below in block]
-        lines += ["", *_aligned(list(zip(*padded, strict=True)), words)]
+        lines += ["", *aligned(list(zip(*padded, strict=True)), words)]
     return lines[1:]
 
 
-def _aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
-    """Lines of columns two spaces apart, the first `words` to the left, the others right."""
+def aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
+    """Return columns two spaces apart, the first `words` to the left, the others to the right."""
     widths = [max(len(line[column]) for line in table) for column in range(len(table[0]))]
     return [
         "  ".join(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from planopt.planning.plan import Plan
 from planopt.planning.team.least_distances import driven_motion
-from planopt.problems.objective import TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.panel import Panel
@@ -100,12 +99,12 @@ def _draw_distance(
     for number, plan in enumerate(plans):
         away = np.linalg.norm(plan.positions_m[1:] - target_m, axis=1)
         _draw_curve(panel, plan, number, away)
-    term = next(term for term in problem.terms if isinstance(term, TrackingTerm))
+    sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
     panel.axhline(
-        term.sweet_spot_m,
+        sensor.sweet_spot_m,
         color=BLACK,
         linestyle="dashed",
-        label=f"sensor is best at {term.sweet_spot_m:g} m",
+        label=f"sensor is best at {sensor.sweet_spot_m:g} m",
     )
     dress(panel, "distance to the target", TIME, "distance [m]")
     panel.set_ylim(0.0, None)

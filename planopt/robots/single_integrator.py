@@ -1,4 +1,4 @@
-"""The single integrator q+ = q + h v with speed limit (the seed's q_{t+1} = q_t + v_t).
+"""The single integrator q+ = q + h v with speed limit.
 
 The way within a step is straight.
 """

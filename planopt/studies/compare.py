@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.validation.reliability import FEWEST_GROUPS
+from planopt.channel.validation.calibration import FEWEST_GROUPS
 from planopt.errors import InputError
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.metrics import ANY, POSSIBLE

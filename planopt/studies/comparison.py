@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planopt.channel.validation.reliability import ReliabilityBin, reliability
+from planopt.channel.validation.calibration import ReliabilityBin, reliability
 from planopt.planning.run import RunSummary
 from planopt.problems.problem import Problem
 from planopt.short_repr import short_repr

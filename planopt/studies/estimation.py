@@ -15,17 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.fields.scattered_field import scattered_field_db
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.multipath.multipath_field import multipath_field_db
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
 from planopt.channel.readings import predict_readings
 from planopt.channel.validation.calibration import calibrate
-from planopt.channel.validation.grouped_ratio import GroupedRatio, grouped_ratio
-from planopt.channel.validation.held_out import Predictor, learn_channel, learn_marginal
+from planopt.channel.validation.held_out import (
+    GroupedRatio,
+    Predictor,
+    grouped_ratio,
+    learn_channel,
+    learn_marginal,
+)
 
 Learner = Callable[[Measurements, Station], Predictor]
 """From measurements and the station to what predicts."""
@@ -64,7 +69,7 @@ class EstimationCase:
 
 
 def published_case(name: str, side_m: float, multipath: Multipath | None = None) -> EstimationCase:
-    """The channel of the seed's Fig. 3 (`fig3`) or Fig. 4 (`fig4`), the station in the centre.
+    """The channel of Fig. 3 (`fig3`) or Fig. 4 (`fig4`) of [GM11], the station in the centre.
 
     Parameters are theory's 3.3, B and C. The seed does not state the side.
     """

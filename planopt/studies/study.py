@@ -15,6 +15,11 @@ from typing import Any, Generic, TypeVar, cast
 from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.errors import InputError
+from planopt.problems.planner_kinds import (
+    PlannerKind,
+    register_planner,
+    registered_planners,
+)
 from planopt.studies.finished_runs import FinishedRuns
 
 BACKENDS = ("loky",)
@@ -98,7 +103,8 @@ def run_study(
         )
     parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
     task = cast("Callable[..., object]", delayed(_group_results))
-    jobs = [task(study, group, record, os.getpid()) for group in groups]
+    outside = registered_planners()
+    jobs = [task(study, group, record, outside, os.getpid()) for group in groups]
     return iter(cast("Iterable[list[Finished[Result]]]", parallel(jobs)))
 
 
@@ -106,11 +112,14 @@ def _group_results(
     study: Study[Item, Shared, Result],
     group: Sequence[Item],
     record: FinishedRuns | None,
+    planners: Sequence[PlannerKind],
     parent: int,
 ) -> list[Finished[Result]]:
     """Do the items of a group, but for those that are finished."""
     if os.getpid() != parent:
         _end_with_parent(parent)
+        for kind in planners:
+            register_planner(kind)
     shared: list[Shared] = []
     results: list[Finished[Result]] = []
     for item in group:

@@ -17,7 +17,7 @@ from planopt.targets.target_model import TargetModel, require_covariance, requir
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """An estimate in information form (seed, section III-B).
+    """An estimate in information form (equation 4.9).
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """How well a robot senses the target from where it stands: best at a certain distance from it.
 
-The seed gives ``tr Phi^-1 = 1 / g(r)`` and not Phi itself. Here Phi = 2 g I_2, which has that
+[GM11] gives ``tr Phi^-1 = 1 / g(r)`` and not Phi itself. Here Phi = 2 g I_2, which has that
 trace: noise alike in every direction, g half the variance of a coordinate.
 """
 
@@ -20,7 +20,7 @@ CUSP_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Sensor:
-    """``g(r) = varpi (r - r_s)^2 + nu`` (seed, section III-B).
+    """The sensor model ``g(r) = varpi (r - r_s)^2 + nu`` (equation 4.8).
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class TargetModel:
-    """``x+ = A x + B w`` with ``x = (p, p')`` and w of covariance Theta (seed, section III-B).
+    """The model ``x+ = A x + B w``, ``x = (p, p')``, w of covariance Theta (equation 4.7).
 
     Attributes
     ----------

@@ -1,18 +1,176 @@
-"""Raster files of any format that planopt knows, chosen by the ending of the name."""
+"""Raster files of any format that planopt knows, chosen by the ending of the name.
+
+Rasters as CSV: a row for each cell with its centre ``x_m, y_m`` and a column a variable.
+
+Radio maps of Sionna RT, saved from Python with ``numpy.savez``.
+
+``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())`` keeps what
+is needed. Gains are linear there, and zero means that no path was found.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
+import re
+from array import array
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from planopt.errors import InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names
+from planopt.files.regular import read_text
 from planopt.files.whole import write_whole
-from planopt.world.raster import Raster, read_npz_raster, write_npz
-from planopt.world.raster_csv import read_csv, write_csv
+from planopt.world.raster import Raster, checked_raster, npz_arrays, read_npz_raster, write_npz
 from planopt.world.raster_geotiff import import_rasterio, read_geotiff, write_geotiff
 from planopt.world.raster_netcdf import read_netcdf, write_netcdf
-from planopt.world.sionna_map import CENTRES, read_sionna_map
+
+AXES = ("x_m", "y_m")
+
+DIGITS = "%.12g"
+"""Twelve digits keep a millimetre in any coordinate, and more than any power has."""
+
+
+def write_csv(path: Path, rasters: Mapping[str, Raster]) -> None:
+    """Write rasters of the same axes, row by row from the smallest y; no value is ``nan``."""
+    first = next(iter(rasters.values()))
+    x, y = np.meshgrid(first.x_m, first.y_m)
+    columns = [x, y, *(raster.values for raster in rasters.values())]
+    table = np.column_stack([column.ravel() for column in columns])
+    header = ",".join((*AXES, *rasters))
+    np.savetxt(path, table, fmt=DIGITS, delimiter=",", header=header, comments="")
+
+
+def read_csv(path: Path, variable: str) -> Raster:
+    """Read one variable; rows may come in any order, an empty cell or ``nan`` is no value.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no text, a column is missing, a cell is not a number, or the rows
+        are not each cell of an even grid once.
+    """
+    text = read_text(path)
+    rows = csv.reader(io.StringIO(text))
+    no_cells: list[str] = []
+    # A third of the memory of lists of floats.
+    numbers = array("d")
+    try:
+        header = [name.strip() for name in next(rows, no_cells)]
+        where = [_column(header, name, path) for name in (*AXES, variable)]
+        for cells in rows:
+            if cells:
+                numbers.extend(_number(cells, at, path, rows.line_num, header[at]) for at in where)
+    except csv.Error as error:
+        raise InputError(f"not a CSV row: {error}", file=path, row=rows.line_num) from error
+    return _on_grid(np.array(numbers).reshape(-1, 3), path, variable)
+
+
+def _on_grid(table: NDArray[np.float64], path: Path, variable: str) -> Raster:
+    """The raster whose cells are the rows x, y, value."""
+    if not np.isfinite(table[:, :2]).all():
+        raise InputError("a cell centre is not finite", file=path)
+    x, ix = np.unique(table[:, 0], return_inverse=True)
+    y, iy = np.unique(table[:, 1], return_inverse=True)
+    if len(np.unique(iy * x.size + ix)) != len(table) or len(table) != x.size * y.size:
+        raise InputError(
+            f"{len(table)} rows are not each cell of a grid of {y.size} x {x.size} once",
+            file=path,
+            remedy="give a row for each cell, nan where there is no value",
+        )
+    values = np.empty((y.size, x.size))
+    values[iy, ix] = table[:, 2]
+    return checked_raster(x, y, values, path, variable)
+
+
+def _column(header: list[str], name: str, path: Path) -> int:
+    if header.count(name) != 1:
+        raise InputError(
+            f"the file has no column {name!r}" if name not in header else f"two columns {name!r}",
+            file=path,
+            key=name,
+            remedy=f"it has {listed(header)}",
+        )
+    return header.index(name)
+
+
+def _number(cells: list[str], at: int, path: Path, row: int, name: str) -> float:
+    if at >= len(cells):
+        raise InputError("the row is too short", file=path, key=name, row=row)
+    cell = cells[at].strip()
+    try:
+        return float(cell) if cell else math.nan
+    except ValueError:
+        raise InputError(f"{cell!r} is not a number", file=path, key=name, row=row) from None
+
+
+CENTRES = "cell_centers"
+
+TURNED_M = 1e-2
+"""How far, in metres, a centre may be off its row or column: Sionna computes in float32."""
+
+
+def read_sionna_map(path: Path, variable: str) -> Raster:
+    """Read a linear quantity of a planar radio map in dB.
+
+    Parameters
+    ----------
+    path
+        An npz with `variable` on ``(transmitter, iy, ix)`` or ``(iy, ix)`` and ``cell_centers`` on
+        ``(iy, ix, 3)``.
+    variable
+        Its name, such as ``path_gain``; with several transmitters ``path_gain[2]`` is that of the
+        third. NaN in the result where it is zero.
+
+    Raises
+    ------
+    InputError
+        The file holds no such variable, the transmitter is not there or not named, the plane is
+        turned, or a value is negative.
+    """
+    name, index = _name_and_index(variable)
+    gain, centres = npz_arrays(path, (name, CENTRES))
+    if gain.ndim == 3:
+        if index is None and len(gain) != 1:
+            raise InputError(
+                f"there are {len(gain)} transmitters", file=path, key=name, remedy=f"say {name}[0]"
+            )
+        if (index or 0) >= len(gain):
+            raise InputError(
+                f"there is no transmitter {index}, only {len(gain)}, counted from 0",
+                file=path,
+                key=name,
+            )
+        gain = gain[index or 0]
+    if gain.ndim != 2 or centres.shape != (*gain.shape, 3):
+        raise InputError(
+            f"shapes {gain.shape} and {centres.shape} are not of a planar map", file=path, key=name
+        )
+    if not gain.size:
+        raise InputError("the map has no cells", file=path, key=name)
+    x, y = centres[0, :, 0], centres[:, 0, 1]
+    with np.errstate(all="ignore"):  # centres that are not finite
+        off = np.maximum(np.abs(centres[..., 0] - x), np.abs(centres[..., 1] - y[:, None]))
+    # Written so that a centre that is NaN counts as off.
+    if not (off <= TURNED_M).all():
+        raise InputError(
+            "the map's plane is turned: rows do not run along x", file=path, key=CENTRES
+        )
+    if (gain < 0.0).any():
+        raise InputError("a linear gain is negative", file=path, key=name)
+    decibels = np.full(gain.shape, np.nan)
+    np.log10(gain, out=decibels, where=gain > 0.0)
+    return checked_raster(x, y, 10.0 * decibels, path, variable)
+
+
+def _name_and_index(variable: str) -> tuple[str, int | None]:
+    """``path_gain[2]`` as its parts."""
+    match = re.fullmatch(r"(.+)\[(\d{1,6})\]", variable)
+    return (variable, None) if match is None else (match[1], int(match[2]))
 
 
 def _read_any_npz(path: Path, variable: str) -> Raster:

@@ -28,7 +28,7 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Workspace:
-    """The workspace W and its obstacles O (seed, section III-A).
+    """The workspace W and its obstacles O (W and O of [GM11]).
 
     Attributes
     ----------

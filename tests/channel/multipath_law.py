@@ -2,9 +2,7 @@
 
 from scipy.stats import gamma, ncx2
 
-from planopt.channel.multipath.fading import rician_mean_db
-from planopt.channel.multipath.multipath_conversions import nakagami_mean_db
-from planopt.channel.multipath.multipath_models import Nakagami
+from planopt.channel.multipath.multipath_models import Nakagami, nakagami_mean_db, rician_mean_db
 
 
 def law_of(model):

@@ -9,9 +9,9 @@ from simulated_channel import simulated
 from planopt.channel.joint import JointPrediction, joint_prediction, sample_power
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import predict
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition, extend
 from planopt.errors import InputError
 
@@ -22,7 +22,7 @@ PATH = np.column_stack([np.linspace(20.0, 150.0, 14), 60.0 + 30.0 * np.sin(np.ar
 
 
 def dense(data, positions):
-    """The boxed formulas of theory 4.0 with S + B M B', by dense inverses."""
+    """Equations 1.11 and 1.12 by dense inverses."""
     inverse = np.linalg.inv(
         shadow_covariance_db2(data.positions_m, data.positions_m, CHANNEL) + 4.0 * np.eye(len(data))
     )
@@ -62,7 +62,7 @@ def test_marginals_are_the_predictions(theta, count):
 
 @pytest.mark.parametrize("theta", ["estimated", "known"])
 def test_factor_is_sequential_conditioning(theta):
-    """The factor's diagonal is the deviation after measuring the earlier places (theory 4.0)."""
+    """The factor's diagonal is the deviation after measuring the earlier places (equation 1.11)."""
     posterior = condition(CHANNEL, DATA, theta=theta)
     diagonal = np.diag(np.linalg.cholesky(joint_prediction(posterior, PATH).covariance_db2))
     for place, expected in zip(PATH, diagonal, strict=True):
@@ -83,7 +83,7 @@ def test_latent_differs_by_multipath_alone():
 
 
 def test_samples_have_the_predicted_moments():
-    """Sample mean and covariance within 5 standard errors; the seed decides the draws."""
+    """Sample mean and covariance within 5 standard errors; the random seed decides the draws."""
     posterior, count = condition(CHANNEL, DATA), 40_000
     power = sample_power(posterior, PATH, count, np.random.default_rng(1))
     again = sample_power(posterior, PATH, count, np.random.default_rng(1))

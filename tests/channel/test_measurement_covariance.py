@@ -18,8 +18,7 @@ from planopt.channel.fields.conditional_field import conditional_field, conditio
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
 from planopt.channel.maps.cached_map import CachedMap
-from planopt.channel.maps.single_precision import predict_single
-from planopt.channel.maps.tile_map import TileMap
+from planopt.channel.maps.tile_map import TileMap, predict_single
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,

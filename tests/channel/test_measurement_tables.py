@@ -11,7 +11,7 @@ import pytest
 import planopt
 from planopt.channel.measurements import as_measurements
 
-STATION = planopt.Station((0.0, 0.0), height_m=5.0)
+STATION = planopt.channel.Station((0.0, 0.0), height_m=5.0)
 GENERATOR = np.random.default_rng(3)
 PLACES = GENERATOR.uniform(10.0, 90.0, (40, 2))
 POWER = -40.0 - 25.0 * np.log10(np.hypot(*PLACES.T)) + GENERATOR.normal(0.0, 4.0, 40)
@@ -73,27 +73,27 @@ def test_public_calls_take_tables(table: Callable[[dict[str, Any]], Any]) -> Non
     def mean(of: Any) -> Any:
         return of.predict(places).mean_db.tolist()
 
-    one = planopt.condition(parameters, given)
-    assert mean(one) == mean(planopt.condition(parameters, ARRAYS))
-    few = planopt.condition(parameters, ARRAYS.take(slice(20)))
+    one = planopt.channel.condition(parameters, given)
+    assert mean(one) == mean(planopt.channel.condition(parameters, ARRAYS))
+    few = planopt.channel.condition(parameters, ARRAYS.take(slice(20)))
     part = table({name: values[20:] for name, values in COLUMNS.items()})
     assert mean(few.extend(part)) == mean(few.extend(ARRAYS.take(slice(20, None))))
-    marginal = planopt.marginalise(parameters, given)
-    assert mean(marginal) == mean(planopt.marginalise(parameters, ARRAYS))
-    found = planopt.fit_channel_and_station(given, station_method="line")
-    again = planopt.fit_channel_and_station(ARRAYS, station_method="line")
+    marginal = planopt.channel.marginalise(parameters, given)
+    assert mean(marginal) == mean(planopt.channel.marginalise(parameters, ARRAYS))
+    found = planopt.channel.fit_channel_and_station(given, station_method="line")
+    again = planopt.channel.fit_channel_and_station(ARRAYS, station_method="line")
     assert found.parameters == again.parameters
-    theta = planopt.estimate_theta(given, parameters)
-    assert theta.theta.tolist() == planopt.estimate_theta(ARRAYS, parameters).theta.tolist()
+    theta = planopt.channel.estimate_theta(given, parameters)
+    assert theta.theta.tolist() == planopt.channel.estimate_theta(ARRAYS, parameters).theta.tolist()
     quarters = np.arange(40) // 10
-    predictors = planopt.predictors_of(lambda some: planopt.fit_channel(some, STATION))
-    report = planopt.held_out_report(given, quarters, quarters, predictors)
+    predictors = planopt.channel.predictors_of(lambda some: planopt.fit_channel(some, STATION))
+    report = planopt.channel.held_out_report(given, quarters, quarters, predictors)
     assert report.measurements == 40 and report.censored == CENSORED.sum()
 
 
 def test_public_calls_take_lists_of_places() -> None:
     """Places are lists of pairs, or two columns of a frame, as well as arrays."""
-    posterior = planopt.condition(planopt.fit_channel(ARRAYS, STATION).parameters, ARRAYS)
+    posterior = planopt.channel.condition(planopt.fit_channel(ARRAYS, STATION).parameters, ARRAYS)
     path = np.column_stack([np.linspace(10.0, 80.0, 6), np.linspace(20.0, 60.0, 6)])
     lists, times = path.tolist(), list(range(6))
     level = -80.0
@@ -101,23 +101,27 @@ def test_public_calls_take_lists_of_places() -> None:
     def generator() -> np.random.Generator:
         return np.random.default_rng(1)
 
-    traffic = planopt.Traffic(link_bps=1e6, source_bps=1e5, buffer_bits=1e6)
+    traffic = planopt.channel.Traffic(link_bps=1e6, source_bps=1e5, buffer_bits=1e6)
     calls: list[Callable[[Any, Any], Any]] = [
         lambda p, t: posterior.predict(p).mean_db,
         lambda p, t: posterior.connectivity(p, level),
-        lambda p, t: planopt.joint_prediction(posterior, p).covariance_db2,
-        lambda p, t: planopt.sample_power(posterior, p, 3, generator()),
-        lambda p, t: planopt.first_passage(posterior, p, level, generator()).not_connected,
-        lambda p, t: planopt.longest_outage(posterior, p, t, level, 9, generator()).metres.draws,
+        lambda p, t: planopt.channel.joint_prediction(posterior, p).covariance_db2,
+        lambda p, t: planopt.channel.sample_power(posterior, p, 3, generator()),
+        lambda p, t: planopt.channel.first_passage(posterior, p, level, generator()).not_connected,
         lambda p, t: (
-            planopt.delivered_data(
+            planopt.channel.longest_outage(posterior, p, t, level, 9, generator()).metres.draws
+        ),
+        lambda p, t: (
+            planopt.channel.delivered_data(
                 posterior, p, t, level, traffic, deadline_s=5.0, count=9, generator=generator()
             ).delivered_bits.draws
         ),
-        lambda p, t: planopt.connected_to_any([posterior], p, level),
-        lambda p, t: planopt.strongest_station([posterior], p, level),
-        lambda p, t: planopt.multipath_connectivity(posterior, p, level, planopt.Rician(10.0)),
-        lambda p, t: planopt.posterior_derivatives(posterior, p),
+        lambda p, t: planopt.channel.connected_to_any([posterior], p, level),
+        lambda p, t: planopt.channel.strongest_station([posterior], p, level),
+        lambda p, t: planopt.channel.multipath_connectivity(
+            posterior, p, level, planopt.channel.Rician(10.0)
+        ),
+        lambda p, t: planopt.channel.posterior_derivatives(posterior, p),
     ]
     forms = [(lists, times), (tuple(map(tuple, lists)), tuple(times))]
     columns = frame({"x_m": path[:, 0], "y_m": path[:, 1], "t_s": times})
@@ -158,7 +162,7 @@ def test_bad_tables(table: Any, words: str) -> None:
 @pytest.mark.parametrize("places", [["a", "b"], [[1.0, 2.0], [3.0]], "nowhere", None, [[{}, {}]]])
 def test_bad_places(places: Any) -> None:
     """No error of NumPy's."""
-    posterior = planopt.condition(planopt.fit_channel(ARRAYS, STATION).parameters, ARRAYS)
+    posterior = planopt.channel.condition(planopt.fit_channel(ARRAYS, STATION).parameters, ARRAYS)
     with pytest.raises(planopt.InputError) as caught:
         posterior.predict(places)
     assert caught.value.key == "positions_m"

@@ -18,7 +18,7 @@ from planopt.channel.posterior import condition
 from planopt.errors import InputError
 
 FIG_3 = ChannelParameters(-10.0, 2.0, 4.0, 10.0, 1.99, Station((25.0, 25.0)))
-"""The outdoor channel of the seed's Fig. 3, on 50 m by 50 m."""
+"""The outdoor channel of Fig. 3 of [GM11], on 50 m by 50 m."""
 
 PLACES = np.random.default_rng(5).uniform(0.0, 50.0, (60, 2))
 

@@ -1,4 +1,4 @@
-"""Theta by both estimators: dense formulas, Lemma 3's recursion, and the error by simulation."""
+"""Theta by both estimators: dense formulas, equation 1.10, and the error by simulation."""
 
 import dataclasses
 
@@ -8,9 +8,9 @@ from simulated_channel import simulated
 
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import predict
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.path_loss_estimate import estimate_theta, ml_covariance_after
 from planopt.channel.posterior import condition, extend
 from planopt.errors import InputError

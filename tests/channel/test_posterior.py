@@ -1,4 +1,4 @@
-"""Lemma 2 against scikit-learn, dense formulas, sequential updating and simulation."""
+"""The posterior against scikit-learn, dense formulas, sequential updating and simulation."""
 
 import dataclasses
 
@@ -9,9 +9,9 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import kriging_terms, predict
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition, extend
 from planopt.channel.prediction import combine
 from planopt.channel.theta_estimate import WEAK_THETA_DEVIATION
@@ -64,7 +64,7 @@ def test_known_theta_equals_scikit_learn():
 
 
 def dense(data, positions):
-    """Theta, M, mean and deviation by the formulas of theory 4.0 and 4.1, with dense inverses."""
+    """Theta, M, mean and deviation by equations 1.6 to 1.8, with dense inverses."""
     covariance = shadow_covariance_db2(data.positions_m, data.positions_m, PARAMETERS)
     inverse = np.linalg.inv(covariance + 4.0 * np.eye(len(data)))
     gamma_all = regressors(data.positions_m, PARAMETERS.station)
@@ -270,7 +270,7 @@ def test_identified_theta_has_no_prior():
 
 
 def test_deviation_is_the_simulated_error():
-    """Universal kriging's variance equals the mean squared error over many draws (theory 4.1)."""
+    """Universal kriging's variance equals the mean squared error over many draws (equation 1.8)."""
     generator = np.random.default_rng(4)
     data = measured(25, seed=2)
     here = places(6)

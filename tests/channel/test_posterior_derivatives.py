@@ -4,9 +4,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from planopt.channel.mean_model import MIN_DISTANCE_M
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import MIN_DISTANCE_M
 from planopt.channel.posterior import condition
 from planopt.channel.posterior_derivatives import posterior_derivatives
 from planopt.errors import InputError

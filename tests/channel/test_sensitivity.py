@@ -1,4 +1,4 @@
-"""Delta^2 against simulation, the posterior's own variance, and the seed's expression."""
+"""Delta^2 against simulation, the posterior's own variance, and equation 1.17 written out."""
 
 from dataclasses import replace
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
 from planopt.channel.sensitivity import (
     PERTURBED,
@@ -30,7 +30,7 @@ def path_loss(parameters, places):
 
 
 def predicted(assumed, power):
-    """Lemma 2 with known theta at the places."""
+    """The posterior with known theta at the places (equation 1.6)."""
     data = Measurements(MEASURED, power, np.zeros(len(power), dtype=bool))
     return condition(assumed, data, theta="known").predict(PLACES)
 
@@ -49,7 +49,7 @@ def test_simulation(assumed):
     power = path_loss(TRUE, everywhere)[:, None] + np.linalg.cholesky(
         covariance
     ) @ np.random.default_rng(3).standard_normal((len(everywhere), draws))
-    # Lemma 2 is affine in the data: its weights from unit measurements.
+    # The posterior mean is affine in the data: its weights from unit measurements.
     constant = predicted(assumed, np.zeros(25)).mean_db
     weights = np.stack([predicted(assumed, row).mean_db - constant for row in np.eye(25)], axis=1)
     squares = (constant[:, None] + weights @ power[:25] - power[25:]) ** 2
@@ -59,7 +59,7 @@ def test_simulation(assumed):
 
 
 def test_no_error_is_the_posterior_variance():
-    """With right parameters Delta^2 is sigma^2 of Lemma 2."""
+    """With right parameters Delta^2 is the posterior variance."""
     deviation = predicted(TRUE, np.zeros(25)).deviation_db
     delta = mean_squared_error_db2(TRUE, TRUE, MEASURED, PLACES)
     np.testing.assert_allclose(delta, deviation**2, rtol=1e-10)

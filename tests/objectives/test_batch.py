@@ -8,7 +8,7 @@ from path_scene import CHANNEL, NOTHING, PATH, drawn
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.path_loss import regressors
+from planopt.channel.mean_model import regressors
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.objectives.batch import batch_factor, batch_of, cross_covariance_db2, known_places
@@ -18,7 +18,7 @@ GRID = np.random.default_rng(1).uniform(0.0, 60.0, (7, 2))
 
 
 def test_terms_are_the_boxed_formulas():
-    """Theory 4.0 by dense inverses; covariance() adds B M B'."""
+    """Equation 1.11 by dense inverses; covariance() adds B M B'."""
     inverse = np.linalg.inv(
         shadow_covariance_db2(DATA.positions_m, DATA.positions_m, CHANNEL) + 4.0 * np.eye(25)
     )

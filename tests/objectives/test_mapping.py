@@ -31,7 +31,7 @@ REGION = Region(GRID, np.linspace(0.5, 1.5, 30) / 30.0)
 
 
 def lemma_2_variance(places):
-    """The seed's sigma^2(q) = xi^2 + omega^2 - phi' U^-1 phi, by dense inverses."""
+    """sigma^2(q) = xi^2 + omega^2 - phi' U^-1 phi (equation 1.6), by dense inverses."""
     u = shadow_covariance_db2(DATA.positions_m, DATA.positions_m, CHANNEL) + 4.0 * np.eye(15)
     phi = shadow_covariance_db2(DATA.positions_m, places, CHANNEL)
     return 25.0 + 4.0 - (phi * np.linalg.solve(u, phi)).sum(axis=0)
@@ -48,7 +48,7 @@ def step_variances(posterior):
 
 @pytest.mark.parametrize("posterior", [POSTERIOR, KNOWN], ids=["estimated", "known"])
 def test_one_step_is_the_seeds_j_ch(posterior):
-    """Lemma 2's variance above the threshold, discounted by distance; the path form at h = 1."""
+    """The variance above the threshold, discounted by distance; the path form at h = 1."""
     settings = dataclasses.replace(SETTINGS, universal=False)
     distance = np.linalg.norm(PATH - START, axis=1)
     variance = lemma_2_variance(PATH)

@@ -1,4 +1,4 @@
-"""Learning path loss: batch = sequential = re-estimation, the seed's (1) and (2), invariances."""
+"""Learning path loss: batch = sequential = re-estimation, equations 1.10 and 4.1, invariances."""
 
 import dataclasses
 
@@ -8,9 +8,9 @@ from path_scene import CHANNEL, NOTHING, PATH, drawn, measured_at, moved
 
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import kriging_terms
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition, extend
 from planopt.channel.theta_estimate import WEAK_THETA_DEVIATION
 from planopt.errors import InputError
@@ -81,7 +81,7 @@ def test_batch_equals_the_sum_over_steps():
 
 
 def test_one_step_is_the_seeds_equation_2():
-    """J_PL = |gamma - Gamma' U^-1 phi|^2 / sigma^2 of Lemma 2, by dense inverses."""
+    """J_PL = |gamma - Gamma' U^-1 phi|^2 / sigma^2 (equation 4.1), by dense inverses."""
     u = shadow_covariance_db2(DATA.positions_m, DATA.positions_m, CHANNEL) + 4.0 * np.eye(12)
     phi = shadow_covariance_db2(DATA.positions_m, PATH, CHANNEL)
     solved = np.linalg.solve(u, phi)

@@ -5,7 +5,7 @@ import pytest
 from path_scene import CHANNEL
 
 from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.path_loss import regressors
+from planopt.channel.mean_model import regressors
 from planopt.objectives.rounded_kernel import (
     CUSP_ROUNDING,
     rounded_kernel,

@@ -1,4 +1,4 @@
-"""Tracking: the seed's (4) by hand, additivity, several robots, invariances."""
+"""Tracking: equation 4.11 by hand, additivity, several robots, invariances."""
 
 import dataclasses
 
@@ -56,7 +56,7 @@ def test_reward_takes_a_connectivity_from_anywhere():
 
 
 def test_a_team_is_the_sum_of_its_robots():
-    """The trace decouples (seed, after (4)); robots may know different things."""
+    """The trace decouples (equation 4.11); robots may know different things."""
     found = team_tracking_value([POSTERIOR, OTHER], [PATH, SECOND_PATH], TASK)
     expected = tracking_value(POSTERIOR, PATH, TASK) + tracking_value(OTHER, SECOND_PATH, TASK)
     assert found == pytest.approx(expected)

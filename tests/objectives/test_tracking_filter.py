@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, NOTHING, PATH, drawn
 
-from planopt.channel.connection.sampled_distribution import SampledDistribution
+from planopt.channel.connection.connection_law import SampledDistribution
 from planopt.channel.kriging import predict
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
@@ -58,7 +58,7 @@ def is_below(lower, upper):
 
 @pytest.mark.parametrize("robots, steps", [(1, 5), (1, 8), (2, 4)])
 def test_recursions_enclose_the_enumerated_expectation(robots, steps):
-    """MARE >= E P >= J-bar^-1 and J-bar >= E J, as matrices, at every step (theory 4.6)."""
+    """MARE >= E P >= J-bar^-1 and J-bar >= E J, as matrices, at every step (equation 4.12)."""
     task = FilteredTracking(
         Tracking(-73.0, SENSOR, np.resize(PATH, (steps, 2)) + 2.0), MODEL, INFORMATION
     )
@@ -146,7 +146,7 @@ def test_the_information_bound_survives_shadowing():
 
 
 def test_the_covariance_recursion_is_no_bound_under_shadowing():
-    """The seed's outdoor channel, p = 0.6, 1 m steps: it claims less than half, then less."""
+    """The outdoor channel of [GM11], p = 0.6, 1 m steps: it claims less than half, then less."""
     outdoor = ChannelParameters(-10.0, 2.0, 4.0, 20.0, 1.13, Station((0.0, 0.0)))
     posterior = condition(outdoor, NOTHING, theta="known")
     previous = 1.0

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, NOTHING, PATH, START, drawn
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.joint import joint_prediction, sample_power
 from planopt.channel.kriging import predict
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.passage_programme import charged_distances_m
 from planopt.objectives.until_connected import (

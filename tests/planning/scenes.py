@@ -193,7 +193,7 @@ def straight_path(problem: Problem, step_m: float = 1.9) -> np.ndarray:
 
 
 def kriged(belief: Belief, positions_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and deviation at places (n, 2) by Lemma 2 written out plainly: theta known, n_PL 0."""
+    """Mean and deviation at places (n, 2) by equation 1.6 written out: theta known, n_PL 0."""
     parameters, measured = belief.posterior.parameters, belief.posterior.measurements
 
     def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:

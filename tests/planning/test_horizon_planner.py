@@ -19,9 +19,9 @@ from terms_scene import (
     terms_problem,
 )
 
-from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.fields.truth import measure
 from planopt.channel.posterior import condition, predict
+from planopt.channel.prediction import bound_margin_db
 from planopt.errors import InputError
 from planopt.planning import start_polish
 from planopt.planning.given import free_places
@@ -73,7 +73,7 @@ def test_plan_is_verified_and_better_than_its_start(terms, horizon):
 
 @pytest.mark.parametrize("horizon", [1, 5])
 def test_an_expression_of_ones_own_is_planned(horizon):
-    """One that is the seed's tracking has the worth of the built-in term, from the coupled search.
+    """One that is equation 4.11 has the value of the built-in term, from the coupled search.
 
     The lattice adds that up over stages; both are polished.
     """

@@ -17,6 +17,7 @@ from planopt.problems import library
 from planopt.problems.channel_setup import ModelTruth, RasterTruth, SampledMeasurements
 from planopt.problems.library import find_problem, list_problems
 from planopt.problems.load import load
+from planopt.problems.systems import load_any
 from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [
@@ -40,6 +41,7 @@ NAMES = [
     "open_field",
     "outdoor_map",
     "outdoor_track",
+    "pursuit_design",
     "two_station_courier",
 ]
 
@@ -50,7 +52,7 @@ def test_library_lists_its_problems_by_name() -> None:
     assert [entry.name for entry in entries] == NAMES
     for entry in entries:
         assert entry.description.endswith(".")
-        problem = load(entry.name)
+        problem = load_any(entry.name)
         assert (problem.name, problem.description) == (entry.name, entry.description)
         assert problem.file == entry.path
 

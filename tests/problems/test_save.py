@@ -17,6 +17,7 @@ from planopt.problems.library import list_problems
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.problems.systems import SYSTEMS
 
 Tables = dict[str, Any]
 Build = Callable[[object], Problem]
@@ -27,7 +28,7 @@ def there_and_back(problem: Problem) -> Problem:
     return problem_from_dict(json.loads(json.dumps(problem_to_dict(problem))), file=problem.file)
 
 
-@pytest.mark.parametrize("name", [entry.name for entry in list_problems()])
+@pytest.mark.parametrize("name", [e.name for e in list_problems() if e.task not in SYSTEMS])
 def test_library_problems_survive_json_exactly(name: str) -> None:
     """Every number, name, ring and hole of a library problem comes back bit for bit."""
     problem = load(name)

@@ -64,7 +64,7 @@ def test_bound_of_a_stage_is_the_worst_case(theorem, chase, bounds):
 
 @pytest.mark.parametrize("chase", CHASES[:1])
 def test_times_without_floors(chase):
-    """Closed forms of the Lemma and of the trail, at 1000 m."""
+    """Closed forms of equations 8.3 and 8.5, at 1000 m."""
     bounds, first = ServiceBounds(0.15, 0.1), 1000.0
     found = guarantees(chase, bounds)
     a, x, kappa, alpha = contraction(2.0, 0.1), 0.15, 0.1, 2.0
@@ -141,7 +141,7 @@ def test_limits_of_the_slot_width():
         return low
 
     lemma = limit(Theorem.LEMMA)
-    # Lemma III.3: slots a frame times slot width below (1 - a) / (12 v_e).
+    # Equation 8.3: slots a frame times slot width below (1 - a) / (12 v_e).
     k = 2**6 / np.sqrt(2)
     assert lemma == pytest.approx((1 - (2 + k + 1) / (k * 2)) / 12)
     assert limit(Theorem.ANY_INSTANT) == pytest.approx(2 * lemma)

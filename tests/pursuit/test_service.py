@@ -56,7 +56,7 @@ def test_finer_levels_are_never_older(hops, divisor, time_s):
 
 
 def test_bounds_of_the_plain_service():
-    """The constant 12 of Lemma III.3, k = 2^c / sqrt 2, and the floors."""
+    """The constant 12 of equation 8.8, k = 2^c / sqrt 2, and the floors."""
     found = SnapshotService(6, 5.0, 0.02, 3).bounds
     assert found.age_s_m == pytest.approx(12 * 0.02 / 5.0)
     assert found.period_s_m == pytest.approx(6 * 0.02 / 5.0)

@@ -9,12 +9,12 @@ import pytest
 import shapely
 
 from planopt.channel.belief import Belief
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.plan import Plan, Rung, Termination, Verdict

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt import load
-from planopt.channel.validation.reliability import reliability
+from planopt.channel.validation.calibration import reliability
 from planopt.report.tables import comparison_text, reliability_lines
 
 

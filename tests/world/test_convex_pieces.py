@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planopt.world.convex_pieces import convex_pieces
+from planopt.world.separation import convex_pieces
 from planopt.world.workspace import Workspace
 
 

@@ -2,6 +2,15 @@
 
 The places' powers belong together, so the product of the single probabilities is not the joint
 one, and is a bound only under a condition that is checked here.
+
+The normal distribution of two variables, for arrays of pairs, by Owen's T function.
+
+P(X_1 <= u_1, ..., X_k <= u_k) for every k at once, X Gaussian.
+
+Genz's separation of variables: given the earlier ones, each variable is drawn below its bound,
+and the product of the conditional probabilities so far is an unbiased estimate of the joint one.
+The products on the way are the prefixes, which is what a first passage needs. Randomly shifted
+lattices give the samples: several of them, so that their scatter tells the error.
 """
 
 from __future__ import annotations
@@ -10,13 +19,194 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtr, ndtri_exp, owens_t  # pyright: ignore[reportUnknownVariableType]  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.connection.bivariate import bivariate_normal_cdf
-from planopt.channel.connection.orthant import prefix_probabilities
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.joint import JointPrediction
 from planopt.channel.places import require_finite
+from planopt.channel.prediction import connection_probability
+from planopt.channel.semidefinite import semidefinite_factor
+from planopt.errors import InputError
 from planopt.short_repr import short_repr
+
+FAR_SCORE = 40.0
+"""Scores are not taken further out: the normal tail there is below the smallest float."""
+
+VANISHING = 1e-200
+"""Smaller scores count as zero: their products would, and quotients of those are no numbers."""
+
+
+def bivariate_normal_cdf(
+    first: NDArray[np.float64], second: NDArray[np.float64], correlation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """P(X <= first, Y <= second) for standard normal X, Y of the given correlation.
+
+    Exact to rounding, about 1e-15 (D. B. Owen, Tables for computing bivariate normal
+    probabilities, 1956). Arguments broadcast; infinite scores and correlations of 1 and -1 are
+    taken as what they are.
+    """
+    h, k, rho = np.broadcast_arrays(_score(first), _score(second), np.clip(correlation, -1.0, 1.0))
+    narrow = np.sqrt((1.0 - rho) * (1.0 + rho))
+    crossing = (h < 0.0) != (k < 0.0)
+    found = (
+        0.5 * (_array(ndtr(h)) + _array(ndtr(k)))
+        - _owen(h, k - rho * h, narrow)
+        - _owen(k, h - rho * k, narrow)
+        - 0.5 * crossing
+    )
+    # Two zero scores leave Owen's slopes 0 / 0.
+    found = np.where((h == 0.0) & (k == 0.0), 0.25 + np.arcsin(rho) / (2.0 * np.pi), found)
+    lower, upper = _array(ndtr(h)), _array(ndtr(k))
+    found = np.where(rho >= 1.0, np.minimum(lower, upper), found)
+    found = np.where(rho <= -1.0, lower + upper - 1.0, found)
+    return np.clip(found, np.maximum(0.0, lower + upper - 1.0), np.minimum(lower, upper))
+
+
+def _score(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scores that quotients can be made of."""
+    scores = np.clip(_array(values), -FAR_SCORE, FAR_SCORE)
+    return np.where(np.abs(scores) < VANISHING, 0.0, scores)
+
+
+def _owen(
+    score: NDArray[np.float64], across: NDArray[np.float64], narrow: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Owen's T(score, across / (score narrow)); a zero score makes the slope infinite."""
+    # Zero is added so that a score of -0 is one of 0. What is 0 / 0 here the caller replaces.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        slope = across / (score * narrow + 0.0)
+    return _array(owens_t(score, slope))
+
+
+def _array(values: object) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
+
+
+SHIFTS = 12
+"""Independent random shifts of the lattice; their scatter is the error estimate."""
+
+FIRST_POINTS = 2**9
+LAST_POINTS = 2**15
+"""Points of the lattice, doubled from the first number to the last until accurate enough."""
+
+FAR = 1e8
+"""Scores are not taken further out: the logarithm of the normal tail must be squared safely."""
+
+ERRORS = 3.0
+"""An error is this many standard errors over the shifts."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrefixProbabilities:
+    """P(X_1 <= u_1, ..., X_k <= u_k) for k = 1 .. h.
+
+    Attributes
+    ----------
+    probability
+        ``(h,)`` never increasing.
+    error
+        ``(h,)`` three standard errors; zero where the value is exact.
+    """
+
+    probability: NDArray[np.float64]
+    error: NDArray[np.float64]
+
+
+def prefix_probabilities(
+    bound: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    generator: np.random.Generator,
+    tolerance: float = 1e-4,
+) -> PrefixProbabilities:
+    """P(X_1 <= u_1, ..., X_k <= u_k), k = 1 .. h, for X ~ N(0, `covariance`).
+
+    A. Genz, Numerical computation of multivariate normal probabilities, 1992, with baker's
+    transformed Richtmyer lattices.
+
+    Parameters
+    ----------
+    bound
+        ``(h,)`` u.
+    covariance
+        ``(h, h)``, may be singular.
+    generator
+        Source of the shifts.
+    tolerance
+        Points are doubled until no error is above this, or there are `LAST_POINTS`; the error
+        that remains is in the result.
+
+    Raises
+    ------
+    InputError
+        `covariance` is none, or `tolerance` is not positive.
+    """
+    if not tolerance > 0.0:
+        raise InputError(f"{tolerance!r} is not positive", key="tolerance")
+    lower = semidefinite_factor(covariance)
+    if len(bound) == 1:
+        return PrefixProbabilities(_products(bound, lower, np.zeros((1, 0))), np.zeros(1))
+    direction = np.sqrt(_primes(len(bound) - 1))
+    points = FIRST_POINTS
+    while True:
+        multiples = np.arange(points, dtype=np.float64)[:, None] * direction
+        # Reduced before the shift, so that large multiples keep their digits.
+        lattice = _array(multiples - np.floor(multiples))
+        runs = np.stack(
+            [
+                _products(bound, lower, _shifted(lattice, generator.random(len(direction))))
+                for _ in range(SHIFTS)
+            ]
+        )
+        error = ERRORS * runs.std(axis=0, ddof=1) / np.sqrt(SHIFTS)
+        # The first is the same in every run and exact; rounding alone makes its scatter.
+        error[0] = 0.0
+        if error.max() <= tolerance or points == LAST_POINTS:
+            return PrefixProbabilities(runs.mean(axis=0), error)
+        points *= 2
+
+
+def _shifted(lattice: NDArray[np.float64], shift: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shift modulo one, then fold: the baker's transformation makes the integrand periodic."""
+    moved = lattice + shift
+    return np.abs(2.0 * (moved - np.floor(moved)) - 1.0)
+
+
+def _products(
+    bound: NDArray[np.float64], lower: NDArray[np.float64], uniform: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Mean over samples of the product of conditional probabilities up to each k; (h,).
+
+    In logarithms, so that improbable prefixes do not underflow on the way.
+    """
+    samples, count = len(uniform), len(bound)
+    drawn = np.zeros((samples, count))
+    log_product = np.zeros(samples)
+    mean = np.empty(count)
+    for k in range(count):
+        room = bound[k] - drawn[:, :k] @ lower[k, :k]
+        # What earlier values determine is inside or not, and needs no draw.
+        spread = lower[k, k]
+        log_inside = (
+            _array(log_ndtr(np.clip(room / spread, -FAR, FAR)))
+            if spread > 0.0
+            else np.where(room >= 0.0, 0.0, -np.inf)
+        )
+        log_product += log_inside
+        mean[k] = np.exp(log_product).mean()
+        if spread > 0.0 and k + 1 < count:
+            log_uniform = np.log(np.maximum(uniform[:, k], np.finfo(np.float64).tiny))
+            drawn[:, k] = _array(ndtri_exp(log_uniform + log_inside))
+    return mean
+
+
+def _primes(count: int) -> NDArray[np.float64]:
+    """The first `count` primes, by trial division."""
+    found: list[int] = []
+    candidate = 2
+    while len(found) < count:
+        if all(candidate % prime for prime in found if prime * prime <= candidate):
+            found.append(candidate)
+        candidate += 1
+    return np.array(found, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -58,7 +248,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class JointConnectivity:
-    """P(power >= threshold at every place) and its bounds (theory 4.2).
+    """P(power >= threshold at every place) and its bounds (equations 3.10 to 3.12).
 
     Attributes
     ----------
@@ -101,7 +291,7 @@ def joint_connectivity(
     generator: np.random.Generator | None = None,
     tolerance: float = 1e-4,
 ) -> JointConnectivity:
-    """P(power >= threshold) at all of the predicted places, and bounds (theory 4.2).
+    """Return P(power >= threshold at all places) and bounds (equations 3.10 to 3.12).
 
     With the exact value for reports, without for constraints: the bounds cost O(h^2).
 

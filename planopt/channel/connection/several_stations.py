@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.connection.orthant import prefix_probabilities
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.connection.joint_connectivity import prefix_probabilities
 from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.kriging import predict
 from planopt.channel.places import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 
 REACH = 8.5

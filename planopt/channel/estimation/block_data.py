@@ -20,11 +20,11 @@ from planopt.channel.measurement_covariance import (
     own_distance_m,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.window_sites import IntervalRows
 from planopt.channel.nearest.windows import (
     BESIDE,
     BLOCK,
     SITE_BESIDE,
+    IntervalRows,
     Window,
     earlier_windows,
     place_blocks,

@@ -18,7 +18,7 @@ Statistics and Computing 31, 2021). The order of blocks depends on the places al
 
 X has the columns of the mean, under a flat prior, and the indicators of the receivers but number 0,
 whose coefficients have a normal one. Intervals are Gaussian sites
-(:mod:`planopt.channel.nearest.window_sites`), and enter the gradient as in
+(:mod:`planopt.channel.nearest.windows`), and enter the gradient as in
 :mod:`planopt.channel.estimation.restricted_likelihood`.
 """
 
@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import factor_and_inverse
 from planopt.channel.estimation.block_data import BlockData
-from planopt.channel.estimation.likelihood import SITE_TOLERANCE, Covariance, Evaluated
+from planopt.channel.estimation.likelihood_data import SITE_TOLERANCE, Covariance, Evaluated
 from planopt.channel.measurement_covariance import ageing
-from planopt.channel.nearest.window_sites import WindowSites, window_sites
+from planopt.channel.nearest.windows import WindowSites, window_sites
 from planopt.channel.parameters import ChannelParameters
 
 MEAN_TOLERANCE = 0.03
@@ -51,7 +51,7 @@ DIFFERENCE = 0.3
 class BlockEvaluation:
     """The restricted likelihood at one point.
 
-    Attributes as of :class:`planopt.channel.estimation.likelihood.Evaluated`.
+    Attributes as of :class:`planopt.channel.estimation.likelihood_data.Evaluated`.
     """
 
     log_likelihood: float

@@ -15,12 +15,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.estimation.channel_fit import Loss
 from planopt.channel.estimation.covariance_fit import (
     CovarianceBounds,
     CovarianceFit,
     from_correlation,
 )
-from planopt.channel.estimation.fit_method import Loss
 from planopt.channel.estimation.lemma1 import LogBins, line_errors, standardised_scatter
 
 HUBER_DEVIATIONS = 1.345

@@ -100,7 +100,7 @@ def from_correlation(
     count: int,
     bounds: CovarianceBounds,
 ) -> CovarianceFit:
-    """Lemma 1's last step: omega^2 = alpha - xi^2, everything brought within `bounds`.
+    """Set omega^2 = alpha - xi^2 (equation 2.3) and bring everything within `bounds`.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.estimation.channel_fit import FitMethod, Loss
 from planopt.channel.estimation.convex_fit import convex_fit
 from planopt.channel.estimation.covariance_fit import (
     FALLBACK_TOTAL_VARIANCE_DB2,
@@ -16,19 +17,21 @@ from planopt.channel.estimation.covariance_fit import (
     covariance_bounds,
     fallback_fit,
 )
-from planopt.channel.estimation.empirical_correlation import (
-    EmpiricalCorrelation,
-    empirical_correlation,
-)
-from planopt.channel.estimation.fit_method import FitMethod, Loss
 from planopt.channel.estimation.identifiability import Identifiability
 from planopt.channel.estimation.least_squares import (
     LeastSquares,
     coefficient_covariance,
     least_squares,
 )
-from planopt.channel.estimation.lemma1 import capped_bins, enough, lemma1_fit, printed_bins
-from planopt.channel.estimation.likelihood import Covariance
+from planopt.channel.estimation.lemma1 import (
+    EmpiricalCorrelation,
+    capped_bins,
+    empirical_correlation,
+    enough,
+    lemma1_fit,
+    printed_bins,
+)
+from planopt.channel.estimation.likelihood_data import Covariance
 from planopt.channel.estimation.nls_fit import nls_fit
 from planopt.channel.estimation.reml import RemlFit, reml_fit
 from planopt.channel.mean_model import MeanModel

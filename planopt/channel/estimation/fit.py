@@ -3,25 +3,31 @@
 Every method reports a status, standard errors and, in words, which parameter the measurements do
 not determine and what stands in for it. Nothing but an :class:`planopt.errors.InputError` leaves
 here.
+
+Which parameters the measurements hardly determine, and what is known of them, in words.
+
+Values that no channel has, and logs that look as if a floor had been taken for powers.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtrc  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.estimation.channel_fit import ChannelFit, OtherMode
-from planopt.channel.estimation.covariance_fit import CovarianceFit
-from planopt.channel.estimation.determination import (
-    bounded_words,
-    mode_words,
-    normal_interval,
-    profile_intervals,
-    weak_parameters,
-    weak_words,
+from planopt.channel.estimation.channel_fit import (
+    ChannelFit,
+    FitMethod,
+    GivenMethod,
+    Loss,
+    OtherMode,
+    require_loss,
+    require_method,
 )
+from planopt.channel.estimation.covariance_fit import CovarianceFit
 from planopt.channel.estimation.estimate import (
     Estimate,
     GivenToFit,
@@ -30,24 +36,172 @@ from planopt.channel.estimation.estimate import (
     by_likelihood,
     from_limits_alone,
 )
-from planopt.channel.estimation.fit_method import (
-    FitMethod,
-    GivenMethod,
-    Loss,
-    require_loss,
-    require_method,
-)
 from planopt.channel.estimation.identifiability import examine
-from planopt.channel.estimation.plausibility import implausible_values, suspected_floor
+from planopt.channel.estimation.profile import WORDS, ProfiledParameter, interval_words
 from planopt.channel.estimation.reml import MOST_DENSE
-from planopt.channel.estimation.ridge import AXES
-from planopt.channel.mean_model import PRIOR_N_PL, mean_model
+from planopt.channel.estimation.ridge import AXES, Ridge
+from planopt.channel.mean_model import PRIOR_N_PL, PRIOR_N_PL_STD, mean_model
 from planopt.channel.measurements import Measurements, Table, as_measurements
+from planopt.channel.offsets import ReceiverOffset, receiver_offsets
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.channel.receiver_offsets import ReceiverOffset, receiver_offsets
 from planopt.errors import InputError
+
+WEAK_SHARE = 0.5
+"""A deviation or distance whose standard error is more than this share of itself is hardly
+determined: the ends of its 95 % interval are a factor of seven apart."""
+
+Z_95 = 1.959964
+
+Intervals = Mapping[str, tuple[float, float]]
+
+
+def weak_parameters(
+    parameters: ChannelParameters, standard_errors: Mapping[str, float], n_pl_is_assumed: bool
+) -> tuple[str, ...]:
+    """Names of the parameters with a standard error that is known, but large.
+
+    That of n_PL is where it exceeds the deviation of its prior: it is as well known without
+    measurements.
+    """
+    weak = [
+        name
+        for name in AXES
+        if WEAK_SHARE * getattr(parameters, name) < standard_errors[name] < math.inf
+    ]
+    if not n_pl_is_assumed and PRIOR_N_PL_STD < standard_errors["n_pl"] < math.inf:
+        weak.insert(0, "n_pl")
+    return tuple(weak)
+
+
+def profile_intervals(ridge: Ridge, names: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """95 % intervals of those of `names` that have a profile of the likelihood."""
+    profiled: dict[str, ProfiledParameter] = {name: name for name in AXES}
+    return {name: ridge.interval_95(profiled[name]) for name in names if name in profiled}
+
+
+def normal_interval(value: float, standard_error: float) -> tuple[float, float]:
+    """The 95 % interval of a normal estimate."""
+    return value - Z_95 * standard_error, value + Z_95 * standard_error
+
+
+def weak_words(
+    name: str,
+    parameters: ChannelParameters,
+    standard_errors: Mapping[str, float],
+    intervals: Intervals,
+) -> str:
+    """Say that a parameter is hardly determined, and what is known of it."""
+    called, unit = WORDS[name]
+    if name in intervals:
+        known = interval_words(*intervals[name], unit)
+    else:
+        value, error = getattr(parameters, name), standard_errors[name]
+        known = f"{value:.3g} with standard error {error:.2g} {unit}".rstrip()
+    return f"the {called} is hardly determined: {known}"
+
+
+def bounded_words(names: Iterable[str], intervals: Intervals) -> tuple[str, ...]:
+    """Say what is known of parameters that are not determined."""
+    return tuple(
+        f"the {WORDS[name][0]}: {interval_words(*intervals[name], WORDS[name][1])}"
+        for name in names
+        if name in intervals
+    )
+
+
+def mode_words(parameters: ChannelParameters, below: float) -> str:
+    """Say that other parameters are nearly as likely; their log likelihood is `below` less."""
+    return (
+        f"another set of parameters is nearly as likely (log likelihood {below:.2f} lower): "
+        f"K_PL {parameters.k_pl_db:.1f} dBm, n_PL {parameters.n_pl:.2f}, shadowing "
+        f"{parameters.shadow_std_db:.2f} dB over {parameters.decorrelation_m:.3g} m, multipath "
+        f"{parameters.multipath_std_db:.2f} dB"
+    )
+
+
+PLAUSIBLE_N_PL = (1.0, 6.0)
+"""From waveguides to the densest buildings; free space is 2."""
+
+EXTENT_SHARE = 1.0 / 3.0
+"""A decorrelation distance beyond this share of the log's extent is hardly seen in it: the places
+that far apart are few, and shadowing cannot be told from path loss."""
+
+PLAUSIBLE_POWER_DBM = (-200.0, 100.0)
+"""Thermal noise in 1 Hz is -174 dBm; 100 dBm are ten megawatts."""
+
+LEAST_PILE = 5
+"""Fewer equal lowest powers are no pile."""
+
+PILE_RATIO = 2.0
+"""A pile is one that is this many times as high as any other: powers that were rounded coincide
+too, but most in the middle of their range."""
+
+PILE_NEIGHBOURS = 3
+PILE_CHANCE = 1e-3
+"""Or it is one where its height, against the highest of the next few values, has no larger
+probability than this: towards the end of a range values become rarer, not more frequent."""
+
+
+def implausible_values(
+    parameters: ChannelParameters, measurements: Measurements, extent_m: float
+) -> tuple[str, ...]:
+    """Say which values are not to be believed.
+
+    Parameters
+    ----------
+    parameters
+        An estimate; its path loss exponent may be assumed.
+    measurements
+        What it is of.
+    extent_m
+        Diagonal of the bounding box of their positions.
+    """
+    said: list[str] = []
+    low, high = PLAUSIBLE_POWER_DBM
+    for power in (measurements.power_dbm.min(), measurements.power_dbm.max()):
+        if not low <= power <= high:
+            said.append(
+                f"a power of {power:g} dBm is implausible ({low:g} to {high:g} dBm): "
+                "check the unit and the column"
+            )
+    low, high = PLAUSIBLE_N_PL
+    n_pl = parameters.n_pl
+    if n_pl < 0.0:
+        said.append("n_PL is negative: power grows with the distance to the station")
+    elif not low <= n_pl <= high:
+        said.append(f"n_PL of {n_pl:.2f} is implausible ({low:g} to {high:g})")
+    beta = parameters.decorrelation_m
+    if beta > EXTENT_SHARE * extent_m:
+        said.append(
+            f"a decorrelation distance of {beta:.3g} m is implausible: the log spans "
+            f"{extent_m:.3g} m, so that shadowing cannot be told from path loss"
+        )
+    return tuple(said)
+
+
+def suspected_floor(measurements: Measurements) -> str | None:
+    """Say that the lowest power occurs suspiciously often without being censored; None if not."""
+    exact = measurements.power_dbm[~measurements.censored]
+    values, counts = np.unique(exact, return_counts=True)
+    if len(values) < 2 or not _is_pile(counts):
+        return None
+    return (
+        f"the lowest power, {values[0]:g} dBm, occurs {counts[0]} times among {len(exact)}: it "
+        f"looks like the receiver's floor, and biases the fit if it is; mark such powers as "
+        f"censored (--floor={values[0]:g})"
+    )
+
+
+def _is_pile(counts: NDArray[np.intp]) -> bool:
+    """Whether the first of the counts of ascending values is too high for the end of a range."""
+    pile, beside = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
+    if pile < LEAST_PILE:
+        return False
+    # Where values become rarer it has at most half of both.
+    chance = float(bdtrc(pile - 1, pile + beside, 0.5))
+    return pile > PILE_RATIO * int(counts[1:].max()) or chance < PILE_CHANCE
 
 
 @one_blas_thread()
@@ -72,7 +226,7 @@ def fit_channel(
     station
         The fixed station.
     method
-        ``lemma1``: Lemma 1 as printed (``seed`` is its earlier name). ``capped``: the same with
+        ``lemma1``: Lemma 1 of [GM11] as printed (once ``seed``). ``capped``: the same with
         a lag cap and weights n r^2. ``convex``: that as a convex programme with xi^2 <= alpha and
         beta bounded. ``nls``: the exponential fitted without logarithm to all bins. ``reml``:
         restricted maximum likelihood (default); of more than

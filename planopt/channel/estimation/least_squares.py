@@ -1,7 +1,7 @@
-"""Path loss by least squares (seed, Lemma 1), with censored powers completed by expectation.
+"""Path loss by least squares (equation 2.1), with censored powers completed by expectation.
 
-With no censored measurement this is Lemma 1's theta-hat and alpha-hat. Censored powers are
-replaced by their expected values given that they are at most the floor, under the line and
+With no censored measurement this is theta-hat and alpha-hat of Lemma 1 of [GM11]. Censored powers
+are replaced by their expected values given that they are at most the floor, under the line and
 independent normal deviations of variance alpha, and the line is refitted until neither moves: the
 EM algorithm of Tobit regression. It ignores that shadowing is correlated.
 
@@ -48,7 +48,7 @@ class LeastSquares:
     coefficients
         ``(p,)`` of the mean model (theta-hat for p = 2).
     residual_db
-        ``(n,)`` completed power minus the line (the seed's Y_c).
+        ``(n,)`` completed power minus the line, Y_c of equation 2.1.
     variance_db2
         alpha-hat: mean square of the residual, plus what censoring hides, less what rounding adds
         (Sheppard's correction); divided by n as printed.

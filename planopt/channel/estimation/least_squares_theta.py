@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.estimation.identifiability import MIN_REGRESSOR_SPREAD_DB
 from planopt.channel.estimation.least_squares import receiver_columns
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
-from planopt.channel.path_loss import regressors
 
 
 def least_squares_theta(

@@ -1,9 +1,14 @@
-"""Lemma 1: a weighted line through the logarithm of the empirical correlation, in closed form.
+"""Lemma 1 of [GM11]: a weighted line through the log of the empirical correlation (equation 2.3).
 
 log r(d) = log xi^2 - d / beta, over the bins L = {d : 0 < r-hat(d) < alpha-hat}. As printed the
 set keeps only the positive noise at long lags, which makes xi too small and beta too long however
 many measurements there are. `capped` is the repair: lags up to a cap, and weights
 n r^2, the inverse of the variance of log r-hat.
+
+The empirical correlation of shadowing at binned lags, r-hat(d) of equation 2.2.
+
+[GM11] averages products over pairs at *equal* distance. Distances between real positions never
+repeat, so pairs are collected in bins of equal width, each standing at its pairs' mean distance.
 """
 
 from __future__ import annotations
@@ -19,7 +24,60 @@ from planopt.channel.estimation.covariance_fit import (
     CovarianceFit,
     from_correlation,
 )
-from planopt.channel.estimation.empirical_correlation import EmpiricalCorrelation
+from planopt.channel.kernel import pairwise_distance_m
+
+BINS = 100
+"""Bins over the extent."""
+
+ROWS = 512
+"""Rows of pairs that are held at once."""
+
+
+@dataclass(frozen=True)
+class EmpiricalCorrelation:
+    """One entry a non-empty bin, by increasing lag.
+
+    Attributes
+    ----------
+    lag_m
+        ``(b,)`` mean distance of the bin's pairs.
+    covariance_db2
+        ``(b,)`` mean product of the residuals, r-hat.
+    pairs
+        ``(b,)`` number of pairs.
+    """
+
+    lag_m: NDArray[np.float64]
+    covariance_db2: NDArray[np.float64]
+    pairs: NDArray[np.float64]
+
+
+def empirical_correlation(
+    positions_m: NDArray[np.float64], residual_db: NDArray[np.float64], extent_m: float
+) -> EmpiricalCorrelation:
+    """Average residual products of all pairs of distinct measurements, by lag.
+
+    Parameters
+    ----------
+    positions_m, residual_db
+        ``(n, 2)`` and ``(n,)``.
+    extent_m
+        Diagonal of the bounding box; no pair is farther apart.
+    """
+    width = extent_m / BINS
+    count = len(residual_db)
+    totals = np.zeros((3, BINS + 1))
+    for first in range(0, count, ROWS):
+        last = min(first + ROWS, count)
+        distance = pairwise_distance_m(positions_m[first:last], positions_m[first:])
+        later = np.arange(first, count)[None, :] > np.arange(first, last)[:, None]
+        product = residual_db[first:last, None] * residual_db[None, first:]
+        bins = np.minimum((distance[later] / width).astype(np.intp), BINS)
+        for row, weights in enumerate((None, distance[later], product[later])):
+            totals[row] += np.bincount(bins, weights, BINS + 1)
+    pairs, lag, covariance = totals[:, totals[0] > 0]
+    return EmpiricalCorrelation(lag / pairs, covariance / pairs, pairs)
+
 
 LAG_CAP_SHARE = 0.25
 """`capped` uses lags up to this share of the extent, unless correlation vanishes earlier."""
@@ -108,7 +166,7 @@ def enough(bins: LogBins) -> bool:
 def lemma1_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds
 ) -> CovarianceFit:
-    """xi, beta and omega from the line (seed, Lemma 1), brought within `bounds`.
+    """Estimate xi, beta and omega from the line (equation 2.3), brought within `bounds`.
 
     Parameters
     ----------

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from planopt.channel.estimation.block_data import BlockData, exact_part
 from planopt.channel.estimation.block_likelihood import BlockLikelihood
 from planopt.channel.estimation.covariance_fit import CovarianceBounds
-from planopt.channel.estimation.likelihood import Likelihood
 from planopt.channel.estimation.likelihood_climb import ROUGH, LikelihoodClimb, Top, variances
-from planopt.channel.estimation.likelihood_data import LikelihoodData
+from planopt.channel.estimation.likelihood_data import Likelihood, LikelihoodData
 from planopt.channel.estimation.restricted_likelihood import (
     DenseLikelihood,
     profiled_log_likelihood,

@@ -2,8 +2,8 @@
 """The exponential fitted to the empirical correlation as it is: the boundary to CasADi and IPOPT.
 
 Without the logarithm, bins whose correlation came out negative count too, so nothing is selected
-and Lemma 1's bias does not arise. The problem is not convex in beta: a scan over beta, in which
-xi^2 is linear, gives the start, and IPOPT polishes.
+and the bias of Lemma 1 does not arise (equation 2.5). The problem is not convex in beta: a scan
+over beta, in which xi^2 is linear, gives the start, and IPOPT polishes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from planopt.channel.estimation.covariance_fit import (
     CovarianceFit,
     from_correlation,
 )
-from planopt.channel.estimation.empirical_correlation import EmpiricalCorrelation
+from planopt.channel.estimation.lemma1 import EmpiricalCorrelation
 
 SCAN = 60
 """Values of beta that are tried for the start, spaced geometrically."""

@@ -1,8 +1,8 @@
 """Restricted maximum likelihood of xi, omega and beta, with generalised least squares for theta.
 
-The default fit: unlike Lemma 1 it has no selection bias, weighs every pair rightly, and takes
-censored measurements for what they are. Up to `MOST_DENSE` measurements the likelihood is exact,
-from one factor; beyond, it is that of blocks
+The default fit: unlike Lemma 1 of [GM11] it has no selection bias, weighs every pair rightly, and
+takes censored measurements for what they are. Up to `MOST_DENSE` measurements the likelihood is
+exact, from one factor; beyond, it is that of blocks
 (:mod:`planopt.channel.estimation.block_likelihood`), whose cost grows with their number alone.
 """
 
@@ -22,9 +22,8 @@ from planopt.channel.estimation.covariance_fit import (
     CovarianceFit,
     at_bound,
 )
-from planopt.channel.estimation.likelihood import Covariance, Likelihood
 from planopt.channel.estimation.likelihood_climb import FINE, LikelihoodClimb, Top, variances
-from planopt.channel.estimation.likelihood_data import likelihood_data
+from planopt.channel.estimation.likelihood_data import Covariance, Likelihood, likelihood_data
 from planopt.channel.estimation.likelihood_starts import (
     at_ends,
     beyond_best,

@@ -1,7 +1,7 @@
 """The restricted likelihood of xi^2, omega^2 and beta, with gradient, of intervals too.
 
 Of exact measurements, with V = xi^2 exp(-d / beta) + omega^2 I and P = V^-1 - V^-1 G M G' V^-1,
-M = (G' V^-1 G)^-1 (theory 4.7):
+M = (G' V^-1 G)^-1 (equations 2.6 and 2.7):
 
     log L = -(log |V| + log |G' V^-1 G| + y' P y + (n - p) log 2 pi) / 2
     dlog L = -(tr(P dV) - y' P dV P y) / 2
@@ -16,22 +16,159 @@ the direct effect of omega^2 on the intervals.
 Position errors lengthen the distances, age multiplies the correlation, and what receivers' offsets
 and errors of path loss add to V does not depend on what is estimated
 (:mod:`planopt.channel.measurement_covariance`): neither changes the derivatives' form.
+
+Generalised least squares of Gaussian measurements, and their restricted log likelihood.
+
+Intervals beside Gaussian measurements: the sites that stand for them, the likelihood of all.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import inverse
-from planopt.channel.estimation.generalised_least_squares import generalised_least_squares
-from planopt.channel.estimation.likelihood import SITE_TOLERANCE, Covariance, Evaluated
-from planopt.channel.estimation.likelihood_data import LikelihoodData
-from planopt.channel.estimation.likelihood_sites import sites_and_likelihood
-from planopt.channel.intervals.expectation_propagation import TOLERANCE
-from planopt.channel.intervals.sites import IntervalSites, rounded_variance_db2
+from planopt.channel.cholesky import inverse, log_determinant, lower_factor, solve_lower
+from planopt.channel.estimation.likelihood_data import (
+    SITE_TOLERANCE,
+    Covariance,
+    Evaluated,
+    LikelihoodData,
+)
+from planopt.channel.intervals.expectation_propagation import TOLERANCE, interval_sites
+from planopt.channel.intervals.sites import (
+    Intervals,
+    IntervalSites,
+    LatentPrior,
+    rounded_variance_db2,
+)
+
+
+@dataclass(frozen=True)
+class GeneralisedLeastSquares:
+    """The mean of measurements whose covariance is L L'.
+
+    Attributes
+    ----------
+    coefficients, covariance
+        ``(p,)`` of the mean, and M = (G' V^-1 G)^-1, ``(p, p)``.
+    lower
+        ``(n, n)`` L.
+    half_residual
+        ``(n,)`` L^-1 (y - G coefficients).
+    log_likelihood
+        The restricted log likelihood, constants included.
+    """
+
+    coefficients: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    half_residual: NDArray[np.float64]
+    log_likelihood: float
+
+
+def generalised_least_squares(
+    covariance: NDArray[np.float64], columns: NDArray[np.float64], values: NDArray[np.float64]
+) -> GeneralisedLeastSquares:
+    """Fit `columns` ``(n, p)`` to `values` ``(n,)`` of a positive definite `covariance`."""
+    lower = lower_factor(covariance)
+    half_columns = solve_lower(lower, columns)
+    half_values = solve_lower(lower, values)
+    information = half_columns.T @ half_columns
+    inverse_information = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    coefficients = inverse_information @ (half_columns.T @ half_values)
+    residual = half_values - half_columns @ coefficients
+    freedom = len(values) - columns.shape[1]
+    log_likelihood = float(
+        -0.5
+        * (
+            log_determinant(lower)
+            + float(np.linalg.slogdet(information)[1])
+            + float(residual @ residual)
+            + freedom * np.log(2.0 * np.pi)
+        )
+    )
+    return GeneralisedLeastSquares(
+        coefficients, inverse_information, lower, residual, log_likelihood
+    )
+
+
+def sites_and_likelihood(
+    data: LikelihoodData,
+    latent_covariance: NDArray[np.float64],
+    nugget: float,
+    start: IntervalSites | None,
+    tolerance: float,
+) -> tuple[IntervalSites, float]:
+    """Sites of the intervals given the Gaussian measurements, and log L of all.
+
+    Parameters
+    ----------
+    data
+        Measurements, some of them intervals.
+    latent_covariance
+        ``(n, n)`` V without multipath and rounding.
+    nugget
+        omega^2.
+    start
+        Sites of a point near by.
+    tolerance
+        Of :func:`planopt.channel.intervals.expectation_propagation.interval_sites`.
+    """
+    exact, width = data.exact, data.width_db[data.exact :]
+    rounded = np.isfinite(width)
+    known = Intervals(data.power_db[exact:] + np.where(rounded, 0.5 * width, 0.0), width)
+    prior, exact_log_likelihood = _interval_prior(data, latent_covariance, nugget)
+    sites = interval_sites(prior, known, nugget, start, tolerance)
+    return sites, exact_log_likelihood + sites.log_evidence - float(np.log(width[rounded]).sum())
+
+
+def _interval_prior(
+    data: LikelihoodData, latent_covariance: NDArray[np.float64], nugget: float
+) -> tuple[LatentPrior, float]:
+    """What the Gaussian measurements, any number, say of the others and of theta; their log L.
+
+    Theta has a flat prior. Where rounded ones may be needed to determine it, it is counted from the
+    least-squares line, and the log likelihood is at that line: the rest of its integral over theta
+    is in the prior's score and information.
+    """
+    exact, columns = data.exact, data.columns
+    limits_only = bool(np.isinf(data.width_db[exact:]).all())
+    line = np.zeros(columns.shape[1]) if limits_only else _least_squares_line(data)
+    mean, left = columns[exact:] @ line, columns[exact:]
+    covariance = latent_covariance[exact:, exact:]
+    count = len(line)
+    if not exact:
+        return LatentPrior(mean, covariance, left, np.zeros((count, count)), np.zeros(count)), 0.0
+    total = latent_covariance[:exact, :exact].copy()
+    total[np.diag_indices(exact)] += nugget + rounded_variance_db2(data.width_db[:exact])
+    lower = lower_factor(total)
+    half_columns = solve_lower(lower, columns[:exact])
+    half_residual = solve_lower(lower, data.power_db[:exact] - columns[:exact] @ line)
+    half_cross = solve_lower(lower, latent_covariance[:exact, exact:])
+    score: NDArray[np.float64] = half_columns.T @ half_residual
+    prior = LatentPrior(
+        mean + half_cross.T @ half_residual,
+        covariance - half_cross.T @ half_cross,
+        left - half_cross.T @ half_columns,
+        half_columns.T @ half_columns,
+        score,
+    )
+    squares = float(half_residual @ half_residual)
+    at_line = -0.5 * (log_determinant(lower) + squares + exact * math.log(2.0 * math.pi))
+    if not limits_only:
+        return prior, at_line
+    integrated, log_integral = prior.integrated()
+    return integrated, at_line + log_integral
+
+
+def _least_squares_line(data: LikelihoodData) -> NDArray[np.float64]:
+    """Coefficients of the mean by least squares of all but the limits; (p,)."""
+    measured = np.isfinite(data.width_db)
+    found = np.linalg.lstsq(data.columns[measured], data.power_db[measured], rcond=None)
+    return np.asarray(found[0], dtype=np.float64)
 
 
 @dataclass(frozen=True)

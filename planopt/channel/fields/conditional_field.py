@@ -18,9 +18,9 @@ from planopt.channel.fields.field import shadow_field_db
 from planopt.channel.fields.scattered_field import added_to_lattice_db, scattered_field_db
 from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import PREDICTION_ELEMENTS
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import RECEIVER_OFFSET_STD_DB
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.world.raster import Raster, cell_centres_m

@@ -51,7 +51,7 @@ def shadow_field_db(
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> ShadowField:
-    """Draw shadowing of covariance xi^2 exp(-d / beta) on a lattice (seed, section II).
+    """Draw shadowing of covariance xi^2 exp(-d / beta) on a lattice (equation 1.2).
 
     Parameters
     ----------

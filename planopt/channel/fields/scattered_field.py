@@ -30,7 +30,7 @@ def scattered_field_db(
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw shadowing of covariance xi^2 exp(-d / beta) at any places (seed, section II).
+    """Draw shadowing of covariance xi^2 exp(-d / beta) at any places (equation 1.2).
 
     Parameters
     ----------

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.fields.field import shadow_field_db
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.multipath.multipath_field import multipath_field_db
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
 from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m, nearest_cells
@@ -79,7 +79,7 @@ def model_truth(
     generator: np.random.Generator,
     multipath: Multipath | None = None,
 ) -> Truth:
-    """Truth drawn from the channel model itself (seed, section II).
+    """Truth drawn from the channel model itself (equation 1.1).
 
     Parameters
     ----------

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.factor import spacious, whiten
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import covariance_db2, fading, place_origins
-from planopt.channel.path_loss import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, Prediction, combine

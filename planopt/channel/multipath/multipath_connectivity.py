@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.kriging import predict
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, multipath_survival
 from planopt.channel.places import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 
 REACH = 8.5
@@ -41,7 +41,7 @@ def multipath_connection_probability(
 ) -> NDArray[np.float64]:
     """P(power >= threshold) = int N(s; mean, latent^2) P(fading >= threshold - s) ds; ``(n,)``.
 
-    Theory 4.1, by equally spaced sums rather than Gauss and Hermite's nodes: for weak multipath the
+    Equation 3.3 by equally spaced sums, not Gauss and Hermite's nodes: for weak multipath the
     second factor is nearly a step, which the former resolve to rounding with nodes in proportion
     to latent deviation over omega, the latter only slowly. Error below 1e-9.
 
@@ -89,7 +89,7 @@ def multipath_connectivity(
 ) -> NDArray[np.float64]:
     """P(connected) at each of `positions_m` (n, 2), multipath of the given distribution; ``(n,)``.
 
-    What the measurements tell of the shadowing uses the posterior's own omega, as Lemma 2 does;
+    The posterior of the shadowing uses the posterior's own omega, as equation 1.8 does;
     `multipath` is what the next packet meets.
 
     Raises

@@ -1,7 +1,7 @@
 """Multipath of the truth: its law from whichever of m, K and omega is known, and draws of it.
 
 Every law has unit mean power in the linear domain, and its mean in dB is then subtracted, so that
-path loss and shadowing keep their meaning (seed, section II; theory, errata).
+path loss and shadowing keep their meaning (equation 1.5).
 """
 
 from __future__ import annotations
@@ -11,16 +11,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.multipath.fading import rician_field_db, rician_std_db
-from planopt.channel.multipath.multipath_conversions import (
+from planopt.channel.multipath.multipath_models import (
+    Lognormal,
+    Multipath,
+    Nakagami,
+    Rician,
     nakagami_m_of_rician,
     nakagami_m_of_std,
     nakagami_mean_db,
     nakagami_std_db,
+    rician_field_db,
     rician_k_of_nakagami,
     rician_k_of_std,
+    rician_std_db,
 )
-from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
 from planopt.errors import InputError
 
 MultipathKind = Literal["nakagami", "rician", "rayleigh", "lognormal"]
@@ -88,7 +92,7 @@ def multipath_field_db(
         return multipath.std_db * generator.standard_normal(shape)
     if isinstance(multipath, Rician):
         return rician_field_db(shape, multipath.k_factor, generator)
-    # The power is Gamma(m) / m (theory, errata).
+    # The power is Gamma(m) / m (equation 1.5).
     power = generator.standard_gamma(multipath.m, shape) / multipath.m
     return 10.0 * np.log10(power) - nakagami_mean_db(multipath.m)
 

@@ -1,30 +1,206 @@
 """The distributions of multipath: lognormal, Nakagami-m and Rician (Rayleigh at K = 0).
 
-Of unit mean power, the mean in dB subtracted as the field does (theory, errata), so that the
+Of unit mean power, the mean in dB subtracted as the field does (equation 1.5), so that the
 predicted mean stays what it is.
+
+Rician small-scale fading in dB with unit mean power, its mean in dB subtracted.
+
+The amplitude is a constant plus a complex Gaussian; K is the ratio of their powers. Given a
+Poisson variable J of mean K the power times K + 1 is Gamma(1 + J), which gives the moments of
+its logarithm as a series (equation 1.5).
+
+Between the numbers that multipath is given by: Nakagami's m, Rician K, omega in dB.
+
+All exact (equation 1.5). The pairs (m, omega) of [GM11] are those of Rician K = 5, 10, 30: their
+omega is near the Rician one and is not the Nakagami one, so whoever gives m or omega must say
+which of both is meant.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import (  # pyright: ignore[reportUnknownVariableType]  # pyright: ignore[reportUnknownVariableType]
     chndtr,
     gammaincc,
+    gammaln,
     ndtr,
+    psi,
+    zeta,  # pyright: ignore[reportUnknownVariableType]
 )
 
-from planopt.channel.multipath.fading import rician_mean_db, rician_std_db
-from planopt.channel.multipath.multipath_conversions import (
-    nakagami_mean_db,
-    nakagami_std_db,
-    require_k_factor,
-    require_m,
-)
 from planopt.errors import InputError
+
+DB_PER_NEPER = 10.0 / math.log(10.0)
+
+SERIES_DEVIATIONS = 12.0
+"""The series runs over this many standard deviations of J on both sides, and 40 terms more."""
+
+
+def rician_field_db(
+    shape: tuple[int, ...], k_factor: float, generator: np.random.Generator
+) -> NDArray[np.float64]:
+    """Independent fading values in dB, of mean zero and deviation :func:`rician_std_db`.
+
+    Parameters
+    ----------
+    shape
+        Shape of the result.
+    k_factor
+        K >= 0, linear; 0 is Rayleigh fading.
+    generator
+        Source of randomness.
+    """
+    constant = math.sqrt(k_factor / (k_factor + 1.0))
+    scatter = math.sqrt(0.5 / (k_factor + 1.0))
+    real = constant + scatter * generator.standard_normal(shape)
+    imaginary = scatter * generator.standard_normal(shape)
+    power = real * real + imaginary * imaginary
+    return 10.0 * np.log10(power) - rician_mean_db(k_factor)
+
+
+def rician_mean_db(k_factor: float) -> float:
+    """Mean in dB of fading whose mean power is one; negative."""
+    return _log_moments(k_factor)[0]
+
+
+def rician_std_db(k_factor: float) -> float:
+    """Deviation omega in dB of fading of factor K = `k_factor`."""
+    return _log_moments(k_factor)[1]
+
+
+def _log_moments(k_factor: float) -> tuple[float, float]:
+    """Mean and deviation in dB by the Poisson mixture of gamma variables."""
+    spread = SERIES_DEVIATIONS * math.sqrt(k_factor)
+    orders = np.arange(max(0.0, math.floor(k_factor - spread)), k_factor + spread + 40.0)
+    if k_factor > 0.0:
+        log_weights = orders * math.log(k_factor) - k_factor - _array(gammaln(orders + 1.0))
+        weights = np.exp(log_weights)
+    else:
+        weights = np.where(orders == 0.0, 1.0, 0.0)
+    means = _array(psi(orders + 1.0))
+    mean = float(weights @ means)
+    variance = float(weights @ (_array(zeta(2.0, orders + 1.0)) + (means - mean) ** 2))
+    return DB_PER_NEPER * (mean - math.log1p(k_factor)), DB_PER_NEPER * math.sqrt(variance)
+
+
+MIN_M = 0.5
+"""Nakagami's distribution is defined from here on; 1 is Rayleigh fading."""
+
+STRONGEST = 1e8
+"""K and m are sought up to here; omega is then below 0.001 dB."""
+
+HALVINGS = 60
+"""Of the bracket of a sought m or K, to the last digit."""
+
+
+def nakagami_m_of_rician(k_factor: float) -> float:
+    """Nakagami's m = (K + 1)^2 / (2 K + 1), of equal amount of fading.
+
+    Raises
+    ------
+    InputError
+        K is negative or not finite.
+    """
+    require_k_factor(k_factor)
+    # Written so, no rounding takes it below 1, where there is no Rician channel.
+    return 1.0 + k_factor**2 / (2.0 * k_factor + 1.0)
+
+
+def rician_k_of_nakagami(m: float) -> float:
+    """Rician K = m - 1 + sqrt(m (m - 1)), the inverse of :func:`nakagami_m_of_rician`.
+
+    Raises
+    ------
+    InputError
+        m is below 1: fading worse than Rayleigh's has no Rician factor.
+    """
+    if not 1.0 <= m < math.inf:
+        raise InputError(f"m = {m!r} has no Rician factor", key="m", remedy="m is at least 1")
+    return m - 1.0 + math.sqrt(m * (m - 1.0))
+
+
+def nakagami_mean_db(m: float) -> float:
+    """Mean in dB of Nakagami fading of unit mean power: (10 / ln 10) (psi(m) - ln m); negative.
+
+    Raises
+    ------
+    InputError
+        m is below `MIN_M` or not finite.
+    """
+    require_m(m)
+    return DB_PER_NEPER * (float(_array(psi(m))) - math.log(m))
+
+
+def nakagami_std_db(m: float) -> float:
+    """Deviation omega in dB of Nakagami fading: (10 / ln 10) sqrt(psi'(m)).
+
+    psi'(m) is Hurwitz's zeta(2, m).
+
+    Raises
+    ------
+    InputError
+        m is below `MIN_M` or not finite.
+    """
+    require_m(m)
+    return DB_PER_NEPER * math.sqrt(float(_array(zeta(2.0, m))))
+
+
+def nakagami_m_of_std(multipath_std_db: float) -> float:
+    """The m whose exact deviation is omega = `multipath_std_db`.
+
+    Raises
+    ------
+    InputError
+        No m from `MIN_M` to `STRONGEST` has it.
+    """
+    return _sought(nakagami_std_db, MIN_M, multipath_std_db)
+
+
+def rician_k_of_std(multipath_std_db: float) -> float:
+    """The K whose exact deviation is omega = `multipath_std_db`.
+
+    Raises
+    ------
+    InputError
+        No K from 0 to `STRONGEST` has it; Rayleigh fading has the largest, 5.57 dB.
+    """
+    return _sought(rician_std_db, 0.0, multipath_std_db)
+
+
+def require_k_factor(k_factor: float) -> None:
+    """Refuse a K that is negative or not finite."""
+    if not 0.0 <= k_factor < math.inf:
+        raise InputError(f"K = {k_factor!r} is no Rician factor", key="k_factor", remedy="K >= 0")
+
+
+def require_m(m: float) -> None:
+    """Refuse an m that is below `MIN_M` or not finite."""
+    if not MIN_M <= m < math.inf:
+        raise InputError(f"m = {m!r} is none of Nakagami's", key="m", remedy=f"m >= {MIN_M}")
+
+
+def _sought(deviation_db: Callable[[float], float], weakest: float, wanted_db: float) -> float:
+    """Where a falling deviation has the wanted value; halving in the logarithm of 1 + argument."""
+    most, least = deviation_db(weakest), deviation_db(STRONGEST)
+    if not least <= wanted_db <= most:
+        raise InputError(
+            f"no such fading has a deviation of {wanted_db!r} dB",
+            key="multipath_std_db",
+            remedy=f"it is from {least:.2g} to {most:.4g} dB",
+        )
+    low, high = math.log1p(weakest), math.log1p(STRONGEST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if deviation_db(math.expm1(middle)) > wanted_db:
+            low = middle
+        else:
+            high = middle
+    return max(weakest, math.expm1(0.5 * (low + high)))
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import whitened_by
 from planopt.channel.factor import whiten
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     own_covariance_db2,
+    path_loss_variance_db2,
     place_origins,
 )
 from planopt.channel.nearest.close_places import close_together, halves
 from planopt.channel.nearest.near_factors import NearGroup
-from planopt.channel.path_loss import regressors
-from planopt.channel.position_error import path_loss_variance_db2
+from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
-from planopt.channel.receiver_offsets import OffsetsGivenTheta, offsets_given_theta
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
@@ -100,7 +100,7 @@ def _of_group(
     position_std_m: NDArray[np.float64] | None,
     used: NDArray[np.intp],
 ) -> KrigingTerms:
-    """Lemma 2 from the measurements `used`; what an error of the place adds to path loss left out.
+    """Predict from the measurements `used`; what an error of the place adds to path loss left out.
 
     Receivers' offsets given theta are those of all measurements.
     """

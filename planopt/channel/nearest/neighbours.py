@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.cholesky import inverse, lower_factor
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import ageing, own_covariance_db2
+from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms
-from planopt.channel.receiver_offsets import OffsetsGivenTheta, offsets_given_theta
 
 PADDING_DISTANCE_M = 1e7
 """Where there are fewer measurements than asked for, the rest stands this far from the centre."""

@@ -1,4 +1,4 @@
-"""Where the station is: both ways of the seed's footnote 2.
+"""Estimate the station's position, both ways of footnote 2 of [GM11].
 
 ``line`` takes the errors for independent: least squares of the path loss line over the position and
 theta. ``joint`` takes them for shadowing and multipath: maximum likelihood over the position, theta
@@ -20,15 +20,16 @@ from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import least_squares
 from planopt.channel.estimation.likelihood_starts import thinned
 from planopt.channel.estimation.reml import MOST_DENSE
-from planopt.channel.mean_model import mean_model
+from planopt.channel.mean_model import MIN_DISTANCE_M, mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import MIN_DISTANCE_M
-from planopt.channel.station.station_climb import best_climb, climb, grid_starts
 from planopt.channel.station.station_surface import (
     StationSurface,
+    best_climb,
+    climb,
     gauss_newton,
+    grid_starts,
     station_surface,
 )
 

@@ -2,25 +2,35 @@
 
 Points beside a training point are easily predicted, so points held out at random flatter. What is
 held out here are whole groups, if it is to say how the channel is known where nobody has been.
+
+A ratio of sums over independent groups, with an interval that counts groups, not members.
+
+Errors within one walk, or within one map, belong together: thousands of them may tell no more than
+a handful of independent ones. The variance of a ratio of sums follows from how the groups differ
+from it (the linearised ratio estimator of cluster sampling), and Student's t with one degree of
+freedom less than groups allows for there being few. With few groups of unequal size the interval
+is still a rough one.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.least_squares import least_squares
-from planopt.channel.mean_model import mean_model
+from planopt.channel.mean_model import mean_model, regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.parameters import Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction
 from planopt.channel.readings import predict_readings
@@ -36,7 +46,7 @@ is then 6.53 dB instead of 6.48."""
 
 
 def learn_channel(measurements: Measurements, station: Station) -> Predictor:
-    """Path loss, shadowing and multipath by restricted likelihood, then Lemma 2."""
+    """Fit by restricted likelihood, then predict by the posterior (equation 1.8)."""
     return channel_predictor(fit_channel(measurements, station, intervals=False), measurements)
 
 
@@ -46,7 +56,7 @@ def learn_marginal(measurements: Measurements, station: Station) -> Predictor:
 
 
 def channel_predictor(fit: ChannelFit, measurements: Measurements) -> Predictor:
-    """Lemma 2 from the measurements that `fit` is of."""
+    """Predict from the measurements that were fitted (equation 1.8)."""
     return partial(predict_readings, condition(fit.parameters, measurements))
 
 
@@ -151,3 +161,66 @@ def deal(groups: NDArray[np.intp], folds: int, generator: np.random.Generator) -
             remedy="use at least 2 folds and no more than there are groups",
         )
     return (generator.permutation(len(labels)) % folds)[group_of]
+
+
+LEVEL = 0.95
+"""Of the interval."""
+
+
+@dataclass(frozen=True)
+class GroupedRatio:
+    """A ratio of sums with its interval.
+
+    Attributes
+    ----------
+    value
+        The ratio.
+    low, high
+        Its 95 % interval, not below zero.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def root(self) -> GroupedRatio:
+        """The square root, for a ratio of squares."""
+        return GroupedRatio(math.sqrt(self.value), math.sqrt(self.low), math.sqrt(self.high))
+
+
+def grouped_ratio(
+    numerators: NDArray[np.float64], denominators: NDArray[np.float64]
+) -> GroupedRatio:
+    """Ratio of the sums of two quantities over groups.
+
+    Parameters
+    ----------
+    numerators, denominators
+        ``(g,)`` sums of either within each group, not negative: squared errors and their number
+        for a mean squared error, powers inside an interval and all of them for its coverage.
+
+    Raises
+    ------
+    InputError
+        There are fewer than two groups, or nothing to divide by.
+    """
+    groups = len(numerators)
+    total = float(denominators.sum())
+    if groups < 2 or total <= 0.0:
+        raise InputError(
+            f"{groups} groups of {total:g} in all give no interval",
+            remedy="give two groups or more that have something in them",
+        )
+    ratio = float(numerators.sum()) / total
+    half = float(stdtrit(groups - 1.0, 0.5 + 0.5 * LEVEL)) * ratio_error(numerators, denominators)
+    return GroupedRatio(ratio, max(ratio - half, 0.0), ratio + half)
+
+
+def ratio_error(numerators: NDArray[np.float64], denominators: NDArray[np.float64]) -> float:
+    """Return the linearised standard error of a ratio of sums over two groups or more.
+
+    Parameters as of :func:`grouped_ratio`.
+    """
+    groups, total = len(numerators), float(denominators.sum())
+    apart = numerators - float(numerators.sum()) / total * denominators
+    return math.sqrt(groups / (groups - 1.0) * float(apart @ apart)) / total

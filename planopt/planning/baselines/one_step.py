@@ -1,7 +1,7 @@
-"""The seed's planner: the best of a dense set of places within one step.
+"""The one-step planner of [GM11]: the best of a dense set of places within one step.
 
 Equations (2), the inner layer of (3), and (4) are maximised over places within one step, each of
-them free and, where measuring is what counts, not measured yet (the seed's "q not in Q"). A plan of
+them free and, where measuring is what counts, not measured yet ("q not in Q" in [GM11]). A plan of
 more steps repeats this greedily on what would be known after the earlier ones: each step gains what
 the whole path so far is worth more than before. From a place around which all is measured the robot
 takes the shortest way out.
@@ -24,7 +24,6 @@ from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.to_unmeasured import way_to_unmeasured
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.situation import Situation
-from planopt.problems.objective import CasadiTerm, LearningTerm, MappingTerm
 from planopt.problems.problem import Problem
 
 RINGS, HEADINGS = 10, 48
@@ -44,9 +43,9 @@ class OneStepPlanner:
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground
-        self._measures = any(isinstance(t, LearningTerm | MappingTerm) for t in problem.terms)
+        self._measures = any(term.learns for term in problem.terms)
         # An expression of one's own is for a whole path: it is valued as if the robot then stood.
-        self._whole = any(isinstance(t, CasadiTerm) for t in problem.terms)
+        self._whole = any(term.whole_horizon for term in problem.terms)
         radius = (problem.step_length_m - STEP_PAD_M) * np.arange(1, RINGS + 1) / RINGS
         angle = 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS
         circle = np.column_stack([np.cos(angle), np.sin(angle)])

@@ -1,4 +1,4 @@
-"""The seed's baseline: full steps in random directions, each anew or the same until it is blocked.
+"""Baseline of [GM11]: full steps in random directions, drawn anew or kept until blocked.
 
 Directions are drawn uniformly, and those that are not free drawn again.
 """

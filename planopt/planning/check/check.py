@@ -23,7 +23,7 @@ from planopt.planning.check.check_labels import label_reasons
 from planopt.planning.check.check_plan import check_plan
 from planopt.planning.check.check_run import check_run
 from planopt.planning.check.library_remarks import library_remarks
-from planopt.planning.files.read_saved import Saved, read_saved
+from planopt.planning.files.read_saved import Saved, read_object, saved_from
 from planopt.planning.files.run_json import RunRecord, no_run_json
 from planopt.planning.files.saved import FORMAT, PLAN_FILE
 from planopt.planning.files.solution_json import (
@@ -36,7 +36,7 @@ from planopt.planning.given import Given
 from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
-from planopt.problems.objective import steers
+from planopt.problems.systems import judge_saved
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,11 @@ def check(path: Path | str) -> CheckResult:
     InputError
         A file is missing, truncated or not what it should be; with file, key or row.
     """
-    saved = read_saved(Path(path))
+    file, data = read_object(Path(path))
+    judged = judge_saved(file, data)
+    if judged is not None:
+        return CheckResult(Verdict.VIOLATED if judged else Verdict.VERIFIED, (), tuple(judged))
+    saved = saved_from(file, data)
     problem, record, name = saved.problem, saved.record, saved.file.name
     remarks = library_remarks(name, problem)
     if saved.former:
@@ -108,7 +112,7 @@ def _not_judged(saved: Saved, given: Given | None) -> list[str]:
     """What nothing but planning again could tell, or what is not to be had without the truth."""
     remarks: list[str] = []
     problem = saved.problem
-    if any(steers(term) for term in problem.terms):
+    if any(term.steers for term in problem.terms):
         remarks.append(
             "the ways that a term steers along (steering_m, steering_turns_m) are taken as they "
             "stand"

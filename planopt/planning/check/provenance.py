@@ -10,8 +10,8 @@ import numpy as np
 
 from planopt.planning.check.agreement import EXACT
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
-from planopt.problems.settings import BASELINES
 
 UNSOLVED = {
     Termination.LATTICE_ONLY: (
@@ -25,9 +25,6 @@ UNSOLVED = {
     Termination.NO_PATH: (Rung.STOP,),
 }
 """Terminations of plans for which no solver ran, and the rungs that these come from."""
-
-UNPOLISHED_PLANNERS = ("lattice", *BASELINES)
-"""Planners that no solver helps."""
 
 SOLVED = (Termination.CONVERGED, Termination.ACCEPTABLE)
 """Terminations of a solver that met its tolerance."""
@@ -83,7 +80,7 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
     # The bound of another task may be given up where the way to a goal would be searched for.
     if rung is Rung.LATTICE and problem.task == "reach" and plan.certificate.relaxed_steps:
         faults.append("a step does not meet constraints.p_min")
-    alone = rung is Rung.COLD_RETRY and problem.planner.name in BASELINES
+    alone = rung is Rung.COLD_RETRY and not planner_kind(problem.planner.name).searches
     if alone or (rung is Rung.LATTICE and _is_unpolished(problem)):
         faults.append(f"planner.name is {problem.planner.name}, which has no such rung")
     return [("rung", f"{rung.value}, but {fault}") for fault in faults]
@@ -155,12 +152,12 @@ def _widest(problem: Problem) -> float:
 
 
 def _is_unpolished(problem: Problem) -> bool:
-    return problem.planner.name in UNPOLISHED_PLANNERS
+    return not planner_kind(problem.planner.name).solves
 
 
 def _objective_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
-    """Of a sum of terms: what was found without the lattice is compared with itself."""
-    alone = plan.rung in WITHOUT_SEARCH or problem.planner.name in BASELINES
+    """Of a sum of terms: a path found without the lattice is compared with itself."""
+    alone = plan.rung in WITHOUT_SEARCH or not planner_kind(problem.planner.name).searches
     return _unpolished_faults(plan) if alone else []
 
 

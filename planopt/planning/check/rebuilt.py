@@ -9,9 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.mapping import Region
 from planopt.planning.files.run_json import ReleasedRecord
 from planopt.planning.files.solution_json import RobotPlanRecord

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.key import Key
 from planopt.planning.explain.keys import connection_keys

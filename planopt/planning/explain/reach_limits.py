@@ -8,9 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.history import BEGINNING
 from planopt.planning.proof.broad_prediction import broad_prediction

@@ -42,7 +42,6 @@ from planopt.planning.files.saved import FORMAT, PLAN_FILE, PLAN_OR_RUN, RUN_FIL
 from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, RobotRecord
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, read_steps
 from planopt.problems.messages import input_error
-from planopt.problems.objective import TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict
 
@@ -99,9 +98,25 @@ def read_saved(path: Path) -> Saved:
     InputError
         A file is missing, truncated or not what it should be; with file, key or row.
     """
+    return saved_from(*read_object(path))
+
+
+def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
+    """The JSON file of a saved plan or run, and what it says.
+
+    Raises
+    ------
+    InputError
+        There is none, it is no JSON object, or its folder holds files of two results.
+    """
     file = _json_file(path)
     require_one_result(file.parent, PLAN_OR_RUN)
-    data, former = without_former_forms(file, _read_json(file))
+    return file, _read_json(file)
+
+
+def saved_from(file: Path, said: Mapping[str, Any]) -> Saved:
+    """As :func:`read_saved`, of a JSON file that has been read."""
+    data, former = without_former_forms(file, said)
     if data.get("format") != FORMAT:
         message = f"{data.get('format')!r} is not known, this version reads up to {FORMAT}"
         raise damaged(file, "format", message)
@@ -260,7 +275,7 @@ def _read_tables(
     columns: dict[str, tuple[str, ...]] = {}
     if problem.task != "reach":
         columns[KNOWLEDGE_FILE] = KNOWLEDGE_COLUMNS
-    if problem.targets and any(isinstance(term, TrackingTerm) for term in problem.terms):
+    if problem.targets and any(term.sensor is not None for term in problem.terms):
         columns[TARGET_FILE] = target_columns(problem)
     tables = {name: read_table(file.parent / name, wanted) for name, wanted in columns.items()}
     for name, table in tables.items():

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.channel.validation.reliability import ReliabilityBin
+from planopt.channel.validation.calibration import ReliabilityBin
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
 from planopt.planning.files.solution_json import (

@@ -18,7 +18,7 @@ def channel_errors_db(
 ) -> tuple[float, float]:
     """RMS error in dB and ANMSE in dB of the predicted powers at `places_m` (n, 2).
 
-    ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB (seed, section III-A2);
+    ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB ([GM11], section III-A2);
     means over the powers of all stations.
     """
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
@@ -31,7 +31,7 @@ def channel_errors_db(
 
 
 def theta_variance_db(posteriors: Sequence[ChannelPosterior]) -> float:
-    """10 log10 tr M / |theta|^2 (the seed's Fig. 2), each summed over the stations."""
+    """Return 10 log10 tr M / |theta|^2 (Fig. 2 of [GM11]), each summed over the stations."""
     spread = sum(float(np.trace(posterior.theta_covariance)) for posterior in posteriors)
     size = sum(float(posterior.theta @ posterior.theta) for posterior in posteriors)
     return float(10.0 * np.log10(spread / size))

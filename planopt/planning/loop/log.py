@@ -166,10 +166,10 @@ class ChannelLog:
         ``(steps + 1,)`` root mean square error of the predicted power over the workspace, the
         error against path loss, shadowing and multipath.
     anmse_db
-        ``(steps + 1,)`` average normalised mean square error, in dB; fragile where the true
-        power comes near 0 dBm, therefore beside `rms_db`.
+        ``(steps + 1,)`` average normalised mean square error of [GM11], dB; fragile where the
+        true power comes near 0 dBm, therefore beside `rms_db`.
     theta_variance_db
-        ``(steps + 1,)`` trace of M over |theta|^2, in dB.
+        ``(steps + 1,)`` trace of M over |theta|^2, in dB (Fig. 2 of [GM11]).
     log_det_m
         ``(steps + 1,)`` log det M, nats: what the criterion D lowers, whatever the units of theta.
     """

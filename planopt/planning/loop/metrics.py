@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.validation.reliability import ReliabilityBin, reliability
+from planopt.channel.validation.calibration import ReliabilityBin, reliability
 from planopt.planning.history import data_of_steps_mbit
 from planopt.planning.holes import Hole, holes_along
 from planopt.planning.loop.log import (

@@ -1,7 +1,7 @@
 """What robots and their station know of a moving target: one filter each.
 
 A robot's own filter has all its own measurements of the target; the station's has those whose
-packets arrived (seed, section III-B). Everything random about the target comes from one generator.
+packets arrived (equation 4.9). Everything random about the target comes from one generator.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.target_model import target_model
-from planopt.problems.objective import TrackingTerm
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import (
     InformationState,
@@ -66,10 +65,10 @@ class TargetWatch:
 
 def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatch | None:
     """Draw the target's way and the first estimate of it; None for a problem without target."""
-    terms = [term for term in problem.terms if isinstance(term, TrackingTerm)]
-    if not terms or not problem.targets:
+    sensors = [term.sensor for term in problem.terms if term.sensor is not None]
+    if not sensors or not problem.targets:
         return None
-    target, term = problem.targets[0], terms[0]
+    target, sensor = problem.targets[0], sensors[0]
     model = target_model(problem)
     start = np.array([*target.start_m, *target.velocity_m_s])
     way = simulate_target(model, start, problem.planner.max_steps, generator)
@@ -77,7 +76,6 @@ def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatc
     first = information_state(
         start + deviation * generator.standard_normal(4), np.diag(deviation**2)
     )
-    sensor = Sensor(term.noise_curvature, term.noise_floor_m2, term.sweet_spot_m)
     return TargetWatch(model, sensor, way[:, :2], (first,) * len(problem.robots), first)
 
 

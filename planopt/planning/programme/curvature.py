@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from planopt.planning.programme.path_value import Structure
+from planopt.objectives.terms.term import Structure
 
 
 def curvature_size(n: int, structure: Structure) -> int:

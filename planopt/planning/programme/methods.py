@@ -8,12 +8,11 @@ from typing import Any, Literal
 from planopt.planning.programme.ipopt import ipopt_solve
 from planopt.planning.programme.nlp_point import SolveNlp
 from planopt.planning.programme.path_shape import PathShape
-from planopt.problems.settings import PlannerName
 
 Method = Literal["ipopt", "scp"]
 """Interior points, or sequential convex programming."""
 
-METHODS: dict[PlannerName, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "scp"}
+METHODS: dict[str, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "scp"}
 """Of the planners that polish; the others do not."""
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.objectives.terms.term import Structure
 from planopt.planning.programme.motion_rows import MotionShape
-from planopt.planning.programme.path_value import Structure
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.programme.stage_kernel import StageMargins
-
-Structure = Literal["stagewise", "chain", "full"]
-"""What a value's Hessian is made of: a 2 x 2 block of each stage; these and one between each stage
-and the next; or everything."""
 
 
 @dataclass(frozen=True)

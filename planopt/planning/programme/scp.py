@@ -3,8 +3,7 @@
 Speeds, and discs of inputs and states, are kept as second-order cones; every other row is
 linearised and may be missed at a price (exact penalty), so that a step always exists; the curvature
 of the Lagrangian is made positive semidefinite. A step is taken for what it brings of what the
-model promised (theory 4.7; trust region and penalty as in Nocedal and Wright, Numerical
-Optimization, 18.5).
+model promised (trust region and penalty as in section 18.5 of [NW06]).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The chance constraint of every stage with exact gradient and Hessian, all stages at once.
 
-The constraint of a stage is ``mean - z_p deviation - threshold >= 0`` in dB (theory 4.1), with mean
-and deviation of :mod:`planopt.planning.worth.stage_prediction`.
+The constraint of a stage is ``mean - z_p deviation - threshold >= 0`` in dB (equation 3.2), with
+mean and deviation of :mod:`planopt.planning.worth.stage_prediction`.
 """
 
 from __future__ import annotations

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_quantile, connection_probability
 from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise, mixture
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.planning.proof.serving import Serving
 from planopt.problems.problem import Problem
 

@@ -29,7 +29,6 @@ from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
 from planopt.planning.worth.region import region_along
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import is_measured
 from planopt.problems.objective import MappingTerm, MotionEnergyTerm
 from planopt.problems.problem import Problem
 
@@ -85,7 +84,7 @@ class LocalRanking:
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
         anchors = _anchors(about_m, ANCHORS)
         self._missing_db_cost: float | None = None
-        self._measures = any(is_measured(term) for term in situation.problem.terms)
+        self._measures = any(term.is_measured for term in situation.problem.terms)
         self._stations: list[_Station] = []
         for posterior in situation.stations:
             channel = local_channel(posterior, anchors, count)
@@ -175,7 +174,7 @@ def _tells_of_stations(term: SlopedTerm) -> bool:
 
 def _averages_map(problem: Problem) -> bool:
     """Whether a term is the spatial average of the map."""
-    return any(isinstance(t, MappingTerm) and t.form == "average" for t in problem.terms)
+    return any(term.averages_map for term in problem.terms)
 
 
 def _thinned(grid: LocalGrid) -> LocalGrid:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.channel.connectivity import bound_quantile
+from planopt.channel.prediction import bound_quantile
 from planopt.planning.proof.rules.asked import asked_steps
 from planopt.planning.proof.serving import connection_law
 from planopt.planning.search.way_batch import WayBatch

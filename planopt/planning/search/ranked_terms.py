@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import (
     covariance_gain,
@@ -112,6 +111,8 @@ def ranked_value(term: Term, ways: RankedWays) -> NDArray[np.float64]:
             return -link_energy_j(term, at, ways.each).reshape(ways.shape).sum(axis=1)
         case CasadiTerm():
             return _expression(term, ways)
+        case _:
+            raise AssertionError(f"{term.kind} has no value here")
 
 
 def _added(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -208,7 +209,7 @@ def path_form_parts(
 
 
 def _average(told: ToldBatch) -> NDArray[np.float64]:
-    """sum_g w_g c(g)' S^-1 c(g), both with what is not known of theta (theory 4.5)."""
+    """Return sum_g w_g c(g)' S^-1 c(g), theta's uncertainty counted (equation 4.6)."""
     across = told.across
     # tr(S^-1 C C') with C C' small: solving for C itself would cost several times as much.
     gathered = across @ across.transpose(0, 2, 1)

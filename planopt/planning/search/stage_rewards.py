@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.planning.search.guide import Guide
 from planopt.planning.search.lattice_window import Window
 from planopt.planning.search.node_field import NodeField
@@ -20,7 +19,6 @@ from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.worth.link_energy import link_energy_j
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay
-from planopt.planning.worth.structure import shares_measurements
 from planopt.problems.objective import (
     LearningTerm,
     MappingTerm,
@@ -157,7 +155,7 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
         if isinstance(term, MotionEnergyTerm):
             moving = np.where(lengths_m > 0.0, problem.planner.step_s, 0.0)
             value -= term.weight * (term.per_metre_j_m * lengths_m + term.power_w * moving)
-    if any(shares_measurements(term) for term in problem.terms):
+    if any(term.shares_places for term in problem.terms):
         value[lengths_m == 0.0] = -np.inf
     return value
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.path_loss import regressors
+from planopt.channel.mean_model import regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.objectives.local_channel import LocalChannel, LocalGrid
 from planopt.planning.search.single_kernel import single_kernel
@@ -19,7 +19,7 @@ twice would make the covariance singular."""
 
 
 class WayBatch:
-    """S and B of theory 4.0 for every way.
+    """S and B of equation 1.11 for every path.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class WayBatch:
     def across(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Distances of all places from the grid's ``(c N, g)``, the kernel, and c(g) weighted.
 
-        The last is ``(c, N, g)``, c of theory 4.5 with what is not known of theta, times the square
+        The last is ``(c, N, g)``, c of equation 4.6 with theta's uncertainty, times the square
         root of the weight of g.
         """
         channel, grid = self.channel, self.required_grid

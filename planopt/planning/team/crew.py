@@ -159,9 +159,8 @@ def _member(
 def _steer(problem: Problem, ground: Ground) -> Steer | None:
     """What steers the robot of a problem; None where no term does."""
     for term in problem.terms:
-        if isinstance(term, MappingTerm) and term.form == "two_layer":
-            steering = Steering(problem, ground, term)
-            return lambda known: steering.find_way(known.posterior, known.position_m)
+        if isinstance(term, MappingTerm) and term.steers:
+            return Steering(problem, ground, term).find_way
         if isinstance(term, UntilConnectedTerm):
             return ConnectionSteering(problem, ground, term).find_way
     return None

@@ -1,4 +1,4 @@
-"""Where a seed's randomness goes in a problem whose objective is a sum of terms."""
+"""Split a random seed into the streams of a problem whose objective is a sum of terms."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.objectives.measuring import OPEN_SPACINGS
 from planopt.planning.ground import Ground
 from planopt.planning.search.lattice_map import LatticeMap

@@ -22,7 +22,6 @@ from planopt.objectives.measuring import MeasuringRule
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.planning.worth.region import workspace_region
-from planopt.problems.objective import LearningTerm, MappingTerm
 from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,
@@ -37,7 +36,7 @@ FINER = 4
 
 def learns(problem: Problem) -> bool:
     """Whether a problem's robots are to measure: a term is worth what is not known yet."""
-    return any(isinstance(term, LearningTerm | MappingTerm) for term in problem.terms)
+    return any(term.learns for term in problem.terms)
 
 
 def left_to_learn(
@@ -127,10 +126,6 @@ def _beside(
 
 def _threshold_db2(problem: Problem) -> float | None:
     """The least variance that counts, if every term that measures has such a threshold."""
-    terms = [term for term in problem.terms if isinstance(term, LearningTerm | MappingTerm)]
-    limits = [
-        term.variance_threshold_db2
-        for term in terms
-        if isinstance(term, MappingTerm) and term.form in ("path", "two_layer")
-    ]
-    return min(limits) if terms and len(limits) == len(terms) else None
+    limits = [term.variance_threshold for term in problem.terms if term.learns]
+    known = [limit for limit in limits if limit is not None]
+    return min(known) if known and len(known) == len(limits) else None

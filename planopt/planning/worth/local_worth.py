@@ -23,6 +23,7 @@ from planopt.objectives.local_channel import LocalChannel, LocalGrid, local_chan
 from planopt.objectives.measuring import Gates
 from planopt.objectives.motion_derivatives import path_length_derivatives
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
+from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking_derivatives import connectivity_derivatives
 from planopt.objectives.until_connected import LATER, Search
 from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
@@ -30,7 +31,6 @@ from planopt.planning.programme.path_value import (
     EvaluatePath,
     Evaluation,
     PathValue,
-    Structure,
     remembering,
 )
 from planopt.planning.programme.stage_kernel import margins_of
@@ -44,7 +44,7 @@ from planopt.planning.worth.serving_stages import (
 )
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.stage_terms import stage_term_derivatives
-from planopt.planning.worth.structure import is_measured, shares_measurements, structure_of
+from planopt.planning.worth.structure import structure_of
 from planopt.problems.objective import (
     CasadiTerm,
     LearningTerm,
@@ -67,10 +67,7 @@ LENGTH_ROUNDING_SHARE = 0.01
 
 def needs_stages(problem: Problem) -> bool:
     """Whether predictions of single stages are needed: by a term, or to bound connectivity."""
-    return problem.constraints.asks_connection or any(
-        isinstance(term, TrackingTerm | TransmissionEnergyTerm | CasadiTerm)
-        for term in problem.terms
-    )
+    return problem.constraints.asks_connection or any(term.needs_power for term in problem.terms)
 
 
 def local_worth(
@@ -88,13 +85,13 @@ def local_worth(
     )
     joint = _joint_channels(situation, path_m)
     rule = None
-    if any(is_measured(term) for term in problem.terms):
+    if any(term.is_measured for term in problem.terms):
         rule = situation.near_measuring
     # Each place keeps to the turn that its start sees: places that move little see it too.
     steering = situation.steering
     ahead = None if steering is None else steering.next_turns(path_m)
     tried = None
-    if any(isinstance(term, UntilConnectedTerm) for term in problem.terms):
+    if any(term.tries_connection for term in problem.terms):
         tried = situation.tries.takes(path_m)
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
@@ -142,10 +139,10 @@ class _Joint:
 def _joint_channels(situation: Situation, path_m: NDArray[np.float64]) -> list[_Joint]:
     """Of each station, where a term couples the places of a path; else none."""
     problem = situation.problem
-    if not any(shares_measurements(term) for term in problem.terms):
+    if not any(term.shares_places for term in problem.terms):
         return []
     region = None
-    if any(isinstance(term, MappingTerm) and term.form == "average" for term in problem.terms):
+    if any(term.averages_map for term in problem.terms):
         region = region_along(problem, situation.near_region, path_m)
     found: list[_Joint] = []
     for station in situation.stations:
@@ -195,6 +192,8 @@ def _derivatives(
                     first.hessian + other.hessian,
                 )
             return first
+        case _:
+            raise AssertionError(f"{term.kind} has no value here")
 
 
 def _informed(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.expression import expression_values
 from planopt.objectives.filter_gain import covariance_gain, information_gain, sampled_gain
@@ -77,6 +77,8 @@ def _value(term: Term, at: Situation, path_m: NDArray[np.float64]) -> float:
             return -float(link_energy_j(term, at, at.powers(path_m)).sum())
         case CasadiTerm():
             return _expression(term, at, path_m)
+        case _:
+            raise AssertionError(f"{term.kind} has no value here")
 
 
 def _tracking(term: TrackingTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
@@ -140,7 +142,7 @@ def _mapping(
 
 
 def motion_energy_j(term: MotionEnergyTerm, at: Situation, path_m: NDArray[np.float64]) -> float:
-    """k1 per metre and k2 while moving, in joules (theory 3.2)."""
+    """Return k1 per metre and k2 while moving, in joules (equation 4.14)."""
     lengths = np.linalg.norm(np.diff(np.vstack([at.position_m, path_m]), axis=0), axis=1)
     moving = np.count_nonzero(lengths > STANDSTILL_M) * at.problem.planner.step_s
     return float(term.per_metre_j_m * lengths.sum() + term.power_w * moving)

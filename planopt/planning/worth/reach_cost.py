@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, outage_share, path_cost_s
 from planopt.planning.plan import Pivot
 from planopt.problems.problem import Problem

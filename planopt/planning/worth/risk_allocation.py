@@ -1,4 +1,4 @@
-"""Share a risk out among the steps of a plan, and again by what each step used (theory 4.2).
+"""Share a risk out among the steps of a plan, and again by what each step used (equation 5.6).
 
 That all steps are connected with probability p holds if the steps' own risks sum up to 1 - p at
 most (Boole), and often with more: along a path outages belong together. So the sum is a budget that
@@ -24,7 +24,7 @@ LARGEST_STEP = 4.0
 """The budget grows or shrinks at a time by this factor at most."""
 
 LARGEST_RISK = 0.5
-"""No step is allowed more: beyond, more risk would ask for less certain powers (theory 4.2)."""
+"""No step is allowed more: beyond, more risk would ask for less certain powers."""
 
 AIMED_SHARE = 0.98
 """Between a path within the risk and one beyond, so much of what is left is aimed at."""

@@ -2,7 +2,7 @@
 
 Bounds on single steps, each at a probability of its own, or one bound on a sum over the steps. The
 rules on outages and on all steps together are not of that form: the steps that the start path holds
-are held, and the allowed risk is allocated to the steps (theory 4.2).
+are held, and the allowed risk is allocated to the steps (equation 5.6).
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_quantile, connection_probability
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.planning.proof.rules.asked import (
     asked_steps,
     connected_steps_asked,

@@ -17,9 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.any_score import any_score_derivatives
 from planopt.channel.connection.connection_law import LEAST_DEVIATION_DB, ConnectionLaw
-from planopt.channel.connection.serving_power import Laws
+from planopt.channel.connection.serving_power import Laws, any_score_derivatives
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction

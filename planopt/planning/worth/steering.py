@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.nearest.place_tree import PlaceTree
-from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
 from planopt.planning.ground import Ground
 from planopt.planning.search.taut_way import WaysFrom
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
@@ -63,24 +63,20 @@ class Steering:
         away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
         self._beside_m = np.where(clear, away, np.inf)
 
-    def find_way(
-        self, posterior: ChannelPosterior, position_m: NDArray[np.float64]
-    ) -> SteeringWay | None:
+    def find_way(self, situation: Situation) -> SteeringWay | None:
         """The way to steer along; None if no place that can be come to is above the threshold.
 
         Parameters
         ----------
-        posterior
-            What is believed of the channel.
-        position_m
-            ``(2,)`` where the robot is.
+        situation
+            The belief of the channel, and where the robot is.
         """
+        posterior = situation.posterior
         self._map.refresh(posterior)
         above = self._map.deviation_db[self._at] ** 2 - self._term.variance_threshold_db2
         rule = MeasuringRule.of([posterior], self._problem.channel.measure_spacing_m)
-        return self.way_to_best(
-            np.where(rule.is_open(self._places_m), np.maximum(above, 0.0), 0.0), position_m
-        )
+        counted = np.where(rule.is_open(self._places_m), np.maximum(above, 0.0), 0.0)
+        return self.way_to_best(counted, situation.position_m)
 
     def way_to_best(
         self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]

@@ -7,8 +7,7 @@ from scipy.stats import norm
 
 from planopt.channel.connection.connection_law import NEUTRAL_SLOPE, ConnectionLaw
 from planopt.channel.connection.serving_power import any_probability, serving_prediction
-from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 
 SCORES = np.array([-60.0, -6.0, -1.3, 0.0, 0.4, 2.0, 7.0, 60.0])
 LAWS = [ConnectionLaw(), ConnectionLaw(-0.7, 1.1), ConnectionLaw(0.4, 2.6)]

@@ -11,12 +11,12 @@ from planopt.channel.connection.connection_outcomes import (
     LEFT_OUT_WEIGHT,
     REMEMBERED,
     calibrate_posterior,
+    fit_connection_law,
 )
-from planopt.channel.connection.platt_scaling import fit_connection_law
 from planopt.channel.fields.field import shadow_field_db
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.posterior import condition
 
 STATION = Station((60.0, 60.0), 5.0)

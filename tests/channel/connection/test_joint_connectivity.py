@@ -29,7 +29,7 @@ def line(shadow_std_db, multipath_std_db, decorrelation_m, marginal, count=20):
     [((3.2, 3.02, 3.09), 0.171, 0.461), ((4.0, 1.13, 20.0), 0.575, 0.773)],
 )
 def test_checked_values_of_the_theory(channel, hunter, exact):
-    """Sets D and C of theory 4.2, 20 places at 0.95, to the printed digits.
+    """An indoor and an outdoor channel, 20 places at 0.95, to three digits.
 
     The product is 0.95^20 = 0.3585, which the theory prints as .359.
     """

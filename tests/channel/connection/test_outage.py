@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_channel import simulated
 
-from planopt.channel.connection.orthant import prefix_probabilities
-from planopt.channel.connection.outage import delivered_data, longest_outage, longest_runs
-from planopt.channel.connection.traffic import Traffic
+from planopt.channel.connection.joint_connectivity import prefix_probabilities
+from planopt.channel.connection.outage import Traffic, delivered_data, longest_outage, longest_runs
 from planopt.channel.joint import joint_prediction
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station

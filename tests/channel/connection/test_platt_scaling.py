@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
 from planopt.channel.connection.connection_law import NEUTRAL_SLOPE
-from planopt.channel.connection.platt_scaling import (
+from planopt.channel.connection.connection_outcomes import (
     INTERCEPT_STD,
     LOG_SLOPE_STD,
     fit_connection_law,

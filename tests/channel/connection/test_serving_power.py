@@ -12,8 +12,7 @@ from planopt.channel.connection.serving_power import (
     serving_power_dbm,
     serving_prediction,
 )
-from planopt.channel.connectivity import bound_margin_db, connection_probability
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 
 THRESHOLDS = (-80.0, -76.0, -83.0)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.connection.traffic import Traffic, sent_and_lost
+from planopt.channel.connection.outage import Traffic, sent_and_lost
 from planopt.errors import InputError
 
 TIMES = np.array([0.0, 1.0, 2.5, 3.0, 5.0, 6.0, 9.0])

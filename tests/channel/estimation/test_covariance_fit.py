@@ -1,4 +1,4 @@
-"""Bounds, the fallback, and Lemma 1's last step."""
+"""Bounds, the fallback, and omega from equation 2.3."""
 
 import math
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from planopt.channel.estimation.damped_newton import MAX_EVALUATIONS, minimise_damped
+from planopt.channel.estimation.likelihood_climb import MAX_EVALUATIONS, minimise_damped
 
 TARGET = np.array([1.0, -2.0, 0.5])
 CURVATURE = np.array([[4.0, 1.9, 0.0], [1.9, 1.0, 0.1], [0.0, 0.1, 9.0]])

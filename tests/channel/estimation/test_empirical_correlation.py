@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.estimation.empirical_correlation import BINS, empirical_correlation
+from planopt.channel.estimation.lemma1 import BINS, empirical_correlation
 
 
 def test_equals_a_sum_over_pairs():

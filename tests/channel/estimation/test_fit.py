@@ -14,10 +14,9 @@ from planopt.channel.estimation.profile import CUT_95
 from planopt.channel.estimation.profile_likelihood import profile_likelihood
 from planopt.channel.logs.log_file import read_log
 from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.mean_model import PRIOR_N_PL, mean_model
+from planopt.channel.mean_model import PRIOR_N_PL, mean_model, regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.errors import InputError
 
 METHODS = ("lemma1", "capped", "convex", "nls", "reml")
@@ -59,7 +58,7 @@ def test_many_measurements_recover_the_channel(method):
         assert beta == pytest.approx(30.0, rel=0.35)
         assert multipath == pytest.approx(2.0, rel=0.4)
     if method == "lemma1":
-        # Lemma 1 as printed keeps positive noise at long lags (experiments G).
+        # Equation 2.3 as printed keeps positive noise at long lags.
         assert shadow < 4.0
         assert beta > 90.0
 
@@ -97,7 +96,7 @@ def test_a_few_censored_change_little(method):
 
 @pytest.mark.parametrize("method", METHODS[:4])
 def test_least_squares_methods_share_theta(method):
-    """Lemma 1's theta does not depend on how the covariance is fitted."""
+    """Theta of equation 2.1 does not depend on how the covariance is fitted."""
     measurements = simulated(CHANNEL, 6, 100, 300.0)
     model = mean_model(measurements.positions_m, ~measurements.censored, CHANNEL.station, True)
     expected = least_squares(model, measurements).coefficients

@@ -1,4 +1,4 @@
-"""Lemma 1's line in closed form."""
+"""The line of equation 2.3 in closed form."""
 
 import math
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from planopt.channel.estimation.covariance_fit import covariance_bounds
-from planopt.channel.estimation.empirical_correlation import EmpiricalCorrelation
 from planopt.channel.estimation.lemma1 import (
+    EmpiricalCorrelation,
     LogBins,
     capped_bins,
     enough,

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import curve_fit
 
 from planopt.channel.estimation.covariance_fit import covariance_bounds
-from planopt.channel.estimation.empirical_correlation import EmpiricalCorrelation
+from planopt.channel.estimation.lemma1 import EmpiricalCorrelation
 from planopt.channel.estimation.nls_fit import nls_fit
 
 LAGS = np.linspace(0.5, 80.0, 60)

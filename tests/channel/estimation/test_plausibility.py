@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.plausibility import implausible_values, suspected_floor
+from planopt.channel.estimation.fit import fit_channel, implausible_values, suspected_floor
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 

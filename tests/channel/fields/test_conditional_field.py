@@ -29,7 +29,7 @@ PLACES = [[4.3, 3.1], [5.0, 5.0], [12.1, 9.0], [12.2, 9.1], [17.0, 2.0], [17.0, 
 
 
 def expected(posterior, places):
-    """Mean and covariance of path loss and shadowing by dense algebra (theory 4.0 and 4.1)."""
+    """Mean and covariance of path loss and shadowing by dense algebra (equation 1.12)."""
     p = posterior.parameters
 
     def kernel(a, b):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from planopt.channel.fields.truth import measure, model_truth, raster_truth, true_power_dbm
+from planopt.channel.mean_model import regressors
 from planopt.channel.multipath.multipath_models import Nakagami, Rician
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.world.raster import Raster
 
 GAINS = np.array([[-80.0, -100.0, np.nan], [-129.0, -131.0, -95.0]])

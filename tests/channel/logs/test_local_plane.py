@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt.channel.logs.local_plane import FARTHEST_M, east_north_m
-from planopt.channel.logs.log_file import read_log
+from planopt.channel.logs.log_file import FARTHEST_M, east_north_m, read_log
 from planopt.channel.logs.log_format import LogFormat, parse_origin
 from planopt.errors import InputError
 

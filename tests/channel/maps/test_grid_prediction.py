@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from planopt.channel.maps.grid_prediction import predict_grid
 from planopt.channel.maps.many_places import INVERT_BELOW, PLACES_AT_ONCE, RowWhitener
+from planopt.channel.maps.posterior_map import predict_grid
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import EXACT_LIMIT, at_time, condition

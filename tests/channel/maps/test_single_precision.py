@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.maps.single_precision import predict_single
+from planopt.channel.maps.tile_map import predict_single
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
@@ -31,7 +31,7 @@ def test_against_double(omega, tolerance_db):
 
 def test_blocks_and_large_coordinates(monkeypatch):
     """Projected coordinates of 3e6 m keep their digits; so do places split into blocks."""
-    monkeypatch.setattr("planopt.channel.maps.single_precision.PLACES_AT_ONCE", 64)
+    monkeypatch.setattr("planopt.channel.maps.tile_map.PLACES_AT_ONCE", 64)
     far = np.array([500_000.0, 3_000_000.0])
     data = simulated(CHANNEL, 2, 150, 50.0)
     moved = Measurements(data.positions_m + far, data.power_dbm, data.censored)

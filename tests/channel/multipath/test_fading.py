@@ -5,7 +5,11 @@ import pytest
 from scipy.special import exp1
 from scipy.stats import rice
 
-from planopt.channel.multipath.fading import rician_field_db, rician_mean_db, rician_std_db
+from planopt.channel.multipath.multipath_models import (
+    rician_field_db,
+    rician_mean_db,
+    rician_std_db,
+)
 
 
 @pytest.mark.parametrize(("k_factor", "expected"), [(5.0, 2.91), (10.0, 1.999), (30.0, 1.131)])

@@ -9,9 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 from simulated_channel import simulated
 
-from planopt.channel.connectivity import connection_probability
 from planopt.channel.kriging import predict
-from planopt.channel.multipath.fading import rician_field_db
 from planopt.channel.multipath.multipath_connectivity import (
     multipath_connection_probability,
     multipath_connectivity,
@@ -21,16 +19,18 @@ from planopt.channel.multipath.multipath_models import (
     Nakagami,
     Rician,
     multipath_survival,
+    rician_field_db,
 )
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 
 
 @pytest.mark.parametrize("model", [Nakagami(0.5), Nakagami(15.75), Rician(0.0), Rician(30.0)])
 @pytest.mark.parametrize("latent", [0.05, 2.0, 9.0])
 def test_against_adaptive_quadrature(model, latent):
-    """The integral of theory 4.1 by SciPy's quadrature, to 1e-9."""
+    """Equation 3.3 by SciPy's quadrature, to 1e-9."""
     law, offset = law_of(model)
     mean = np.array([-90.0, -84.0, -80.0])
     found = multipath_connection_probability(mean, np.full(3, latent), -83.0, model)

@@ -6,14 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import loggamma
 
-from planopt.channel.multipath.fading import rician_mean_db, rician_std_db
-from planopt.channel.multipath.multipath_conversions import (
+from planopt.channel.multipath.multipath_models import (
     nakagami_m_of_rician,
     nakagami_m_of_std,
     nakagami_mean_db,
     nakagami_std_db,
     rician_k_of_nakagami,
     rician_k_of_std,
+    rician_mean_db,
+    rician_std_db,
 )
 from planopt.errors import InputError
 
@@ -27,7 +28,7 @@ from planopt.errors import InputError
     ],
 )
 def test_errata_of_the_theory(k_factor, m, nakagami, offset, rician):
-    """The seed's three channels: m of K, both exact deviations, Nakagami's mean."""
+    """The three channels of [GM11]: m of K, both exact deviations, Nakagami's mean."""
     assert nakagami_m_of_rician(k_factor) == pytest.approx(m, abs=5e-3)
     assert nakagami_std_db(m) == pytest.approx(nakagami, abs=6e-3)
     assert nakagami_mean_db(m) == pytest.approx(offset, abs=2e-2)

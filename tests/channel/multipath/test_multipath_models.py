@@ -5,12 +5,12 @@ import pytest
 from multipath_law import law_of
 from scipy.stats import norm
 
-from planopt.channel.multipath.fading import rician_mean_db
 from planopt.channel.multipath.multipath_models import (
     Lognormal,
     Nakagami,
     Rician,
     multipath_survival,
+    rician_mean_db,
 )
 from planopt.errors import InputError
 

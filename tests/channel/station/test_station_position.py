@@ -8,9 +8,9 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 from simulated_channel import simulated
 
+from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import regressors
 from planopt.channel.station.station_position import locate
 from planopt.channel.station.station_surface import losses, station_surface
 

@@ -8,9 +8,9 @@ import pytest
 from simulated_channel import simulated
 
 from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.mean_model import MIN_DISTANCE_M, regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.path_loss import MIN_DISTANCE_M, regressors
 from planopt.channel.station.station_surface import (
     gauss_newton,
     gaussian_covariance_db2,

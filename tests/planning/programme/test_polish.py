@@ -25,12 +25,12 @@ from scipy.optimize import brentq, minimize
 from scipy.stats import norm
 from stage_margins_of import stage_margins
 
-from planopt.channel.connectivity import bound_margin_db, bound_quantile
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import bound_margin_db, bound_quantile
 from planopt.planning.plan import Termination
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.polish import polish

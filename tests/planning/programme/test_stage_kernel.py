@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from stage_margins_of import stage_margins
 
-from planopt.channel.connectivity import bound_margin_db, bound_quantile
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import bound_margin_db, bound_quantile
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))

@@ -11,9 +11,8 @@ from scipy.stats import norm
 from terms_scene import TRACKING, terms_problem
 
 from planopt import load
-from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate

@@ -11,7 +11,7 @@ from scipy.special import expit
 from planopt.channel.belief import Belief
 from planopt.channel.connection.connection_law import ConnectionLaw
 from planopt.channel.connection.connection_outcomes import ConnectionOutcomes
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge

@@ -8,9 +8,9 @@ from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
 import planopt.planning.proof.predictions as predictions
 import planopt.planning.proof.verify as verify
-from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition, extend
+from planopt.channel.prediction import bound_margin_db
 from planopt.planning.proof.verify import judge
 from planopt.problems.problem import Problem
 

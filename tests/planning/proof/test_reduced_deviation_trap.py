@@ -1,4 +1,4 @@
-"""The trap of theory 4.1: a plan in open loop must reckon with today's deviation.
+"""The trap of the reduced deviation: an open-loop plan must use today's (equation 3.2).
 
 Measurements on the way will reduce the deviation at its end, but the mean there will change by what
 they are, and nobody knows that today. A bound of 90 % asked with the reduced deviation is kept in
@@ -12,11 +12,11 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from planopt.channel.connectivity import bound_quantile
 from planopt.channel.joint import joint_prediction
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import bound_quantile
 
 P_MIN, FIELDS, SEED = 0.9, 20_000, 41
 MEASURED = np.array([[0.0, 0.0], [6.0, -5.0], [-8.0, 4.0]])

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr
 
 from planopt.channel.belief import Belief
-from planopt.channel.connectivity import connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.history import History
 from planopt.planning.plan import Verdict

@@ -16,7 +16,7 @@ import pytest
 import test_serving
 from test_rules_mutants import source_of
 
-SCORE = "planopt.channel.connection.any_score"
+SCORE = "planopt.channel.connection.serving_power"
 POWER = "planopt.channel.connection.serving_power"
 SERVING = "planopt.planning.proof.serving"
 PREDICTIONS = "planopt.planning.proof.predictions"

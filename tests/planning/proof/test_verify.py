@@ -91,7 +91,7 @@ def test_clearance_against_dense_sampling(places, data):
 
 
 def test_connectivity_against_plain_kriging():
-    """Probability and missing dB from Lemma 2 written out and SciPy's normal distribution."""
+    """Probability and missing dB from equation 1.6 written out and SciPy's normal distribution."""
     problem = small_problem(horizon=12)
     power = bad_where(lambda x, y: (x > 9) & (x < 16) & (y > 11))
     path = straight_path(problem)

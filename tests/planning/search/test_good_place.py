@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from terms_scene import SENDING, judge_of, terms_problem
 
 import planopt.planning.ladder as ladder_module
-from planopt.channel.connectivity import bound_margin_db
 from planopt.channel.kriging import predict
+from planopt.channel.prediction import bound_margin_db
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Termination, Verdict

@@ -10,12 +10,11 @@ import pytest
 
 from planopt.channel.connection.connection_law import ConnectionLaw
 from planopt.channel.connection.connection_outcomes import ConnectionOutcomes
-from planopt.channel.connectivity import bound_quantile, connection_probability
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.objectives.tracking_derivatives import connectivity_derivatives
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.proof.serving import Serving

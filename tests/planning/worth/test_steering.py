@@ -46,7 +46,7 @@ def test_without_obstacles_the_target_is_that_of_the_equation(decay):
         np.linalg.norm(unmeasured - at, axis=1),
         Uncertainty(2.0, decay),
     )
-    way = Steering(problem, ground, problem.terms[0]).find_way(situation.posterior, at)
+    way = Steering(problem, ground, problem.terms[0]).find_way(situation)
     np.testing.assert_allclose(way.end_m, unmeasured[best])
     np.testing.assert_allclose(way.turns_m, [at, unmeasured[best]])
     # One step ahead the nearest place to it is the best: the inner layer of the equation.
@@ -61,7 +61,7 @@ def test_nothing_above_the_threshold_steers_nowhere():
     """The map is good enough."""
     situation, _, ground, problem = scene(variance_threshold_db2=1e4)
     steering = Steering(problem, ground, problem.terms[0])
-    assert steering.find_way(situation.posterior, situation.position_m) is None
+    assert steering.find_way(situation) is None
 
 
 def only_place(situation, near_m):
@@ -135,10 +135,10 @@ def test_measured_places_are_left_out():
     """A place that was just measured is not gone to again."""
     situation, _, ground, problem = scene()
     steering = Steering(problem, ground, problem.terms[0])
-    first = steering.find_way(situation.posterior, situation.position_m).end_m
+    first = steering.find_way(situation).end_m
     measured = situation.posterior.measurements.take(np.array([0]))
     posterior = extend(situation.posterior, replace(measured, positions_m=first[None]))
-    second = steering.find_way(posterior, situation.position_m).end_m
+    second = steering.find_way(replace(situation, posterior=posterior)).end_m
     assert np.linalg.norm(second - first) > 0.5
 
 
@@ -158,7 +158,7 @@ def test_a_robot_that_cannot_move_is_steered_nowhere():
     """In the middle of the obstacle no first move is open."""
     situation, _, ground, problem = scene()
     steering = Steering(problem, ground, problem.terms[0])
-    assert steering.find_way(situation.posterior, np.array([20.0, 20.0])) is None
+    assert steering.find_way(replace(situation, position_m=np.array([20.0, 20.0]))) is None
 
 
 def test_a_walled_off_part_is_steered_nowhere_near():
@@ -167,5 +167,5 @@ def test_a_walled_off_part_is_steered_nowhere_near():
         (shapely.box(25.0, -1.0, 26.0, 41.0),), closeness_per_m=0.0
     )
     steering = Steering(problem, ground, problem.terms[0])
-    way = steering.find_way(situation.posterior, situation.position_m)
+    way = steering.find_way(situation)
     assert way is not None and way.end_m[0] < 25.0

@@ -21,7 +21,7 @@ def average_result(
     problem, history
         What is asked, and what has happened.
     probability
-        ``(N,)`` of connection after each planned step, by what is known today (theory 4.1).
+        ``(N,)`` of connection after each planned step, by what is known today (equation 3.1).
     """
     connected = history.connected_steps + float(probability.sum())
     steps = history.steps + len(probability)

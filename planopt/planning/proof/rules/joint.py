@@ -23,7 +23,7 @@ INTEGRATED_STEPS = 60
 
 
 def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> JointPrediction:
-    """Powers at the places (N, 2) of a path together, by what is known today (theory 4.1).
+    """Predict the powers at the places (N, 2) of a path jointly (equation 1.12).
 
     Where there are too many measurements for a factor, by the nearest to the path: a true posterior
     of less data.
@@ -40,7 +40,7 @@ def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) ->
 def joint_result(
     problem: Problem, prediction: JointPrediction, slack_db: float = 0.0
 ) -> RuleResult:
-    """A lower bound of the probability that all steps are connected (theory 4.2).
+    """Return a lower bound of the probability that all steps are connected (equation 5.2).
 
     The integral less its error, or the greatest of Boole's, Hunter's and Slepian's bounds.
 

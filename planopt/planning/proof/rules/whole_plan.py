@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity import bound_margin_db, connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.planning.history import History
 from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.rules.expected import average_result, data_result

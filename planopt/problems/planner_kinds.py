@@ -1,0 +1,176 @@
+"""The planners that a problem may name: those of planopt, and those that others register.
+
+A package adds planners by the entry-point group ``planopt.planners``, whose names are the planners'
+and whose objects are a :class:`PlannerKind` or what makes a planner; a program by
+:func:`register_planner`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from planopt.errors import InputError
+
+GROUP = "planopt.planners"
+"""Entry points of planners from outside."""
+
+_HOME = "planopt.planning.planners"
+
+
+@dataclass(frozen=True)
+class PlannerKind:
+    """A planner that problems may name.
+
+    Attributes
+    ----------
+    name
+        Value of the key ``planner.name``.
+    make
+        Called with the problem of one robot, its geometry and a random generator; gives an object
+        with the method ``plan`` of :class:`planopt.planning.planners.Planner`. Or where that is:
+        ``module:name``, imported when it is needed.
+    reaches_goals
+        Whether it plans for the task ``reach``.
+    has_dynamics
+        Whether it plans for robots with dynamics other than the single integrator.
+    searches
+        Whether it has a global search, whose paths fall back on each other.
+    solves
+        Whether a solver runs: only then may a plan report its termination, iterations and residual.
+    """
+
+    name: str
+    make: Callable[..., Any] | str
+    reaches_goals: bool = False
+    has_dynamics: bool = False
+    searches: bool = False
+    solves: bool = False
+
+    def maker(self) -> Callable[..., Any]:
+        """Return what makes the planner.
+
+        Raises
+        ------
+        InputError
+            It cannot be imported.
+        """
+        if not isinstance(self.make, str):
+            return self.make
+        module, _, attribute = self.make.partition(":")
+        try:
+            return getattr(import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            raise InputError(
+                f"is {self.name}, whose {self.make} cannot be imported: {error}",
+                key="planner.name",
+                remedy="install what it needs, or name another planner",
+            ) from None
+
+
+OWN = {
+    kind.name: kind
+    for kind in (
+        *(
+            PlannerKind(name, f"{_HOME}:horizon_planner", True, True, True, solves)
+            for name, solves in (("auto", True), ("nlp", True), ("scp", True), ("lattice", False))
+        ),
+        PlannerKind("one_step", f"{_HOME}:one_step_planner"),
+        PlannerKind("random", f"{_HOME}:random_planner"),
+        PlannerKind("lawnmower", f"{_HOME}:lawnmower_planner"),
+    )
+}
+"""planopt's own. The last three are baselines: no goal, no lattice path, and only robots that can
+turn and stop at will."""
+
+_registered: dict[str, PlannerKind] = {}
+
+
+def register_planner(kind: PlannerKind) -> None:
+    """Let problems name a planner from outside, in this process and in workers of its studies.
+
+    Parameters
+    ----------
+    kind
+        The planner; one that was registered under its name before is replaced.
+
+    Raises
+    ------
+    InputError
+        The name is no word, or one of planopt's own.
+
+    Examples
+    --------
+    >>> from planopt.problems.planner_kinds import (
+    ...     PlannerKind, planner_names, register_planner, unregister_planner
+    ... )
+    >>> register_planner(PlannerKind("mine", "my_package.planner:MyPlanner"))
+    >>> "mine" in planner_names()
+    True
+    >>> unregister_planner("mine")
+    """
+    if kind.name in OWN or not re.fullmatch(r"[A-Za-z0-9_-]{1,100}", kind.name):
+        raise InputError(
+            f"{kind.name!r} cannot be the name of a planner",
+            key="name",
+            remedy=f"letters, digits, _ and -, and none of {', '.join(OWN)}",
+        )
+    _registered[kind.name] = kind
+
+
+def unregister_planner(name: str) -> None:
+    """Forget a registered planner; nothing happens if there is none."""
+    _registered.pop(name, None)
+
+
+def registered_planners() -> tuple[PlannerKind, ...]:
+    """Return what :func:`register_planner` was given, for worker processes."""
+    return tuple(_registered.values())
+
+
+def planner_names() -> tuple[str, ...]:
+    """Return the names of all planners: planopt's own first."""
+    return tuple(dict.fromkeys([*OWN, *_registered, *_installed()]))
+
+
+def planner_kind(name: str) -> PlannerKind:
+    """Return the planner of a name.
+
+    Raises
+    ------
+    InputError
+        There is none, or an installed one cannot be imported.
+    """
+    if name in OWN or name in _registered:
+        return OWN[name] if name in OWN else _registered[name]
+    point = _installed().get(name)
+    if point is None:
+        raise InputError(
+            f"is {name!r}", key="planner.name", remedy=f"use one of {', '.join(planner_names())}"
+        )
+    try:
+        found = point.load()
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            f"is {name}, which is installed but cannot be imported: {error}",
+            key="planner.name",
+            remedy="install what it needs, or name another planner",
+        ) from None
+    return replace(found, name=name) if isinstance(found, PlannerKind) else PlannerKind(name, found)
+
+
+def names_with(trait: str) -> str:
+    """Return planopt's own planners that have a trait, in words."""
+    *first, last = [name for name, kind in OWN.items() if getattr(kind, trait)]
+    return f"{', '.join(first)} or {last}"
+
+
+@cache
+def _installed() -> dict[str, Any]:
+    """Entry points of installed packages by name; they are not imported yet."""
+    return {point.name: point for point in entry_points(group=GROUP) if point.name not in OWN}

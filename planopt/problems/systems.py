@@ -1,0 +1,315 @@
+"""Systems: kinds of problems beside motion planning, with tables and answers of their own.
+
+``[problem] task`` names the kind. A system is one :class:`System` in a module of its own, imported
+when a problem of its task is met; a new one needs its module and an entry in :data:`SYSTEMS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import ValidationError
+
+from planopt.errors import InputError, NoPlanError
+from planopt.problems.library import find_problem
+from planopt.problems.load import load as load_motion
+from planopt.problems.messages import input_error
+from planopt.problems.problem import Problem
+from planopt.problems.read_toml import read_toml
+from planopt.problems.tables import Table
+
+SYSTEMS = {
+    "pursuit_design": "planopt.systems.pursuit_design.system",
+}
+"""The module of each system, by task; its attribute ``SYSTEM`` is the :class:`System`."""
+
+ACTIONS = ("solve", "simulate", "compare")
+"""What may be asked of a system; each has some of them."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a system.
+
+    Attributes
+    ----------
+    seed
+        Of everything random.
+    horizons, planners
+        In place of the problem's own; empty for these. ``solve`` and ``simulate`` take one each.
+    seeds
+        Of a comparison.
+    on_step
+        Called after every step of a run, or every run of a comparison.
+    """
+
+    seed: int = 0
+    horizons: Sequence[int] = ()
+    planners: Sequence[str] = ()
+    seeds: Sequence[int] = ()
+    on_step: Callable[[], None] = lambda: None
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a system answers.
+
+    Attributes
+    ----------
+    result
+        For Python: an object of the system's own.
+    data
+        The JSON object, without the problem.
+    words
+        Lines for people.
+    exit_code
+        0 verified, 3 not verified, 4 no plan or not reached.
+    save
+        Writes files beside the JSON file into a folder.
+    draw
+        Draws pictures into a folder; None for none.
+    failure
+        Why there is no result, if there is none.
+    """
+
+    result: Any
+    data: dict[str, Any]
+    words: tuple[str, ...]
+    exit_code: int
+    save: Callable[[Path], None] = lambda folder: None
+    draw: Callable[[Path], None] | None = None
+    failure: NoPlanError | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A kind of problems.
+
+    Attributes
+    ----------
+    model
+        The tables of its problem files; ``problem`` among them has name and description.
+    build
+        From validated tables and the folder that relative file names start at, to what
+        ``content`` of a problem is. Raises InputError for what the tables alone do not show.
+    tables
+        A problem in full as JSON-serialisable tables that can be read without other files.
+    words
+        A problem in lines of text.
+    files
+        Names of the files that answers write beside the JSON file, pictures included.
+    solve, simulate, compare
+        Answer a request; None for what the task has not.
+    check
+        Judge a saved answer from its JSON file, what that says and its problem: reasons against
+        it, none if it holds.
+    """
+
+    model: type[Table]
+    build: Callable[[Any, Path], Any]
+    tables: Callable[[SystemProblem], dict[str, Any]]
+    words: Callable[[SystemProblem], tuple[str, ...]]
+    files: tuple[str, ...]
+    check: Callable[[Path, Mapping[str, Any], SystemProblem], list[str]]
+    solve: Callable[[SystemProblem, Request], Answer] | None = None
+    simulate: Callable[[SystemProblem, Request], Answer] | None = None
+    compare: Callable[[SystemProblem, Request], Answer] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SystemProblem:
+    """A problem of a system.
+
+    Attributes
+    ----------
+    name, task, description
+        As in its file.
+    system
+        Its kind.
+    content
+        What the system's ``build`` made.
+    given
+        The validated tables.
+    file
+        Where it came from; None if from no file.
+    """
+
+    name: str
+    task: str
+    description: str
+    system: System = field(repr=False)
+    content: Any
+    given: Any = field(repr=False)
+    file: Path | None
+
+    def tables(self) -> dict[str, Any]:
+        """Return the problem in full; :func:`system_from_tables` reads it."""
+        return self.system.tables(self)
+
+    def solve(
+        self, *, horizon: int | None = None, planner: str | None = None, seed: int = 0
+    ) -> Answer:
+        """Solve the problem, as :func:`planopt.solve` solves one of motion planning.
+
+        Parameters
+        ----------
+        horizon, planner
+            In place of the problem's own.
+        seed
+            Of everything random.
+
+        Raises
+        ------
+        InputError
+            The task has nothing to solve, or no such setting.
+        NoPlanError
+            There is no solution.
+        """
+        return self._answered("solve", horizon, planner, seed)
+
+    def simulate(
+        self, *, horizon: int | None = None, planner: str | None = None, seed: int = 0
+    ) -> Answer:
+        """Simulate the problem; parameters and errors as :meth:`solve`."""
+        return self._answered("simulate", horizon, planner, seed)
+
+    def _answered(self, action: str, horizon: int | None, planner: str | None, seed: int) -> Answer:
+        horizons = () if horizon is None else (horizon,)
+        planners = () if planner is None else (planner,)
+        answer = self.answer(action, Request(seed, horizons, planners))
+        if answer.failure is not None:
+            raise answer.failure
+        return answer
+
+    def answer(self, action: str, request: Request) -> Answer:
+        """Return the answer to an action of :data:`ACTIONS`.
+
+        Raises
+        ------
+        InputError
+            The system has no such action, or the request does not fit it.
+        """
+        act = cast(
+            "Callable[[SystemProblem, Request], Answer] | None", getattr(self.system, action)
+        )
+        if act is None:
+            known = ", ".join(name for name in ACTIONS if getattr(self.system, name) is not None)
+            raise InputError(
+                f"{self.name} asks for {self.task}, which there is no {action} for",
+                file=self.file,
+                key="problem.task",
+                remedy=f"use {known}",
+            )
+        return act(self, request)
+
+
+def load_any(path_or_name: Path | str) -> Problem | SystemProblem:
+    """Load a problem of any kind.
+
+    Parameters
+    ----------
+    path_or_name
+        The path of a TOML file, or the name of a library problem such as ``munich_courier``.
+
+    Returns
+    -------
+    Problem | SystemProblem
+        A motion planning problem, or one of a task in :data:`SYSTEMS`.
+
+    Raises
+    ------
+    InputError
+        As :func:`planopt.problems.load.load`.
+    """
+    path = find_problem(path_or_name)
+    found = system_from_tables(read_toml(path), folder=path.absolute().parent, file=path)
+    return load_motion(path) if found is None else found
+
+
+def load_system(path_or_name: Path | str) -> SystemProblem:
+    """Load a problem of a system, as :func:`planopt.load` loads one of motion planning.
+
+    Parameters
+    ----------
+    path_or_name
+        The path of a TOML file, or the name of a library problem such as ``pursuit_design``.
+
+    Raises
+    ------
+    InputError
+        As :func:`planopt.load`, or the problem is one of motion planning.
+    """
+    found = load_any(path_or_name)
+    if isinstance(found, Problem):
+        raise InputError(
+            f"is {found.task}, which is motion planning",
+            file=found.file,
+            key="problem.task",
+            remedy="load it with planopt.load",
+        )
+    return found
+
+
+def system_of(task: str | None) -> System | None:
+    """Return the system of a task; None for motion planning and whatever is unknown."""
+    module = None if task is None else SYSTEMS.get(task)
+    return None if module is None else cast("System", import_module(module).SYSTEM)
+
+
+def task_of_system(data: object) -> str | None:
+    """Return the task in the tables of a problem file if it is a system's."""
+    task = _entry(_entry(data, "problem"), "task")
+    return task if isinstance(task, str) and task in SYSTEMS else None
+
+
+def system_from_tables(data: object, *, folder: Path, file: Path | None) -> SystemProblem | None:
+    """Return the problem in tables, validated; None if its task is no system's.
+
+    Parameters
+    ----------
+    data
+        Tables as ``tomllib`` or ``json`` give them.
+    folder
+        Relative file names start here.
+    file
+        Where they came from, for messages.
+
+    Raises
+    ------
+    InputError
+        A key is unknown, or a value is not allowed.
+    """
+    system = system_of(task_of_system(data))
+    if system is None:
+        return None
+    try:
+        given: Any = system.model.model_validate(data)
+        content = system.build(given, folder)
+    except ValidationError as error:
+        raise input_error(error, system.model, file=file) from None
+    except InputError as error:
+        raise error if file is None else error.located(file) from None
+    named = given.problem
+    return SystemProblem(named.name, named.task, named.description, system, content, given, file)
+
+
+def judge_saved(file: Path, data: Mapping[str, Any]) -> list[str] | None:
+    """Return reasons against a saved answer; None if its problem is no system's.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read.
+    """
+    tables = data.get("problem_file")
+    problem = system_from_tables(tables, folder=file.absolute().parent, file=file)
+    return None if problem is None else problem.system.check(file, data, problem)
+
+
+def _entry(table: object, key: str) -> object:
+    """An entry of what may be no table at all."""
+    return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None

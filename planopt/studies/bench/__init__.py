@@ -1,0 +1,1 @@
+"""The solver regression suite: every library problem against committed references."""

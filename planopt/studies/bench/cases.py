@@ -1,0 +1,167 @@
+"""The cases of the regression suite: problems with seeds, horizons, planners and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from planopt.errors import InputError
+from planopt.problems.library import list_problems
+from planopt.problems.load import load
+from planopt.problems.overrides import with_overrides
+from planopt.problems.planner_kinds import planner_names
+from planopt.problems.problem import Problem
+from planopt.problems.systems import SYSTEMS
+
+PLAN, RUN = "plan", "run"
+"""Kinds of cases: one plan from the start, or a closed loop."""
+
+HORIZONS = (5, 20)
+"""Steps ahead that every problem is solved with, besides its own."""
+
+RUN_PLANNER = "auto"
+"""Planner of closed-loop cases, which take minutes where a plan takes a second."""
+
+COSTS_TO_GO = ("connected", "geodesic")
+"""Settings of problems with a goal."""
+
+
+@dataclass(frozen=True, order=True)
+class Question:
+    """What planners are asked: their answers are compared with each other.
+
+    Attributes
+    ----------
+    problem
+        Name in the library, or path of a problem file.
+    kind
+        ``plan`` or ``run``.
+    cost_to_go
+        Empty where there is no goal.
+    horizon
+        Steps ahead.
+    seed
+        Of everything drawn.
+    """
+
+    problem: str
+    kind: str
+    cost_to_go: str
+    horizon: int
+    seed: int
+
+    def __str__(self) -> str:
+        """Return the question in words."""
+        cost = f"{self.cost_to_go} cost-to-go, " if self.cost_to_go else ""
+        return f"{self.problem}, {self.kind}, {cost}horizon {self.horizon}, seed {self.seed}"
+
+
+@dataclass(frozen=True, order=True)
+class Case:
+    """A question and the planner that answers it."""
+
+    question: Question
+    planner: str
+
+    def __str__(self) -> str:
+        """Return the case in words."""
+        return f"{self.question}, planner {self.planner}"
+
+
+def library_cases(
+    problems: Sequence[str] | None = None,
+    *,
+    planners: Sequence[str] | None = None,
+    horizons: Sequence[int] | None = None,
+    seeds: Iterable[int] = range(3),
+    run_seeds: Iterable[int] = range(1),
+) -> list[Case]:
+    """Return every combination that the problems allow, problem by problem and seed by seed.
+
+    Parameters
+    ----------
+    problems
+        Names or files; the whole library if None.
+    planners
+        Names; all that are registered if None. A problem leaves out those that cannot plan for it.
+    horizons
+        Steps ahead; the problem's own and `HORIZONS` if None.
+    seeds
+        Seeds of single plans.
+    run_seeds
+        Seeds of closed loops, driven with the planner `RUN_PLANNER` and the problem's own settings.
+
+    Raises
+    ------
+    InputError
+        A problem, planner or horizon does not exist, or no case is left.
+    """
+    known = planner_names()
+    for name in planners or ():
+        if name not in known:
+            raise InputError(
+                f"no planner is called {name!r}",
+                key="planners",
+                remedy=f"one of {', '.join(known)}",
+            )
+    names = library_names() if problems is None else problems
+    each, driven = list(seeds), list(run_seeds)
+    cases: list[Case] = []
+    for name in dict.fromkeys(names):
+        problem = load(name)
+        own = problem.planner.horizon
+        ahead = sorted({own, *HORIZONS}) if horizons is None else list(dict.fromkeys(horizons))
+        for horizon in ahead:
+            with_overrides(problem, horizon=horizon)
+        allowed = [one for one in planners or known if _allows(problem, one)]
+        costs = COSTS_TO_GO if problem.task == "reach" else ("",)
+        for seed in sorted({*each, *driven}):
+            if seed in each:
+                cases += [
+                    Case(Question(name, PLAN, cost, horizon, seed), planner)
+                    for cost in costs
+                    for horizon in ahead
+                    for planner in allowed
+                ]
+            if seed in driven and RUN_PLANNER in allowed:
+                question = Question(name, RUN, problem.cost_to_go or "", own, seed)
+                cases.append(Case(question, RUN_PLANNER))
+    if not cases:
+        raise InputError(
+            "there is no case: no problem allows one of the planners",
+            key="planners",
+            remedy="name another planner or another problem",
+        )
+    return cases
+
+
+def library_names() -> list[str]:
+    """Return the library problems of motion planning, which planners answer."""
+    return [entry.name for entry in list_problems() if entry.task not in SYSTEMS]
+
+
+def problem_of(case: Case) -> Problem:
+    """Load the problem of a case, with its settings.
+
+    Raises
+    ------
+    InputError
+        The problem does not exist or does not allow the settings.
+    """
+    question = case.question
+    asked = with_overrides(
+        load(question.problem),
+        horizon=question.horizon,
+        planner=case.planner,
+        cost_to_go=question.cost_to_go or None,
+    )
+    return replace(asked, report=replace(asked.report, figures=False))
+
+
+def _allows(problem: Problem, planner: str) -> bool:
+    """Whether a planner can plan for a problem."""
+    try:
+        with_overrides(problem, planner=planner)
+    except InputError:
+        return False
+    return True

@@ -1,0 +1,276 @@
+"""One row of the regression suite: a case answered, and the answer judged from its files."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.one_thread import one_blas_thread
+from planopt.errors import NoPlanError
+from planopt.planning.check.check import check
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.prepare import Prepared, prepare
+from planopt.planning.scene import Scene, build_scene
+from planopt.planning.solve import solve_on
+from planopt.problems.problem import Problem
+from planopt.studies.bench.cases import RUN, Case, Question, problem_of
+from planopt.studies.finished_runs import run_key
+
+PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
+"""Outcomes of single plans; runs have those of :class:`planopt.planning.loop.log.Outcome`."""
+
+RUN_OBJECTIVES = {
+    "reach": "goal_time_s",
+    "track": "time_averaged_trace_p",
+    "learn": "trace_m_db",
+    "map": "rms_db",
+    "connect": "path_m",
+}
+"""Metric that a closed loop is compared by, by task; less is better. Others are not compared."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One answered case. Of several robots: sums, or the worst.
+
+    Attributes
+    ----------
+    problem, kind, cost_to_go, horizon, seed, planner
+        The case.
+    sense
+        ``max`` or ``min``: whether more or less of the objective is better.
+    objective
+        Of a plan its objective, of a run a metric (`RUN_OBJECTIVES`); None without a value.
+    verdict, termination, rungs
+        As the planner says; of a run the worst verdict, and how often each fallback released a
+        step.
+    outcome
+        ``planned``, ``no_plan`` or ``error``; of a run how it ended.
+    accepted
+        Whether ``planopt check`` agrees, from the files alone; None where there is nothing to
+        judge.
+    reasons
+        Objections of the check, or the error.
+    iterations, solve_s, wall_s
+        Of the solver, its time, and the time of planning.
+    cpu_s
+        Processor time of the case, without drawing the channel, fitting it and building the scene.
+    steps
+        Plans that were made, one a step and robot.
+    path_digest
+        Of all places, to the millimetre: the same digest is the same path.
+    kkt_residual, min_clearance_m, min_connectivity
+        Of the certificate; of a run None.
+    """
+
+    problem: str
+    kind: str
+    cost_to_go: str
+    horizon: int
+    seed: int
+    planner: str
+    sense: str
+    objective: float | None
+    verdict: str
+    termination: str
+    rungs: dict[str, int]
+    outcome: str
+    accepted: bool | None
+    reasons: tuple[str, ...]
+    iterations: int
+    solve_s: float
+    wall_s: float
+    cpu_s: float
+    steps: int
+    path_digest: str
+    kkt_residual: float | None = None
+    min_clearance_m: float | None = None
+    min_connectivity: float | None = None
+
+    @property
+    def question(self) -> Question:
+        """What was asked."""
+        return Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
+
+    @property
+    def case(self) -> Case:
+        """What was asked, and of which planner."""
+        return Case(self.question, self.planner)
+
+
+@dataclass(frozen=True)
+class Start:
+    """What the cases of one problem and seed share: the first belief, and the scene with a goal."""
+
+    prepared: Prepared
+    scene: Scene | None
+    no_plan: str = ""
+
+
+def start_of(case: Case) -> Start:
+    """Draw the channel, fit it and build the scene for the cases of one problem and seed."""
+    problem = problem_of(case)
+    prepared = prepare(problem, case.question.seed)
+    if problem.task != "reach":
+        return Start(prepared, None)
+    try:
+        return Start(prepared, build_scene(problem))
+    except NoPlanError as error:
+        return Start(prepared, None, str(error))
+
+
+def key_of(case: Case) -> dict[str, Any]:
+    """Return all that decides a row."""
+    return {
+        **run_key(problem_of(case), case.question.seed),
+        "kind": case.question.kind,
+        "name": case.question.problem,
+    }
+
+
+@one_blas_thread()
+def answer(case: Case, start: Start) -> Row:
+    """Answer a case and judge the answer from its files.
+
+    A planner that fails with an error of any kind makes a row that says so: a suite of a thousand
+    cases does not end at one of them.
+    """
+    problem = problem_of(case)
+    nothing = _nothing(case, problem)
+    if start.no_plan:
+        return replace(nothing, outcome=NO_PLAN, reasons=(start.no_plan,))
+    begun = process_time()
+    try:
+        if case.question.kind == RUN:
+            return _run_row(problem, nothing, start)
+        return _plan_row(problem, nothing, start)
+    except NoPlanError as error:
+        outcome, words = NO_PLAN, str(error)
+    except Exception as error:
+        outcome, words = ERROR, f"{type(error).__name__}: {error}"
+    return replace(nothing, outcome=outcome, reasons=(words,), cpu_s=process_time() - begun)
+
+
+def _nothing(case: Case, problem: Problem) -> Row:
+    """Return the row of a case without an answer."""
+    question = case.question
+    is_run = question.kind == RUN
+    return Row(
+        problem=question.problem,
+        kind=question.kind,
+        cost_to_go=question.cost_to_go,
+        horizon=question.horizon,
+        seed=question.seed,
+        planner=case.planner,
+        sense="min" if is_run else problem.sense,
+        objective=None,
+        verdict=Verdict.NONE.value,
+        termination="" if is_run else Termination.NO_PATH.value,
+        rungs={},
+        outcome="",
+        accepted=None,
+        reasons=(),
+        iterations=0,
+        solve_s=0.0,
+        wall_s=0.0,
+        cpu_s=0.0,
+        steps=0,
+        path_digest="",
+    )
+
+
+def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
+    begun = process_time()
+    solution = solve_on(problem, start.prepared.belief, nothing.seed, start.scene)
+    cpu_s = process_time() - begun
+    plans = solution.plans
+    with tempfile.TemporaryDirectory() as folder:
+        save_solution(solution, Path(folder))
+        accepted, reasons = _judged(Path(folder))
+    residuals = [c.kkt_residual for c in _certificates(plans) if c.kkt_residual is not None]
+    return replace(
+        nothing,
+        **_totals(plans),
+        objective=_finite(sum(plan.objective for plan in plans)),
+        verdict=solution.verdict.value,
+        termination=_worst(Termination, (plan.termination.value for plan in plans)),
+        outcome=PLANNED,
+        accepted=accepted,
+        reasons=reasons,
+        cpu_s=cpu_s,
+        path_digest=_digest(plan.positions_m for plan in plans),
+        kkt_residual=max(residuals, default=None),
+        min_clearance_m=_finite(min(c.min_clearance_m for c in _certificates(plans))),
+        min_connectivity=_finite(min(c.min_connectivity for c in _certificates(plans))),
+    )
+
+
+def _run_row(problem: Problem, nothing: Row, start: Start) -> Row:
+    begun = process_time()
+    run = simulate(problem, seed=nothing.seed, scene=start.scene, prepared=start.prepared)
+    plans = tuple(plan for each in run.plans for plan in each)
+    cpu_s = process_time() - begun
+    with tempfile.TemporaryDirectory() as folder:
+        save_run(run, Path(folder))
+        accepted, reasons = _judged(Path(folder))
+    return replace(
+        nothing,
+        **_totals(plans),
+        objective=_finite(run.metrics.get(RUN_OBJECTIVES.get(problem.task, ""), math.nan)),
+        verdict=_worst(Verdict, (plan.verdict.value for plan in plans)),
+        outcome=run.outcome.value,
+        accepted=accepted,
+        reasons=reasons,
+        cpu_s=cpu_s,
+        path_digest=_digest(one.log.positions_m for one in run.runs),
+    )
+
+
+def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
+    """Return the entries of a row that are sums over plans."""
+    return {
+        "rungs": dict(Counter(plan.rung.value for plan in plans)),
+        "iterations": sum(plan.iterations for plan in plans),
+        "solve_s": float(sum(plan.solve_s for plan in plans)),
+        "wall_s": float(sum(plan.wall_s for plan in plans)),
+        "steps": len(plans),
+    }
+
+
+def _judged(folder: Path) -> tuple[bool, tuple[str, ...]]:
+    """Judge a saved plan or run; whether the check agrees, and its objections."""
+    result = check(folder)
+    return result.verdict is Verdict.VERIFIED, result.reasons
+
+
+def _certificates(plans: Iterable[Plan]) -> list[Any]:
+    return [plan.certificate for plan in plans]
+
+
+def _worst(labels: type[Verdict] | type[Termination] | type[Rung], named: Iterable[str]) -> str:
+    """Return the worst label: each kind names its members from good to bad."""
+    order = [label.value for label in labels]
+    return max(named, key=order.index, default=order[-1])
+
+
+def _digest(paths_m: Iterable[NDArray[np.float64]]) -> str:
+    """Return a digest of paths to the millimetre."""
+    # Adding zero makes one of the two zeros that rounding has.
+    rounded = b"".join((np.round(path_m, 3) + 0.0).astype("<f8").tobytes() for path_m in paths_m)
+    return hashlib.sha256(rounded).hexdigest()[:16]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""The task pursuit_design: slot width, rate and compression of a network that serves a pursuit."""

@@ -1,0 +1,116 @@
+"""Planners from outside plug in by name: registered, or by the entry points of a package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import perf_counter
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from planopt import check, load, solve
+from planopt.errors import InputError
+from planopt.planning.baselines.baseline import held, released
+from planopt.planning.baselines.lawnmower import LawnmowerPlanner
+from planopt.planning.files.saved import save_solution
+from planopt.problems import planner_kinds
+from planopt.problems.load import problem_from_tables
+from planopt.problems.planner_kinds import (
+    OWN,
+    PlannerKind,
+    planner_kind,
+    planner_names,
+    register_planner,
+    unregister_planner,
+)
+from planopt.problems.save import problem_to_dict
+
+
+class Eastward:
+    """Drives east with half the speed."""
+
+    def __init__(self, problem, ground, generator) -> None:
+        self._step_m = 0.5 * problem.step_length_m
+
+    def plan(self, situation, judge, warm=None):
+        """A straight line."""
+        begun = perf_counter()
+        horizon = situation.problem.planner.horizon
+        steps = np.arange(1, horizon + 1)[:, None] * np.array([self._step_m, 0.0])
+        return released(judge, held(situation, list(situation.position_m + steps)), begun)
+
+
+@pytest.fixture
+def eastward() -> Iterator[None]:
+    """The planner ``eastward``, registered."""
+    register_planner(PlannerKind("eastward", Eastward))
+    yield
+    unregister_planner("eastward")
+
+
+def test_registered_planner_plans(eastward, tmp_path) -> None:
+    """Its path is the plan, the verifier judges it, and so does the check from the files."""
+    solution = solve(load("outdoor_map"), planner="eastward", horizon=4)
+    path_m, step_m = solution.plan.positions_m, solution.problem.step_length_m
+    assert path_m[1:] - path_m[:-1] == pytest.approx(np.array([[0.5 * step_m, 0.0]] * 4))
+    assert solution.problem.planner.name == "eastward"
+    save_solution(solution, tmp_path)
+    assert check(tmp_path).verdict is solution.verdict
+    tables = problem_to_dict(solution.problem)
+    unregister_planner("eastward")
+    with pytest.raises(InputError, match="is 'eastward', should be 'auto'"):
+        problem_from_tables(tables, folder=tmp_path, file=None)
+
+
+def test_it_plans_what_it_says_it_plans(eastward) -> None:
+    """Without the traits there are no goals and no dynamics."""
+    with pytest.raises(InputError, match="has no way to a goal"):
+        solve(load("open_field"), planner="eastward")
+    with pytest.raises(InputError, match="for single integrators only"):
+        solve(load("harbour_track"), planner="eastward")
+    assert "eastward" in planner_names()
+
+
+def test_entry_points(monkeypatch) -> None:
+    """A package gives a kind, or what makes the planner; neither is imported before it is named."""
+    points = [
+        SimpleNamespace(
+            name="mower", load=lambda: PlannerKind("", LawnmowerPlanner, searches=True)
+        ),
+        SimpleNamespace(name="east", load=lambda: Eastward),
+        SimpleNamespace(name="auto", load=lambda: Eastward),
+        SimpleNamespace(name="broken", load=lambda: __import__("no_such_module")),
+    ]
+    monkeypatch.setattr(planner_kinds, "entry_points", lambda group: points)
+    planner_kinds._installed.cache_clear()
+    try:
+        assert planner_names() == (*OWN, "mower", "east", "broken")
+        assert planner_kind("mower") == PlannerKind("mower", LawnmowerPlanner, searches=True)
+        assert planner_kind("east") == PlannerKind("east", Eastward)
+        assert planner_kind("auto") is OWN["auto"]
+        with pytest.raises(InputError, match="installed but cannot be imported"):
+            planner_kind("broken")
+    finally:
+        planner_kinds._installed.cache_clear()
+
+
+@pytest.mark.parametrize("name", ["auto", "", "a b", "x" * 101])
+def test_names_that_cannot_be(name: str) -> None:
+    """Those of planopt's own, and what is no word."""
+    with pytest.raises(InputError, match="cannot be the name of a planner"):
+        register_planner(PlannerKind(name, Eastward))
+
+
+def test_a_planner_that_cannot_be_imported() -> None:
+    """The error names what is missing."""
+    for make in ("no_such_module:Planner", "planopt.errors:Nothing"):
+        with pytest.raises(InputError, match="cannot be imported"):
+            PlannerKind("mine", make).maker()
+    with pytest.raises(InputError, match="is 'mine'"):
+        planner_kind("mine")
+
+
+def test_own_planners_can_all_be_made() -> None:
+    """Each name of planopt's own leads to something that makes a planner."""
+    assert all(callable(kind.maker()) for kind in OWN.values())

@@ -1,0 +1,87 @@
+"""Terms from outside planopt: their tables are read, checked and saved like planopt's own."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import pytest
+from pydantic import Field
+
+from planopt.errors import InputError
+from planopt.objectives.terms import term as registry
+from planopt.objectives.terms.term import Term, registered_terms
+from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.problems.schema import json_schema
+
+
+@pytest.fixture
+def corridor(monkeypatch):
+    """Define a term with keys of its own; it is forgotten after the test."""
+    registered_terms()
+    monkeypatch.setattr(registry, "_kinds", dict(registry._kinds))
+
+    @dataclass(frozen=True)
+    class CorridorTerm(Term):
+        """Keep near a line."""
+
+        y_m: Annotated[float, Field(ge=0.0, le=9.0, description="Height of the line in metres.")]
+        width_m: Annotated[float, Field(gt=0.0)] = 2.0
+
+        kind: ClassVar[str] = "corridor"
+
+    return CorridorTerm
+
+
+def with_terms(tables, *terms):
+    """The small problem with a custom objective."""
+    del tables["robots"][0]["goal_m"]
+    tables["problem"]["task"] = "custom"
+    tables["objective"] = {"terms": list(terms)}
+    return tables
+
+
+def test_an_own_term_is_read_and_saved(corridor, tables, built):
+    """Its keys, its defaults, and the same term after saving."""
+    problem = built(with_terms(tables, {"kind": "corridor", "y_m": 3.0}))
+    assert problem.task == "custom"
+    assert problem.terms == (corridor(1.0, 3.0, 2.0),)
+    saved = problem_to_dict(problem)
+    assert saved["objective"]["terms"] == [
+        {"kind": "corridor", "weight": 1.0, "y_m": 3.0, "width_m": 2.0}
+    ]
+    assert problem_from_dict(saved, file=problem.file).terms == problem.terms
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"y_m": 10.0}, r"objective.terms\[0\].y_m: is 10.0, should be at least 0 and at most 9"),
+        ({"y_m": "3"}, r"objective.terms\[0\].y_m: is '3', should be a number"),
+        ({"y_m": 3.0, "with_m": 1.0}, r"objective.terms\[0\].with_m: .*did you mean width_m"),
+        ({}, r"objective.terms\[0\].y_m: is missing .Height of the line in metres"),
+    ],
+)
+def test_slips_in_an_own_term_are_named(corridor, tables, built, table, says):
+    """Key, value and what is allowed, from the annotations of the class alone."""
+    with pytest.raises(InputError, match=says):
+        built(with_terms(tables, {"kind": "corridor", **table}))
+
+
+def test_an_own_term_is_in_the_schema_while_it_is_registered(corridor):
+    """The JSON schema describes its keys; kinds that are not registered are refused."""
+    definition = json_schema()["$defs"]["CorridorTable"]
+    assert definition["description"] == "Keep near a line."
+    assert definition["properties"]["y_m"]["maximum"] == 9.0
+    assert definition["required"] == ["kind", "y_m"]
+
+
+def test_a_kind_that_is_not_registered_is_refused(tables, built):
+    """The kinds that are known stand in the message."""
+    with pytest.raises(InputError, match=r"is 'corridor', should be one of .*'tracking'"):
+        built(with_terms(tables, {"kind": "corridor", "y_m": 3.0}))
+
+
+def test_no_two_terms_have_one_kind(corridor):
+    """The second class is refused; the first stays."""
+    with pytest.raises(InputError, match=r"kind .corridor. of .*Other is that of .*CorridorTerm"):
+        type("Other", (Term,), {"kind": "corridor"})
+    assert corridor in registered_terms()

@@ -1,0 +1,169 @@
+"""The task pursuit_design: command, saved folder, and what is impossible."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import planopt
+from planopt.cli import main
+from planopt.errors import InputError, NoPlanError
+from planopt.problems.library import library_folder
+
+TEXT = (library_folder() / "pursuit_design.toml").read_text()
+PLAIN = """
+[problem]
+schema = 1
+name = "plain"
+task = "pursuit_design"
+[pursuit]
+evader_speed_m_s = 1.0
+pursuer_speed_m_s = 2.0
+[network]
+levels = 6
+mote_spacing_m = 1.0
+bit_rate_bit_s = 250e3
+header_bits = 64
+record_bits = 16
+energy_j_per_bit = 1e-6
+[design]
+margin = 1e-9
+[report]
+figures = false
+"""
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    """Write a problem file with some texts replaced."""
+
+    def write(text: str = PLAIN, **changes: str) -> Path:
+        for old, new in changes.items():
+            line = next(line for line in text.splitlines() if line.startswith(f"{old} ="))
+            text = text.replace(line, f"{old} = {new}")
+        file = tmp_path / "problem.toml"
+        file.write_text(text)
+        return file
+
+    return write
+
+
+def run(capsys, *arguments: object) -> tuple[int, dict]:
+    """The exit code of a command and its JSON."""
+    code = main([*map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_example(written, capsys):
+    """4096 motes, alpha 2: 24.29 W at six bits, the programme 24.2855 W below it."""
+    code, found = run(capsys, "solve", written())
+    assert code == 0 and found["verdict"] == "verified" and found["sense"] == "min"
+    assert found["bits_per_axis"] == 6 and found["rate_divisor"] == 1
+    assert found["cost_w"] == pytest.approx(24.2876, abs=1e-4) == found["objective"]
+    assert found["bound"] == pytest.approx(24.2855, abs=1e-4)
+    assert found["gap"] == pytest.approx(1.0 - found["bound"] / found["cost_w"], rel=1e-9)
+    slot_s = (1 - (0.5 + 1.5 * np.sqrt(2) / 2**6)) / (12 * 9)
+    assert found["slot_width_s"] == pytest.approx(slot_s, rel=1e-7)
+    assert found["binding"] == ["lemma"] and found["guarantee"]["theorem"] == "lemma"
+    assert [row["bits_per_axis"] for row in found["cost_curve"] if row["fails"]][:2] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "words"),
+    [
+        ({"pursuer_speed_m_s": "1.0"}, 2, "evader's speed below the pursuer's: 1 < 1 m/s fails"),
+        ({"margin": "1e-9\nbits_per_axis = 2"}, 4, "a + margin below 1: 1.03033 < 1 fails by 0.03"),
+        ({"bit_rate_bit_s": "1e3"}, 4, "slot of the payload below the widest slot: 0.2"),
+        ({"margin": "1e-9\nbits_per_axis = 99"}, 2, "key design.bits_per_axis"),
+        ({"pursuer_speed_m_s": "2.0\ndeadline_s = 5.0"}, 2, "which least_power does not look at"),
+        ({"margin": "1e-9\nguarantee = 'snapshots'"}, 2, "least_power rests on the lemma"),
+        ({"margin": "1e-9\nmethod = 'least_energy'"}, 2, "pursuit.first_distance_m: is missing"),
+        ({"levels": "3.5"}, 2, "network.levels"),
+        ({"levels": "3\nlevel = 4"}, 2, "network.level: is not a known key"),
+    ],
+)
+def test_impossible(changes, code, words, written, capsys):
+    """Each is named with the inequality that fails, by how much, or its key."""
+    found, data = run(capsys, "solve", written(**changes))
+    text = data["error"] if code == 2 else data["message"]
+    assert found == code
+    assert words in text
+    if code == 4:
+        assert data["verdict"] == "none" and data["inequality"]["margin"] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"capture_radius_m": "10.0"}, "floor below the capture radius"),
+        ({"deadline_s": "20.0"}, "time to capture below the deadline"),
+    ],
+)
+def test_requirements_out_of_reach(changes, words, written, capsys):
+    """A radius under the floor and a deadline too soon have no design; Python raises."""
+    file = written(TEXT, **changes)
+    code, data = run(capsys, "solve", file)
+    assert code == 4 and words in data["message"] and data["inequality"]["margin"] < 0.0
+    with pytest.raises(NoPlanError, match=words):
+        planopt.load_system(file).solve()
+
+
+@pytest.mark.parametrize("method", ["least_power", "least_power_rated", "least_energy"])
+def test_saved_designs_are_judged(method, written, tmp_path, capsys):
+    """A folder agrees with itself; a wider slot, a lower cost and a removed key are found."""
+    text = PLAIN.replace("pursuer_speed", "first_distance_m = 30.0\npursuer_speed")
+    file = written(text, margin=f"1e-3\nmethod = '{method}'")
+    out = tmp_path / "out"
+    code, data = run(capsys, "solve", file, "--out", out)
+    assert code == 0 and data["verdict"] == "verified"
+    assert run(capsys, "check", out)[0] == 0
+    saved = json.loads((out / "plan.json").read_text())
+    assert saved["problem_file"]["network"]["slots_per_frame"] == 9
+    wider = 2.5 * saved["slot_width_s"]
+    for change, words in (
+        ({"slot_width_s": wider}, "a + x below 1" if method != "least_power_rated" else "a + x"),
+        ({"cost_w": 0.5 * saved["cost_w"]}, "key cost_w"),
+        ({"verdict": "violated"}, "key verdict"),
+        ({"bits_per_axis": 1}, "a + x"),
+        ({"bits_per_axis": "six"}, "are no design"),
+    ):
+        (out / "plan.json").write_text(json.dumps({**saved, **change}))
+        code, found = run(capsys, "check", out)
+        assert code == 3 and words in " ".join(found["reasons"])
+
+
+def test_energy_at_half_of_the_limit(written):
+    """Least energy per capture is at exactly half of the Lemma's slot width."""
+    text = PLAIN.replace("pursuer_speed", "first_distance_m = 30.0\npursuer_speed")
+    power = planopt.load_system(written(text, margin="1e-12\nbits_per_axis = 5")).solve().data
+    half = written(text, margin="1e-12\nbits_per_axis = 5\nmethod = 'least_energy'")
+    energy = planopt.load_system(half).solve().data
+    assert energy["slot_width_s"] == pytest.approx(0.5 * power["slot_width_s"], rel=1e-9)
+    assert energy["binding"] == [] and energy["objective"] == energy["energy_per_capture_j"]
+    front = [(row["capture_time_s"], row["energy_per_capture_j"]) for row in energy["pareto"]]
+    times, energies = np.array(front).T
+    assert len(front) > 10 and (np.diff(times) > 0.0).all() and (np.diff(energies) < 0.0).all()
+    assert energies[-1] == pytest.approx(energy["objective"], rel=1e-6)
+
+
+def test_library_problem(tmp_path, capsys):
+    """Its picture is drawn, its guarantee checked; show, validate and schema know the task."""
+    code, data = run(capsys, "solve", "pursuit_design", "--out", tmp_path)
+    assert code == 0 and data["binding"] and data["guarantee"]["holds"]
+    assert data["capture_time_s"] <= 300.0
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+    assert run(capsys, "show", "pursuit_design")[1]["design"]["margin"] == 0.01
+    assert run(capsys, "validate", "pursuit_design") == (
+        0,
+        {"problem": "pursuit_design", "valid": True},
+    )
+    assert "network" in run(capsys, "schema", "--task", "pursuit_design")[1]["properties"]
+    assert run(capsys, "schema", "--task", "nothing")[0] == 2
+    assert run(capsys, "simulate", "pursuit_design")[0] == 2
+    with pytest.raises(InputError, match=r"planopt\.load_system"):
+        planopt.load("pursuit_design")
+    with pytest.raises(InputError, match=r"planopt\.load"):
+        planopt.load_system("open_field")

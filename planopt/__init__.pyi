@@ -11,6 +11,7 @@ from planopt.errors import NoPlanError as NoPlanError
 from planopt.errors import OutputError as OutputError
 from planopt.errors import PlanoptError as PlanoptError
 from planopt.planning.check.check import check as check
+from planopt.planning.check.load_result import load_result as load_result
 from planopt.planning.explain.explain import explain as explain
 from planopt.planning.explain.explain import explain_no_plan as explain_no_plan
 from planopt.planning.loop.closed_loop import simulate as simulate

@@ -15,35 +15,26 @@ from planopt.report.calibration_figure import draw_calibration
 from planopt.report.comparison_figure import draw_comparison
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_posterior_map
-from planopt.report.plan_figure import draw_plan
 from planopt.report.reliability_figure import draw_reliability
-from planopt.report.run_figure import draw_run
+from planopt.report.result_figures import draw_driven, draw_solution
 from planopt.report.run_series import draw_run_series
 from planopt.report.saving import save_figure
-from planopt.report.team_figure import draw_team_plan, draw_team_run
 from planopt.studies.comparison import Comparison
 
 
 def picture_solution(solution: Solution, folder: Path) -> None:
     """The plans, and what was believed of the channel where there is a goal."""
-    problem = solution.problem
-    if problem.task != "reach":
-        target_m = solution.aims[0].target_m
-        figure = draw_team_plan(problem, solution.plans, solution.belief, target_m)
-        save_figure(figure, folder / "plan.png")
-        return
-    save_figure(draw_plan(solution), folder / "plan.png")
-    save_figure(draw_belief(problem, solution.belief), folder / "belief.png")
+    save_figure(draw_solution(solution), folder / "plan.png")
+    if solution.problem.task == "reach":
+        save_figure(draw_belief(solution.problem, solution.belief), folder / "belief.png")
 
 
 def picture_run(run: Run, folder: Path) -> None:
-    """The ways driven and their time series; the belief at the end where there is a goal."""
-    if run.problem.task != "reach":
-        save_figure(draw_team_run(run), folder / "run.png")
-        return
-    save_figure(draw_run(run), folder / "run.png")
-    save_figure(draw_run_series(run), folder / "series.png")
-    save_figure(draw_belief(run.problem, run.belief), folder / "belief.png")
+    """The ways driven; to a goal also their time series and the belief at the end."""
+    save_figure(draw_driven(run), folder / "run.png")
+    if run.problem.task == "reach":
+        save_figure(draw_run_series(run), folder / "series.png")
+        save_figure(draw_belief(run.problem, run.belief), folder / "belief.png")
 
 
 def picture_comparison(comparison: Comparison, folder: Path) -> None:

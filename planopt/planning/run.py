@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,9 @@ from planopt.planning.plan import Plan
 from planopt.planning.short_results import only, short_run
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
 """Outcomes of runs that did what the problem asks."""
@@ -118,6 +124,54 @@ class Run:
         for run in self.runs:
             counts.update(run.rungs)
         return dict(counts)
+
+    def plot(self) -> Figure:
+        """Draw where the robots drove on the map; no window is opened.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Notebooks show it; ``figure.savefig("run.png")`` writes it.
+        """
+        # Named, not imported: the drawing package is above this one.
+        return import_module("planopt.report.result_figures").draw_driven(self)
+
+    def save(self, folder: Path | str) -> None:
+        """Save the run as a folder that ``planopt check`` and :func:`planopt.load_result` read.
+
+        Parameters
+        ----------
+        folder
+            Made if it is missing; a plan or run that it had is replaced.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written; what it had is still there.
+        InputError
+            The problem has parts from Python, which no file can hold.
+        """
+        from planopt.planning.files.saved import save_run
+
+        save_run(self, Path(folder))
+
+    def to_dataframe(self) -> Any:
+        """Return the run as a pandas DataFrame: a row for each robot and step, the start first.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns as in ``steps.csv``.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        from planopt.planning.files.steps_file import joined_steps, steps_dataframe, steps_of_run
+
+        tables = [steps_of_run(one.robot, one.log, one.drive) for one in self.runs]
+        return steps_dataframe(joined_steps(tables))
 
 
 def exit_code(run: Run) -> int:

@@ -72,14 +72,8 @@ def check_plan(
         States or inputs of a robot that has some are missing.
     """
     problem, belief = saved.problem, saved.beliefs[0]
-    for robot, steps in zip(problem.robots, saved.steps, strict=True):
-        if len(steps.steps) != problem.planner.horizon + 1:
-            return [], [
-                f"{STEPS_FILE}: {len(steps.steps) - 1} steps of {robot.name} are planned, "
-                f"planner.horizon is {problem.planner.horizon}"
-            ]
-    learnt, faults = learnt_again(problem, saved.beliefs)
-    if faults:
+    learnt, unfitted = learnt_again(problem, saved.beliefs)
+    if faults := length_faults(saved) or unfitted:
         return [], faults
     solution, reasons = rebuilt_solution(saved, record, learnt[0])
     found = {
@@ -101,6 +95,17 @@ def check_plan(
         record.seed,
     )
     return [worst_of_robots({plan.robot: plan.certificate for plan in solution.plans})], reasons
+
+
+def length_faults(saved: Saved) -> list[str]:
+    """Return what is wrong with the lengths of plans: they have those that the problem asks."""
+    horizon = saved.problem.planner.horizon
+    return [
+        f"{STEPS_FILE}: {len(steps.steps) - 1} steps of {robot.name} are planned, "
+        f"planner.horizon is {horizon}"
+        for robot, steps in zip(saved.problem.robots, saved.steps, strict=True)
+        if len(steps.steps) != horizon + 1
+    ]
 
 
 def rebuilt_solution(

@@ -106,11 +106,8 @@ def check_run(
         States or inputs of a robot that has some are missing.
     """
     problem = saved.problem
-    faults = _length_faults(problem, len(saved.steps[0].steps) - 1) + _plan_faults(saved, record)
-    if faults:
-        return [], faults
-    learnt, faults = learnt_again(problem, saved.beliefs)
-    if faults:
+    learnt, unfitted = learnt_again(problem, saved.beliefs)
+    if faults := length_faults(saved, record) or unfitted:
         return [], faults
     rebuilt = rebuilt_run(saved, record, learnt, () if given is None else given.truths)
     run, reasons = rebuilt.run, rebuilt.reasons
@@ -357,14 +354,6 @@ def _plan_reasons(
     ]
 
 
-def _length_faults(problem: Problem, steps: int) -> list[str]:
-    """No run is longer than the problem says; nothing can be judged where one is."""
-    if steps <= problem.planner.max_steps:
-        return []
-    most = problem.planner.max_steps
-    return [f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is {most}"]
-
-
 def _ended(
     problem: Problem,
     connected: NDArray[np.bool_],
@@ -395,10 +384,19 @@ def _ended(
     return (Outcome.STEP_LIMIT, ""), [short]
 
 
-def _plan_faults(saved: Saved, record: RunRecord) -> list[str]:
-    """Plans are as long as the problem says."""
-    planner = saved.problem.planner
+def length_faults(saved: Saved, record: RunRecord) -> list[str]:
+    """Return what is wrong with the lengths of a run and of its plans.
+
+    No run is longer than the problem says, and its plans are as long; nothing can be judged where
+    they are not.
+    """
+    planner, steps = saved.problem.planner, len(saved.steps[0].steps) - 1
     faults: list[str] = []
+    if steps > planner.max_steps:
+        faults.append(
+            f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
+            f"{planner.max_steps}"
+        )
     for number, robot in enumerate(record.plans):
         for step, released in enumerate(robot.released):
             if len(released.x_m) != planner.horizon + 1:

@@ -37,6 +37,13 @@ def picture_run(run: Run, folder: Path) -> None:
         save_figure(draw_belief(run.problem, run.belief), folder / "belief.png")
 
 
+def animate(run: Run, folder: Path) -> None:
+    """The run step by step."""
+    from planopt.report.animation import save_animation
+
+    save_animation(run, folder / "run.gif")
+
+
 def picture_comparison(comparison: Comparison, folder: Path) -> None:
     """The table as a chart, and predicted against true connection where there was a step."""
     save_figure(draw_comparison(comparison), folder / "comparison.png")

@@ -13,14 +13,14 @@ from planopt.commands.output import (
     show,
     shown_number,
 )
-from planopt.commands.planning import Asked, planning_command
+from planopt.commands.planning import Asked, driving_command
 
 if TYPE_CHECKING:
     from planopt.planning.plan import Plan
     from planopt.planning.run import Run
 
 
-@planning_command
+@driving_command
 def simulate(asked: Asked) -> int:
     """Drive in the true channel. Exit code 0 all verified, 3 not all, 4 task not done."""
     from planopt.errors import NoPlanError
@@ -46,13 +46,16 @@ def simulate(asked: Asked) -> int:
             show(asked.json, data, f"{problem.name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            save_run(run, folder, pictures_follow=problem.report.figures)
+            save_run(run, folder, pictures_follow=asked.has_pictures)
         show(asked.json, run_json(run), _in_words(run))
-        with drawing(folder, PLAN_OR_RUN, wanted=problem.report.figures) as new:
+        with drawing(folder, PLAN_OR_RUN, wanted=asked.has_pictures) as new:
             if new is not None:
-                from planopt.commands.pictures import picture_run
+                from planopt.commands.pictures import animate, picture_run
 
-                picture_run(run, new)
+                if problem.report.figures:
+                    picture_run(run, new)
+                if asked.animation:
+                    animate(run, new)
     return exit_code(run)
 
 

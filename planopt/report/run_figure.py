@@ -45,7 +45,7 @@ def draw_run(simulation: Run) -> Figure:
     draw_ground(panel, problem.workspace, f"{spaced(run.outcome)}: {run.reason}")
     draw_layer(
         panel,
-        _true_power(simulation),
+        true_power(simulation),
         POWER_MAP,
         figure,
         "true power [dBm] (line: threshold)",
@@ -68,8 +68,8 @@ def draw_run(simulation: Run) -> Figure:
     return figure
 
 
-def _true_power(simulation: Run) -> Raster:
-    """The true power, of several stations the serving one's, on the first one's cells."""
+def true_power(simulation: Run) -> Raster:
+    """Return the true power, of several stations the serving one's, on the first one's cells."""
     truths = simulation.truths
     raster = truths[0].raster
     if len(truths) == 1:

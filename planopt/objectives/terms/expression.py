@@ -15,7 +15,7 @@ from planopt.objectives.terms.term import Term, TermSetting
 
 @dataclass(frozen=True)
 class CasadiTerm(Term):
-    """A user's own value of a path, written by :func:`planopt.casadi_term`.
+    """A user's own value of a path, written by :func:`planopt.objectives.casadi_term`.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class CasadiTerm(Term):
             raise InputError(
                 f"is {self.steps}, and planner.horizon is {steps}",
                 key="steps",
-                remedy="write the term by planopt.casadi_term for this horizon",
+                remedy="write the term by planopt.objectives.casadi_term for this horizon",
             )
         nothing = {name: np.zeros((1, steps, width)) for name, width in WIDTHS.items()}
         expression_values(self.program, steps, nothing | {START: np.zeros((1, 1, 2))})

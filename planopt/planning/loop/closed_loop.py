@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
+from planopt.planning.given import GivenMeasurements, with_measurements
 from planopt.planning.history import history_of
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.clairvoyant import run_costs
@@ -49,6 +50,7 @@ def simulate(
     planner: str | None = None,
     cost_to_go: str | None = None,
     seed: int = 0,
+    measurements: GivenMeasurements | None = None,
     scene: Scene | None = None,
     prepared: Prepared | None = None,
     on_start: Callable[[Plan], None] | None = None,
@@ -66,6 +68,10 @@ def simulate(
         Override the problem's planner settings; a cost-to-go only where there is a goal.
     seed
         Of everything that happens.
+    measurements
+        First measurements in place of those that the problem names: :class:`planopt.Measurements`
+        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
+        stations a sequence with one for each.
     scene, prepared
         Geometry of a way to a goal, ground truth and first belief if they are there already, for
         many runs of one seed.
@@ -81,8 +87,9 @@ def simulate(
     NoPlanError
         Obstacles cut the goal off.
     """
+    problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    prepared = prepared if prepared is not None else prepare(problem, seed)
+    prepared = prepared if prepared is not None else prepare(problem, seed, given)
     truths = prepared.truths
     if not truths:
         raise InputError(

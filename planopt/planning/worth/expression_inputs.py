@@ -23,7 +23,7 @@ def known_inputs(term: CasadiTerm, at: Situation, steps: int) -> dict[str, NDArr
         raise InputError(
             f"an expression is for {term.steps} steps, the plan has {steps}",
             key="objective.terms",
-            remedy=f"build it again by planopt.casadi_term, with the horizon {steps}",
+            remedy=f"build it again by planopt.objectives.casadi_term, with the horizon {steps}",
         )
     known = {START: at.position_m[None]}
     if at.target_m is not None:

@@ -24,6 +24,7 @@ from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.solve import solve_on
+from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.studies.bench.cases import RUN, Case, Question, problem_of
 from planopt.studies.finished_runs import run_key
@@ -135,6 +136,7 @@ def key_of(case: Case) -> dict[str, Any]:
     """Return all that decides a row."""
     return {
         **run_key(problem_of(case), case.question.seed),
+        "planner_version": planner_kind(case.planner).version,
         "kind": case.question.kind,
         "name": case.question.problem,
     }

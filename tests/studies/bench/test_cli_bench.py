@@ -130,6 +130,23 @@ def test_report(folder: Path, capsys) -> None:
     assert not (folder / "report.png").exists()
 
 
+def test_rows_with_impossible_numbers(tmp_path: Path, capsys) -> None:
+    """Are left out of a report, like damaged ones."""
+    out = tmp_path / "out"
+    assert ran(out, "--planners", "auto,lattice,one_step") == 0
+    first, second, _ = sorted((out / "rows").iterdir())
+    for file, change in ((first, {"objective": "nan"}), (second, {"cpu_s": -1.0})):
+        data = json.loads(file.read_text())
+        file.write_text(json.dumps({**data, "result": {**data["result"], **change}}))
+    (out / "rows" / "other.json").write_text("[" * 100_000)
+    capsys.readouterr()
+    assert main(["bench", "report", str(out), "--no-figures", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 1
+    (out / "bench.json").write_text('{"program": 3}')
+    assert main(["bench", "report", str(out)]) == 2
+    assert "is damaged" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["missing", "plain"])
 def test_report_of_no_run(name: str, tmp_path: Path, capsys) -> None:
     """Ours, with the folder."""

@@ -105,6 +105,14 @@ def test_damaged_files(text: str, tmp_path: Path) -> None:
         read_references(file)
 
 
+def test_impossible_numbers(tmp_path: Path) -> None:
+    """An objective that is no number would make every comparison true."""
+    file = tmp_path / "references.json"
+    write_references({row().case: replace(REFERENCE, objective=float("nan"))}, file)
+    with pytest.raises(InputError, match="a number that cannot be"):
+        read_references(file)
+
+
 def test_a_case_twice(tmp_path: Path) -> None:
     """The second would silently win."""
     file = tmp_path / "references.json"

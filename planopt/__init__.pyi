@@ -15,7 +15,9 @@ from planopt.planning.check.check import check as check
 from planopt.planning.check.load_result import load_result as load_result
 from planopt.planning.explain.explain import explain as explain
 from planopt.planning.explain.explain import explain_no_plan as explain_no_plan
+from planopt.planning.live_planner import Planner as Planner
 from planopt.planning.loop.closed_loop import simulate as simulate
+from planopt.planning.plan import Plan as Plan
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.run import Run as Run

@@ -51,7 +51,7 @@ class DoMpcStep:
         following = model.x["at"] + move
         mean, deviation = _power(situation, following)
         radio = problem.stations[0]
-        settings = situation.tracking(problem.terms[0])
+        settings = problem.terms[0].settings(situation)
         chance = 0.5 * (1.0 + ca.erf((mean - radio.threshold_dbm) / deviation / np.sqrt(2.0)))
         from_sweet = ca.sqrt(ca.sumsqr(following - evader) + 1e-6) - settings.sensor.sweet_spot_m
         noise = settings.sensor.growth * from_sweet**2 + settings.sensor.least_noise_m2

@@ -15,7 +15,9 @@ from planopt.planning.any_task import simulate as simulate
 from planopt.planning.check.check import check as check
 from planopt.planning.explain.explain import explain as explain
 from planopt.planning.explain.explain import explain_no_plan as explain_no_plan
+from planopt.planning.live_planner import Planner as Planner
 from planopt.planning.loop.simulation import Simulation as Simulation
+from planopt.planning.plan import Plan as Plan
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.solution import Solution as Solution

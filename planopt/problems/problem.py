@@ -11,7 +11,7 @@ from planopt.plain_values import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
-from planopt.problems.objective import CostToGo, ReachObjective, Term, TermsObjective
+from planopt.problems.objective_forms import CostToGo, ReachObjective, Term, TermsObjective
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.target import Target

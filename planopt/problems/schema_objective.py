@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from planopt.problems.objective import CostToGo, ReachObjective, Term
+from planopt.problems.objective_forms import CostToGo, ReachObjective, Term
 from planopt.problems.tables import Name, Pair, Table
 from planopt.problems.target import Target
 from planopt.problems.term_tables import ANY_TERM

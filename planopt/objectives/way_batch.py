@@ -11,7 +11,7 @@ from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.mean_model import regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.objectives.local_channel import LocalChannel, LocalGrid
-from planopt.planning.search.single_kernel import single_kernel
+from planopt.objectives.single_kernel import single_kernel
 
 NUGGET_SHARE = 1e-4
 """Least variance of multipath as a share of the shadowing's: without any, a place that is measured

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from planopt.objectives.gated_batch import blind_variance_db2
 from planopt.objectives.local_channel import LocalGrid
-from planopt.planning.search.way_batch import WayBatch
-from planopt.planning.search.way_slopes import Pull
+from planopt.objectives.way_batch import WayBatch
+from planopt.objectives.way_slopes import Pull
 
 
 class ToldBatch:

@@ -16,7 +16,7 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.objectives.local_channel import LocalChannel
 from planopt.objectives.measuring import Gates
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING, rounded_log_distance
-from planopt.planning.search.way_batch import WayBatch
+from planopt.objectives.way_batch import WayBatch
 
 Real = TypeVar("Real", np.float32, np.float64)
 

@@ -36,8 +36,8 @@ DRIVEN = (
     "two_station_courier",
 )
 """Problems whose first steps of a closed loop are recorded as well: warm starts, histories,
-reservations and fallbacks are not seen in a first plan. Without `indoor_learn`: there, rounding alone
-decides between paths that are worth the same, and other processors drive another way."""
+reservations and fallbacks are not seen in a first plan. Without `indoor_learn`: rounding alone
+decides there between paths that are worth the same, and other processors drive another way."""
 
 OBJECTIVE_RATIO = 1e-5
 """Objectives agree to this share: other machines round otherwise, and solvers stop at a

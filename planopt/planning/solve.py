@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.history import BEGINNING
-from planopt.planning.loop.target_watch import aim_of, watch_target
+from planopt.planning.given import GivenMeasurements, with_measurements
+from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
-from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.solution import Solution
-from planopt.planning.team.crew import build_crew
+from planopt.planning.stepping import Stepper, plan_step
 from planopt.planning.team.team_seeds import team_seeds
-from planopt.planning.team.team_step import TeamMoment, plan_together
-from planopt.planning.worth.aim import Aim
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
@@ -26,6 +23,7 @@ def solve(
     planner: str | None = None,
     cost_to_go: str | None = None,
     seed: int = 0,
+    measurements: GivenMeasurements | None = None,
 ) -> Solution:
     """Plan `horizon` steps ahead from the start, for each robot.
 
@@ -41,6 +39,10 @@ def solve(
     seed
         Of the ground truth's fading, the measured places, the first estimate of a target, and of
         planners that draw.
+    measurements
+        First measurements in place of those that the problem names: :class:`planopt.Measurements`
+        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
+        stations a sequence with one for each.
 
     Raises
     ------
@@ -49,10 +51,11 @@ def solve(
     NoPlanError
         Obstacles cut the goal off.
     """
+    problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     # An unreachable goal is found out before the files of the channel are read.
     scene = build_scene(problem) if problem.task == "reach" else None
-    return _solved(problem, prepare(problem, seed).belief, seed, scene)
+    return _solved(problem, prepare(problem, seed, given).belief, seed, scene)
 
 
 def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = None) -> Solution:
@@ -80,18 +83,8 @@ def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = 
 
 
 def _solved(problem: Problem, belief: Belief, seed: int, scene: Scene | None) -> Solution:
-    if scene is not None:
-        plan = ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
-        return Solution(problem, seed, belief, (plan,), (Aim(),))
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
-    crew = build_crew(problem, seeds)
-    moment = TeamMoment(
-        beliefs=[belief for _ in crew],
-        states=[member.start for member in crew],
-        watched=[aim_of(watch, number, problem.planner.horizon) for number in range(len(crew))],
-        histories=[BEGINNING for _ in crew],
-        warm=[None for _ in crew],
-    )
-    plans, aims = plan_together(problem, crew, moment)
-    return Solution(problem, seed, belief, tuple(plans), tuple(aims))
+    robots = Stepper(problem, belief, plan_step(problem, scene, seeds), watch)
+    plans = robots.plan()
+    return Solution(problem, seed, belief, tuple(plans), tuple(aim for (aim,) in robots.aims))

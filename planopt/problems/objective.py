@@ -1,9 +1,6 @@
-"""What a problem asks for: a goal, or a weighted sum of terms."""
+"""Every class that an objective is made of."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Literal
 
 from planopt.objectives.terms.expression import CasadiTerm
 from planopt.objectives.terms.learning import LearningCriterion, LearningTerm
@@ -13,6 +10,7 @@ from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
 from planopt.objectives.terms.transmission_energy import TransmissionEnergyTerm
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
+from planopt.problems.objective_forms import CostToGo, ReachObjective, TermsObjective
 
 __all__ = [
     "CasadiTerm",
@@ -30,42 +28,3 @@ __all__ = [
     "TransmissionEnergyTerm",
     "UntilConnectedTerm",
 ]
-
-CostToGo = Literal["geodesic", "connected"]
-
-
-@dataclass(frozen=True)
-class ReachObjective:
-    """Reach the goal in least time and effort, out of contact as little as that is worth.
-
-    The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
-    driven where the probability of connection P is below p_min counts ``1 + outage_price (1 - P)``
-    metres.
-
-    Attributes
-    ----------
-    effort_weight_s2_m2
-        Seconds of travel that one second at 1 m/s is worth, in s^2/m^2.
-    cost_to_go
-        What the way beyond the horizon costs: ``geodesic`` (shortest way round the obstacles) or
-        ``connected`` (cheapest path at the outage price).
-    outage_price
-        What a metre that is certainly out of contact costs besides, in metres (a number).
-    """
-
-    effort_weight_s2_m2: float
-    cost_to_go: CostToGo
-    outage_price: float = 10.0
-
-
-@dataclass(frozen=True)
-class TermsObjective:
-    """A weighted sum of named terms over the horizon, to be maximised.
-
-    Attributes
-    ----------
-    terms
-        At least one; the first is the task's.
-    """
-
-    terms: tuple[Term, ...]

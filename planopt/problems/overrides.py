@@ -13,7 +13,7 @@ from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
 from planopt.problems.messages import input_error
-from planopt.problems.objective import ReachObjective
+from planopt.problems.objective_forms import ReachObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem
 from planopt.problems.schema import PlannerTable

@@ -46,7 +46,15 @@ def test_the_earlier_name_of_lemma1(tables: Tables, built: Build) -> None:
 def test_values_land_in_the_right_fields(tables: Tables, built: Build) -> None:
     """Each value of the truth arrives under its own name, whole numbers as floats."""
     tables["channel"]["truth"] |= {"k_pl_db": -31, "floor_db": -120}
-    assert built(tables).channel.truth == ModelTruth(-31.0, 2.4, 4.0, 15.0, 1.5, 1.0, -120.0)
+    assert built(tables).channel.truth == ModelTruth(
+        k_pl_db=-31.0,
+        n_pl=2.4,
+        shadow_std_db=4.0,
+        decorrelation_m=15.0,
+        multipath_std_db=1.5,
+        cell_m=1.0,
+        floor_db=-120.0,
+    )
 
 
 Tables = dict[str, Any]
@@ -302,7 +310,7 @@ def test_terms_are_read_in_order(tables: Tables, built: Build) -> None:
     assert problem.task == "track"
     assert problem.sense == "max"
     assert problem.cost_to_go is None
-    assert problem.terms == (TrackingTerm(1.0, 0.008, 0.08, 1.0), LearningTerm(0.5, "A"))
+    assert problem.terms == (TrackingTerm(0.008, 0.08, 1.0), LearningTerm("A", weight=0.5))
     assert problem.targets[0].velocity_m_s == (0.1, 0.0)
     again = problem_from_dict(problem_to_dict(problem), file=problem.file)
     assert again.objective == problem.objective
@@ -316,21 +324,21 @@ SENDING = {"kind": "transmission_energy", "bits": 1e6, "bandwidth_hz": 1e5, "noi
 @pytest.mark.parametrize(
     ("task", "terms", "found"),
     [
-        ("connect", [{"kind": "until_connected"}], (UntilConnectedTerm(1.0, None),)),
+        ("connect", [{"kind": "until_connected"}], (UntilConnectedTerm(),)),
         (
             "connect",
             [{"kind": "until_connected", "weight": 0.5, "beyond_m": 80.0}, SENDING],
             (
-                UntilConnectedTerm(0.5, 80.0),
-                TransmissionEnergyTerm(1.0, 1e6, 1e5, 2.0, 1e-6, -95.0),
+                UntilConnectedTerm(80.0, weight=0.5),
+                TransmissionEnergyTerm(1e6, 1e5, 2.0, 1e-6, -95.0),
             ),
         ),
         (
             "custom",
             [{**SENDING, "bits_per_symbol": 4.0, "bit_error_rate": 1e-3}],
-            (TransmissionEnergyTerm(1.0, 1e6, 1e5, 4.0, 1e-3, -95.0),),
+            (TransmissionEnergyTerm(1e6, 1e5, 4.0, 1e-3, -95.0),),
         ),
-        ("custom", [OWN], (CasadiTerm(-2.0, 5, OWN["program"]),)),
+        ("custom", [OWN], (CasadiTerm(5, OWN["program"], weight=-2.0),)),
     ],
 )
 def test_tasks_of_other_terms_survive_saving(

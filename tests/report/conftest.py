@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -14,16 +16,16 @@ from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
-from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.run import Run, RunSummary, summary_of
 from planopt.planning.solution import Solution
 from planopt.planning.worth.aim import Aim
-from planopt.problems.channel_setup import ChannelSetup, SampledMeasurements
+from planopt.problems.base_station import BaseStation
+from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
-from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
 from planopt.studies.comparison import Comparison, Row
@@ -48,12 +50,20 @@ def problem() -> Problem:
         workspace=Workspace(
             (0.0, 0.0, 100.0, 80.0), (Obstacle("a", court), Obstacle("b", slanted))
         ),
-        channel=ChannelSetup(None, SampledMeasurements(30), "reml", 2.0),
-        robots=(Robot("rover", (10.0, 10.0), (90.0, 75.0), 1.0),),
-        stations=(RadioStation("mast", STATION, 20.0, THRESHOLD_DBM),),
+        channel=ChannelSetup(),
+        robots=(Robot(name="rover", start_m=(10.0, 10.0), goal_m=(90.0, 75.0), speed_max_m_s=1.0),),
+        stations=(
+            BaseStation(
+                name="mast",
+                position_m=STATION.position_m,
+                height_m=STATION.height_m,
+                transmit_power_dbm=20.0,
+                threshold_dbm=THRESHOLD_DBM,
+            ),
+        ),
         objective=ReachObjective(0.1, "connected"),
-        constraints=Constraints(0.8, 1.5, 1.0),
-        planner=PlannerSettings("auto", 4, 2.0, 32, 100),
+        constraints=Constraints(p_min=0.8, clearance_m=1.5),
+        planner=PlannerSettings(horizon=4, step_s=2.0, neighbours=32, max_steps=100),
     )
 
 
@@ -155,20 +165,20 @@ def log() -> StepLog:
 
 
 @pytest.fixture(scope="session")
-def simulation(problem: Problem, belief: Belief, plan: Plan, log: StepLog) -> Simulation:
+def simulation(problem: Problem, belief: Belief, plan: Plan, log: StepLog) -> Run:
     """The log as a run that reached the goal."""
     metrics = Metrics(12.0, 13.4, 5 / 6, 2.2, 0.78, 0.01, 5)
-    run = Run("rover", 4, "auto", "connected", 5, Outcome.STEP_LIMIT, "six steps", log, metrics)
+    run = RobotRun("rover", Outcome.STEP_LIMIT, "six steps", log, metrics)
     x, y = np.arange(0.5, 100.0), np.arange(0.5, 80.0)
     values = -90.0 + 0.3 * x[None, :] + 0.1 * y[:, None]
     truth = Truth(Raster(x, y, values), -100.0, values)
-    return Simulation(problem, 5, belief, 24, run, (plan,), truth)
+    return Run(problem, 5, (truth,), (run,), ((plan,),), ((Aim(),),), (belief,), 24)
 
 
 @pytest.fixture(scope="session")
-def comparison(problem: Problem, simulation: Simulation) -> Comparison:
+def comparison(problem: Problem, simulation: Run) -> Comparison:
     """Two horizons under two costs to go and two planners, two runs each; one never arrives."""
-    runs: list[Run] = []
+    runs: list[RunSummary] = []
     rows: list[Row] = []
     for cost, planner in (("geodesic", "auto"), ("connected", "lattice")):
         for horizon in (10, 1):
@@ -184,19 +194,9 @@ def comparison(problem: Problem, simulation: Simulation) -> Comparison:
                     5,
                 )
                 outcome = Outcome.STALLED if lost else Outcome.REACHED
-                runs.append(
-                    Run(
-                        "rover",
-                        horizon,
-                        planner,
-                        cost,
-                        seed,
-                        outcome,
-                        "",
-                        simulation.run.log,
-                        metrics,
-                    )
-                )
+                run = replace(simulation.run, outcome=outcome, reason="", metrics=metrics)
+                summary = summary_of(replace(simulation, runs=(run,), seed=seed))
+                runs.append(replace(summary, horizon=horizon, planner=planner, cost_to_go=cost))
             shared = {"verified_rate": 0.875, "p50_step_s": 0.0125, "p95_step_s": 0.04}
             setting = (horizon, planner, cost, 2, 2 if lost else 0)
             mean = None if lost else 50.5 + horizon

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
+from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.expression import START, WIDTHS, expression_values, names_in
+from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Term, TermSetting
+from planopt.objectives.tracking_derivatives import connectivity_derivatives
+from planopt.targets.rounding import Derivatives
 
 
 @dataclass(frozen=True)
 class CasadiTerm(Term):
-    """A user's own value of a path, written by :func:`planopt.casadi_term`.
+    """A user's own value of a path, written by :func:`planopt.objectives.casadi_term`.
 
     Attributes
     ----------
@@ -35,7 +41,7 @@ class CasadiTerm(Term):
             le=1e9,
             description="In the sum of terms; negative for a cost.",
         ),
-    ]
+    ] = field(default=1.0, kw_only=True)
     steps: Annotated[int, Field(ge=1, description="The horizon that the expression is for.")]
     program: Annotated[str, Field(description="Its instructions, one a line.")]
 
@@ -69,7 +75,7 @@ class CasadiTerm(Term):
             raise InputError(
                 f"is {self.steps}, and planner.horizon is {steps}",
                 key="steps",
-                remedy="write the term by planopt.casadi_term for this horizon",
+                remedy="write the term by planopt.objectives.casadi_term for this horizon",
             )
         nothing = {name: np.zeros((1, steps, width)) for name, width in WIDTHS.items()}
         expression_values(self.program, steps, nothing | {START: np.zeros((1, 1, 2))})
@@ -91,3 +97,89 @@ class CasadiTerm(Term):
                     remedy="read connectivity, which is to any of them, or leave one entry of "
                     "stations",
                 )
+
+    def known(self, at: StepContext, steps: int) -> dict[str, NDArray[np.float64]]:
+        """Return the inputs that do not depend on the path: the start, and the target if any.
+
+        Raises
+        ------
+        InputError
+            The expression is for another number of steps, or reads a target that there is not.
+        """
+        if self.steps != steps:
+            raise InputError(
+                f"an expression is for {self.steps} steps, the plan has {steps}",
+                key="objective.terms",
+                remedy=f"build it again by planopt.objectives.casadi_term, with horizon {steps}",
+            )
+        known = {START: at.position_m[None]}
+        if at.target_m is not None:
+            known["target_m"] = at.target_m
+        elif "target_m" in names_in(self.program):
+            raise InputError(
+                "an expression reads target_m, and there is no target",
+                key="objective.terms",
+                remedy="add an entry of targets and a term of kind tracking, of weight 0 if need "
+                "be",
+            )
+        return known
+
+    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+        """Return the expression of one path.
+
+        Raises
+        ------
+        InputError
+            It is not finite.
+        """
+        power = at.power(path_m)
+        chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
+        given = self.known(at, len(path_m)) | {
+            "positions_m": path_m,
+            "mean_db": power.mean_db[:, None],
+            "deviation_db": power.deviation_db[:, None],
+            "connectivity": chance[:, None],
+        }
+        each = {name: values[None] for name, values in given.items()}
+        value = float(expression_values(self.program, self.steps, each)[0])
+        if not np.isfinite(value):
+            raise InputError(
+                f"is {value:g} for a path that may be driven",
+                key="program",
+                remedy="keep logarithms and quotients away from 0, for every path",
+            )
+        return value
+
+    def values(self, paths: Paths) -> NDArray[np.float64]:
+        """Return the expression of many paths; those without a finite value come last."""
+        count, steps = paths.shape
+        given = {"positions_m": paths.ways_m} | {
+            name: np.broadcast_to(values, (count, *values.shape))
+            for name, values in self.known(paths.at, steps).items()
+        }
+        for name, values in (
+            ("mean_db", paths.power.mean_db),
+            ("deviation_db", paths.power.deviation_db),
+            ("connectivity", paths.chance),
+        ):
+            given[name] = values.reshape(count, steps, 1)
+        found = expression_values(self.program, self.steps, given)
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    def derivatives(self, path: NearPath) -> PathDerivatives:
+        """Return the expression with derivatives by CasADi and the chain rule."""
+        from planopt.objectives.expression_casadi import expression_derivatives
+
+        places, power = path.places_m, path.stage_power
+        straight = np.zeros((len(places), 3))
+        own = {
+            name: Derivatives(
+                places[:, axis], np.broadcast_to(np.eye(2)[axis], places.shape), straight
+            )
+            for axis, name in enumerate(("x", "y"))
+        }
+        chance = connectivity_derivatives(*power, path.at.thresholds_dbm[0])
+        given = own | {"mean_db": power[0], "deviation_db": power[1], "connectivity": chance}
+        return expression_derivatives(
+            self.program, self.steps, given, self.known(path.at, len(places))
+        )

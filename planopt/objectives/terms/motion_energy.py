@@ -5,9 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.motion_derivatives import path_length_derivatives
+from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Structure, Term
+from planopt.objectives.told_batch import ToldBatch
+from planopt.objectives.way_slopes import Pull, pull_of_legs
 
 
 @dataclass(frozen=True)
@@ -38,3 +46,37 @@ class MotionEnergyTerm(Term):
     def structure(self) -> Structure:
         """A step couples its two ends."""
         return "chain"
+
+    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+        """Return minus the energy of a path."""
+        lengths = np.linalg.norm(np.diff(np.vstack([at.position_m, path_m]), axis=0), axis=1)
+        moving = np.count_nonzero(lengths > at.standstill_m) * at.step_s
+        return -float(self.per_metre_j_m * lengths.sum() + self.power_w * moving)
+
+    def values(self, paths: Paths) -> NDArray[np.float64]:
+        """Return minus the energy of each path."""
+        moving = (paths.legs_m > paths.at.standstill_m).sum(axis=1) * paths.at.step_s
+        return -(self.per_metre_j_m * paths.legs_m.sum(axis=1) + self.power_w * moving)
+
+    def derivatives(self, path: NearPath) -> PathDerivatives:
+        """Return minus the energy of the length; that of moving at all hardly depends on where."""
+        length = path_length_derivatives(path.at.position_m, path.places_m, path.rounding_m)
+        scale = -self.per_metre_j_m
+        return PathDerivatives(
+            scale * length.value, scale * length.gradient, scale * length.hessian
+        )
+
+    @property
+    def has_slope(self) -> bool:
+        """Lengths have one."""
+        return True
+
+    def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
+        """Return derivatives by the lengths of the steps."""
+        by_length = np.full(told.batch.shape, -self.per_metre_j_m)
+        return pull_of_legs(at.position_m, told.batch.ways_m, by_length)
+
+    def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+        """Return minus the energy of each move."""
+        moving = np.where(lengths_m > 0.0, step_s, 0.0)
+        return -(self.per_metre_j_m * lengths_m + self.power_w * moving)

@@ -9,14 +9,24 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 import planopt.objectives.terms as own_terms
 from planopt.errors import InputError
 from planopt.targets.sensor import Sensor
+
+if TYPE_CHECKING:
+    from planopt.channel.posterior import ChannelPosterior
+    from planopt.channel.prediction import Prediction
+    from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, StepContext
+    from planopt.objectives.told_batch import ToldBatch
+    from planopt.objectives.way_slopes import Pull
 
 Weight = Annotated[
     float, Field(default=1.0, ge=0, le=1e9, description="In the sum of terms.", title="Weight")
@@ -59,7 +69,7 @@ class Term:
         Factor of the term in the sum.
     """
 
-    weight: Weight
+    weight: Weight = field(default=1.0, kw_only=True)
 
     kind: ClassVar[str]
     """Name of the term in problem files."""
@@ -157,6 +167,68 @@ class Term:
         InputError
             Its key is the field at fault.
         """
+
+    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+        """Return the value of one path (N, 2), from all measurements: what is reported."""
+        raise NotImplementedError(f"{_name(type(self))} has no value")
+
+    def values(self, paths: Paths) -> NDArray[np.float64]:
+        """Return the values of many paths at once, ``(c,)``: what searches compare."""
+        raise NotImplementedError(f"{_name(type(self))} has no values")
+
+    def derivatives(self, path: NearPath) -> Part:
+        """Return the value of one path with its derivatives, as a solver asks for it."""
+        raise NotImplementedError(f"{_name(type(self))} has no derivatives")
+
+    @property
+    def has_slope(self) -> bool:
+        """Whether :meth:`slope` is there: searches climb if it is there for all terms."""
+        return False
+
+    def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
+        """Return derivatives of :meth:`values` by what one station's measurements tell.
+
+        Terms that are no sum over stations count only the first.
+        """
+        raise NotImplementedError(f"{_name(type(self))} has no slope")
+
+    @property
+    def adds_stations(self) -> bool:
+        """Whether the value is a sum over the stations."""
+        return self.is_measured
+
+    def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64] | None:
+        """Return what ending a step at each node is worth by itself, (ny, nx), at any stage.
+
+        Rewards of nodes stand in for the value in the search of the lattice. They are exact for
+        terms that add up over steps; for others the path that comes out is only a first guess.
+        """
+        return None
+
+    def power_reward(
+        self, at: StepContext, powers: Sequence[Prediction], chance: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return what ending a step is worth by each station's power and the chance there."""
+        return None
+
+    def stage_reward(
+        self,
+        at: StepContext,
+        places_m: NDArray[np.float64],
+        stage: int | NDArray[np.intp],
+        chance: NDArray[np.float64],
+    ) -> NDArray[np.float64] | None:
+        """Return what ending step `stage`, from 0 on, is worth at places (..., 2)."""
+        return None
+
+    @property
+    def most_stage_reward(self) -> float:
+        """An upper limit of :meth:`stage_reward`."""
+        return 0.0
+
+    def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+        """Return what moves of these lengths are worth in themselves."""
+        return np.zeros(len(lengths_m))
 
 
 _kinds: dict[str, type[Term]] = {}

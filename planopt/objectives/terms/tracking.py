@@ -5,10 +5,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.channel.prediction import connection_probability
+from planopt.objectives.filter_derivatives import (
+    covariance_gain_derivatives,
+    information_gain_derivatives,
+)
+from planopt.objectives.filter_gain import (
+    covariance_gain,
+    first_steps,
+    information_gain,
+    sampled_gain,
+    sensing_of,
+)
+from planopt.objectives.terms.context import NearPath, Part, Paths, StepContext
 from planopt.objectives.terms.term import Structure, Term
-from planopt.targets.sensor import Sensor
+from planopt.objectives.tracking import Tracking, tracking_reward
+from planopt.objectives.tracking_derivatives import (
+    connectivity_derivatives,
+    tracking_reward_derivatives,
+)
+from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 TrackingForm = Literal["additive", "information", "covariance", "sampled"]
 
@@ -82,3 +103,82 @@ class TrackingTerm(Term):
         if self.form == "sampled":
             return 'tracking of the form "sampled" draws from the normal law of a whole path'
         return None
+
+    def settings(self, at: StepContext) -> Tracking:
+        """Return the target and the sensor of one step."""
+        target = at.target_m
+        if target is None:
+            raise AssertionError("a tracking term needs a target")
+        return at.once(
+            (TrackingTerm, self),
+            lambda: Tracking(at.thresholds_dbm[0], self.sensor, target),
+        )
+
+    def filtered(self, at: StepContext) -> FilteredTracking:
+        """Return the same with the station's filter, for the forms that follow it."""
+        if at.information is None:
+            raise AssertionError("this form of tracking needs what the station knows")
+        return FilteredTracking(self.settings(at), at.target_motion, at.information)
+
+    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+        """Return the information, or the covariance removed, of one path's packets."""
+        if self.form == "sampled":
+            further = list(zip(at.stations[1:], at.thresholds_dbm[1:], strict=True))
+            return sampled_gain(at.stations[0], path_m, self.filtered(at), further)
+        settings = self.settings(at)
+        power = at.power(path_m)
+        chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
+        sensing = sensing_information(settings.sensor, path_m, settings.target_m)
+        if self.form == "information":
+            return float(information_gain(chance, sensing, self.filtered(at)))
+        if self.form == "covariance":
+            return float(covariance_gain(chance, sensing, self.filtered(at)))
+        return float(settings.weight @ (chance * sensing))
+
+    def values(self, paths: Paths) -> NDArray[np.float64]:
+        """Return the same of many paths."""
+        settings, chance = self.settings(paths.at), paths.chance
+        if self.form != "additive":
+            filtered = first_steps(self.filtered(paths.at), paths.shape[1])
+            # Sampling joint losses of every path would be dear: what is chosen is sampled then.
+            gain = information_gain if self.form == "information" else covariance_gain
+            return gain(chance, sensing_of(paths.ways_m, filtered), filtered)
+        return np.sum(
+            [
+                tracking_reward(chance[:, k], paths.ways_m[:, k], k, settings)
+                for k in range(paths.shape[1])
+            ],
+            axis=0,
+        )
+
+    def derivatives(self, path: NearPath) -> Part:
+        """Return the value by stages, or of the whole path where the filter couples them."""
+        settings = self.settings(path.at)
+        chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
+        sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)
+        if self.form == "additive":
+            return tracking_reward_derivatives(chance, sensing, settings.weight)
+        if self.form == "information":
+            return information_gain_derivatives(chance, sensing, self.filtered(path.at))
+        # Sampled outcomes jump with the path. What the solver climbs in their place is in the same
+        # unit; what it returns is sampled again.
+        return covariance_gain_derivatives(chance, sensing, self.filtered(path.at))
+
+    def stage_reward(
+        self,
+        at: StepContext,
+        places_m: NDArray[np.float64],
+        stage: int | NDArray[np.intp],
+        chance: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return the expected information of one packet, in the additive form."""
+        settings = self.settings(at)
+        reward = sensing_information(settings.sensor, places_m, settings.target_m[stage])
+        reward *= chance
+        reward *= settings.weight[stage]
+        return reward
+
+    @property
+    def most_stage_reward(self) -> float:
+        """The information of a packet from the best distance."""
+        return 1.0 / self.noise_floor_m2

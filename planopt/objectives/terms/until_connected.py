@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.channel.prediction import Prediction
+from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Steers, Term
+from planopt.objectives.until_connected import (
+    LATER,
+    NOT_TRIED_DB,
+    Search,
+    charged_distance_m,
+    search_length_m,
+)
+from planopt.targets.rounding import Derivatives, rounded_length
 
 
 @dataclass(frozen=True)
@@ -56,3 +70,108 @@ class UntilConnectedTerm(Term):
     def calibration_fault(self) -> str | None:
         """First passages are of a normal law."""
         return "the distance until connected rests on the normal law of a whole path"
+
+    def search(self, at: StepContext) -> Search:
+        """Return the settings of a search that ends where a try at the path's end failed.
+
+        Where the robot is is no try (`at.tries`), and needs no condition.
+        """
+        x, y = at.position_m
+        return Search(
+            (float(x), float(y)),
+            at.thresholds_dbm[0],
+            disconnected_now=False,
+            beyond_m=at.once((UntilConnectedTerm, "after", self), lambda: self._after_try_m(at)),
+            further_thresholds_dbm=at.thresholds_dbm[1:],
+        )
+
+    def _after_try_m(self, at: StepContext) -> float:
+        """Expected metres beyond the end of the path that the robot is steered along.
+
+        (1 - P) (L + R) of :func:`planopt.objectives.until_connected.search_length_m`, from that
+        path alone, so that a saved plan has the same.
+        """
+        way = at.steering
+        if way is None:
+            return at.workspace_diagonal_m if self.beyond_m is None else self.beyond_m
+        chance = np.array([at.chance(way.end_m)])
+        after = self.search_length_m(at, way.rest_m[:1], chance) - way.rest_m[0]
+        return max(float(after[0]), 0.0)
+
+    def search_length_m(
+        self, at: StepContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the expected length of a search by tries at places so far away; ``(k,)``.
+
+        :func:`planopt.objectives.until_connected.search_length_m`, or D + (1 - P) `beyond_m`.
+        """
+        if self.beyond_m is not None:
+            return length_m + (1.0 - chance) * self.beyond_m
+        return search_length_m(length_m, chance, at.decorrelation_m, at.workspace_diagonal_m)
+
+    def charged_beyond_m(self, at: StepContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what a plan that ends at each place (n, 2) without connection is charged; (n,).
+
+        The way that is left to where the robot is steered to, and what is expected from there.
+        """
+        after = np.full(len(ends_m), self.search(at).beyond_m)
+        return after if at.steering is None else after + LATER * at.steering.distance_m(ends_m)
+
+    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+        """Return minus the metres that a search along one path is charged, integrated once."""
+
+        def charged_m() -> float:
+            beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
+            settings = replace(self.search(at), beyond_m=beyond)
+            return charged_distance_m(
+                at.stations[0], path_m, settings, at.stations[1:], at.tries.takes(path_m)
+            )
+
+        return -at.once((UntilConnectedTerm, "charged", self, path_m.tobytes()), charged_m)
+
+    def values(self, paths: Paths) -> NDArray[np.float64]:
+        """Return the same of many paths, by recursive filtering."""
+        from planopt.objectives.passage_programme import charged_distances_m
+
+        settings = self.search(paths.at)
+        missing_db = np.where(paths.at.tries.takes(paths.ways_m), 0.0, NOT_TRIED_DB)
+        (above, covariance), *further = [
+            (power.mean_db.reshape(paths.shape) - threshold - missing_db, batch.universal)
+            for power, batch, threshold in zip(
+                paths.each, paths.stations, settings.thresholds_dbm, strict=True
+            )
+        ]
+        beyond = self.charged_beyond_m(paths.at, paths.ways_m[:, -1])
+        return -charged_distances_m(above, covariance, paths.legs_m, beyond, further)
+
+    def derivatives(self, path: NearPath) -> PathDerivatives:
+        """Return the value of one path near the channel of its start."""
+        from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
+
+        search = self.search(path.at)
+        found = charged_distance_derivatives(
+            [station.channel for station in path.joint],
+            path.places_m,
+            search,
+            path.rounding_m,
+            _beyond(path, search),
+            path.tried,
+        )
+        return PathDerivatives(-found.value, -found.gradient, -found.hessian)
+
+    def power_reward(
+        self, at: StepContext, powers: Sequence[Prediction], chance: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return what connection at each place would save, if it were the only try."""
+        return self.search(at).beyond_m * chance
+
+
+def _beyond(path: NearPath, search: Search) -> Derivatives | None:
+    """What is charged beyond the last place, by that place; None if nothing steers."""
+    steering = path.at.steering
+    if path.ahead is None or steering is None:
+        return None
+    turn = path.ahead[-1:]
+    leg = rounded_length(path.places_m[-1:] - steering.turns_m[turn], path.rounding_m)
+    rest = LATER * (leg.value + steering.rest_m[turn]) + search.beyond_m
+    return Derivatives(rest, LATER * leg.gradient, LATER * leg.hessian)

@@ -20,16 +20,14 @@ from planopt.objectives.local_channel import (
     local_channel,
     local_grid,
 )
+from planopt.objectives.terms.context import Paths
+from planopt.objectives.told_batch import ToldBatch
+from planopt.objectives.way_batch import WayBatch
+from planopt.objectives.way_slopes import Pull, slopes_of
 from planopt.planning.search.missing_slopes import missing_slope
-from planopt.planning.search.ranked_slopes import SlopedTerm, has_slope, ranked_slope
-from planopt.planning.search.ranked_terms import RankedWays, ranked_value
-from planopt.planning.search.told_batch import ToldBatch
-from planopt.planning.search.way_batch import WayBatch
-from planopt.planning.search.way_slopes import Pull, slopes_of
 from planopt.planning.search.ways_missing import ways_missing
 from planopt.planning.worth.region import region_along
 from planopt.planning.worth.situation import Situation
-from planopt.problems.objective import MappingTerm, MotionEnergyTerm
 from planopt.problems.problem import Problem
 
 ANCHORS, REGION_ANCHORS = 24, 64
@@ -54,7 +52,7 @@ MISSING_DB_SHARE = 10.0
 
 def can_climb(problem: Problem) -> bool:
     """Whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
-    return all(has_slope(term) for term in problem.terms)
+    return all(term.has_slope for term in problem.terms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +130,9 @@ class LocalRanking:
         for told, station in zip(ways.told, at.stations, strict=True):
             batch, pull = told.batch, Pull()
             for term in at.problem.terms:
-                if not isinstance(term, SlopedTerm):
-                    raise AssertionError("ways climb only where the slopes of all terms are known")
-                if slopes and not _tells_of_stations(term):
+                if slopes and not term.adds_stations:
                     continue  # it was counted with the first
-                pull = pull.plus(ranked_slope(term, at, told, station), term.weight)
+                pull = pull.plus(term.slope(at, told, station), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
                 # With several, a way climbs as if there were no bound, but takes no step that
                 # misses more.
@@ -146,30 +142,24 @@ class LocalRanking:
 
     def _ways(
         self, ways_m: NDArray[np.float64], gate: NDArray[np.float64] | None, *, climbed: bool
-    ) -> RankedWays:
+    ) -> Paths:
         batches = [
             WayBatch(own.channel, own.precision, ways_m, own.fine if climbed else own.coarse)
             for own in self._stations
         ]
         told = [ToldBatch(batch, gate) for batch in batches]
-        return RankedWays(self._situation, ways_m, batches, told)
+        return Paths(self._situation, ways_m, batches, told)
 
-    def _value(self, ways: RankedWays) -> NDArray[np.float64]:
+    def _value(self, ways: Paths) -> NDArray[np.float64]:
         at = self._situation
         worth = np.zeros(len(ways.ways_m))
         for term in at.problem.terms:
-            worth += term.weight * ranked_value(term, ways)
+            worth += term.weight * term.values(ways)
         if not at.problem.constraints.asks_connection:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
         return worth - self._missing_db_cost * ways_missing(at, ways.legs_m, ways.power)
-
-
-def _tells_of_stations(term: SlopedTerm) -> bool:
-    """Whether each station adds to a term, and not only places count."""
-    steers = isinstance(term, MappingTerm) and term.form == "two_layer"
-    return not (steers or isinstance(term, MotionEnergyTerm))
 
 
 def _averages_map(problem: Problem) -> bool:

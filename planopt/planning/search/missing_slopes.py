@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from planopt.channel.prediction import bound_quantile
+from planopt.objectives.way_batch import WayBatch
+from planopt.objectives.way_slopes import Pull, pull_of_power
 from planopt.planning.proof.rules.asked import asked_steps
 from planopt.planning.proof.serving import connection_law
-from planopt.planning.search.way_batch import WayBatch
-from planopt.planning.search.way_slopes import Pull, pull_of_power
 from planopt.planning.worth.situation import Situation
 
 

@@ -9,27 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.maps.tile_map import TileMap
-from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.planning.search.guide import Guide
 from planopt.planning.search.lattice_window import Window
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.tolerances import MARGIN_PAD_DB
-from planopt.planning.worth.link_energy import link_energy_j
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.steering_way import SteeringWay
-from planopt.problems.objective import (
-    LearningTerm,
-    MappingTerm,
-    MotionEnergyTerm,
-    Term,
-    TrackingTerm,
-    TransmissionEnergyTerm,
-    UntilConnectedTerm,
-)
+from planopt.problems.objective import Term
 from planopt.problems.problem import Problem
-from planopt.targets.sensor import sensing_information
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns of single nodes."""
@@ -61,8 +48,9 @@ class StageRewards:
         shape = field.mean_db.shape
         self._alone: NDArray[np.float64] | None = None
         for term in situation.problem.terms:
-            if isinstance(term, LearningTerm | MappingTerm):
-                alone = term.weight * _alone(term, situation, field)
+            found = term.node_reward(situation, field)
+            if found is not None:
+                alone = term.weight * found
                 self._alone = alone if self._alone is None else self._alone + alone
         self._largest = self._largest_reward()
         # Nodes that are not free, or out of reach, are left at these.
@@ -89,14 +77,12 @@ class StageRewards:
         if self._credit.any():
             reward += self._credit[stage] * self._chance[where]
         for term in self._situation.problem.terms:
-            if isinstance(term, TrackingTerm):
-                settings = self._situation.tracking(term)
-                sensing = sensing_information(
-                    settings.sensor, self._field.grid_m[where], settings.target_m[stage]
-                )
-                sensing *= self._chance[where]
-                sensing *= term.weight * settings.weight[stage]
-                reward += sensing
+            found = term.stage_reward(
+                self._situation, self._field.grid_m[where], stage, self._chance[where]
+            )
+            if found is not None:
+                found *= term.weight
+                reward += found
         return reward
 
     def _look_at(self, where: Window | Nodes) -> None:
@@ -122,23 +108,18 @@ class StageRewards:
         self, term: Term, where: Window | Nodes, chance: NDArray[np.float64]
     ) -> NDArray[np.float64] | float:
         """What a term gives for the power at a place, whenever it is visited."""
-        if isinstance(term, TransmissionEnergyTerm):
-            powers = [
-                Prediction(station.mean_db[where], station.deviation_db[where])
-                for station in self._field.stations
-            ]
-            return -link_energy_j(term, self._situation, powers)
-        if isinstance(term, UntilConnectedTerm):
-            # What connection there would save, if it were the only try.
-            return self._situation.search(term).beyond_m * chance
-        return 0.0
+        powers = [
+            Prediction(station.mean_db[where], station.deviation_db[where])
+            for station in self._field.stations
+        ]
+        found = term.power_reward(self._situation, powers, chance)
+        return 0.0 if found is None else found
 
     def _largest_reward(self) -> float:
         """The largest reward of a step."""
         largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
         for term in self._situation.problem.terms:
-            if isinstance(term, TrackingTerm):
-                largest += term.weight / term.noise_floor_m2
+            largest += term.weight * term.most_stage_reward
             each = self._by_power(term, EVERYWHERE, np.ones(1))
             largest += term.weight * float(np.nanmax(np.abs(each), initial=0.0))
         return max(largest, 1e-9)
@@ -152,65 +133,7 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
     """
     value = np.zeros(len(lengths_m))
     for term in problem.terms:
-        if isinstance(term, MotionEnergyTerm):
-            moving = np.where(lengths_m > 0.0, problem.planner.step_s, 0.0)
-            value -= term.weight * (term.per_metre_j_m * lengths_m + term.power_w * moving)
+        value += term.weight * term.move_reward(lengths_m, problem.planner.step_s)
     if any(term.shares_places for term in problem.terms):
         value[lengths_m == 0.0] = -np.inf
     return value
-
-
-def _alone(
-    term: LearningTerm | MappingTerm, at: Situation, field: NodeField
-) -> NDArray[np.float64]:
-    """What measuring at each node would be worth if it were the only one; (ny, nx)."""
-    if isinstance(term, MappingTerm) and term.form == "two_layer":
-        if at.steering is None:
-            return np.zeros_like(field.mean_db)
-        return -_steered_m(at.steering, field)
-    first, *others = [
-        _told(term, station, posterior)
-        for station, posterior in zip(field.stations, at.stations, strict=True)
-    ]
-    for other in others:
-        first = first + other
-    # A node that is measured already brings nothing.
-    first[~_is_open(at, field)] = 0.0
-    return first
-
-
-def _steered_m(steering: SteeringWay, field: NodeField) -> NDArray[np.float64]:
-    """How far it is from each node to the end of the way; (ny, nx)."""
-    if steering.lattice_m is not None:
-        return steering.lattice_m
-    return steering.distance_m(field.grid_m.reshape(-1, 2)).reshape(field.mean_db.shape)
-
-
-def _is_open(at: Situation, field: NodeField) -> NDArray[np.bool_]:
-    """Whether each node within reach brings a measurement; (ny, nx)."""
-    found = np.ones(field.mean_db.shape, dtype=np.bool_)
-    near = field.grid_m[field.window]
-    found[field.window] = at.near_measuring.is_open(near.reshape(-1, 2)).reshape(near.shape[:2])
-    return found
-
-
-def _told(
-    term: LearningTerm | MappingTerm, station: TileMap, posterior: ChannelPosterior
-) -> NDArray[np.float64]:
-    """What measuring one station at each node would tell; (ny, nx)."""
-    variance = station.deviation_db**2
-    if isinstance(term, LearningTerm):
-        trend, covariance = station.trend, posterior.theta_covariance
-        spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
-        latent = np.maximum(variance - spread, 1e-12)
-        if term.criterion == "T":
-            return np.einsum("yxi,yxi->yx", trend, trend) / latent
-        return np.log1p(spread / latent)
-    match term.form:
-        case "path":
-            return np.maximum(variance - term.variance_threshold_db2, 0.0)
-        case "information":
-            floor = max(posterior.parameters.multipath_std_db, 1e-6)
-            return np.log(station.deviation_db / floor)
-        case _:
-            return variance

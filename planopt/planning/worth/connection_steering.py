@@ -68,7 +68,7 @@ class ConnectionSteering:
             near = near[rule.is_open(road_map.nodes_m[near])]
             if len(near):
                 chance = self._chance(situation, near, radius)
-                length = situation.search_length_m(self._term, ways.length_m[near], chance)
+                length = self._term.search_length_m(situation, ways.length_m[near], chance)
                 best = int(length.argmin())
                 if last or length[best] <= radius:
                     node = int(near[best])

@@ -6,27 +6,14 @@ returns is valued again by :mod:`planopt.planning.worth.path_worth` and judged b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
-from planopt.objectives.information_derivatives import (
-    average_reduction_derivatives,
-    path_information_derivatives,
-    path_loss_derivatives,
-)
-from planopt.objectives.local_channel import LocalChannel, LocalGrid, local_channel, local_grid
-from planopt.objectives.measuring import Gates
-from planopt.objectives.motion_derivatives import path_length_derivatives
-from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
+from planopt.objectives.local_channel import local_channel, local_grid
+from planopt.objectives.terms.context import NearPath, NearStation, Part
 from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking_derivatives import connectivity_derivatives
-from planopt.objectives.until_connected import LATER, Search
-from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
 from planopt.planning.programme.path_value import (
     EvaluatePath,
     Evaluation,
@@ -37,32 +24,17 @@ from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.region import region_along
 from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.serving_stages import (
-    StagePower,
     serving_of,
     stage_powers,
     stage_predictor,
 )
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.stage_terms import stage_term_derivatives
 from planopt.planning.worth.structure import structure_of
-from planopt.problems.objective import (
-    CasadiTerm,
-    LearningTerm,
-    MappingTerm,
-    MotionEnergyTerm,
-    Term,
-    TrackingTerm,
-    TransmissionEnergyTerm,
-    UntilConnectedTerm,
-)
 from planopt.problems.problem import Problem
-from planopt.targets.rounding import Derivatives, rounded_length
+from planopt.targets.rounding import Derivatives
 
 JOINT_NEIGHBOURS = 128
 """Measurements shared by the places of a path in terms that couple them."""
-
-LENGTH_ROUNDING_SHARE = 0.01
-"""Width of the rounding of a length at zero, as a share of the longest step."""
 
 
 def needs_stages(problem: Problem) -> bool:
@@ -106,13 +78,8 @@ def local_worth(
         if rows.weight is not None and power is not None:
             total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
         gates = None if rule is None else rule.gates(places_m[None])
-        parts = [
-            _weighted(
-                term.weight,
-                _derivatives(term, situation, places_m, power, each, joint, gates, ahead, tried),
-            )
-            for term in problem.terms
-        ]
+        near = NearPath(situation, places_m, power, each, joint, gates, ahead, tried)
+        parts = [_weighted(term.weight, term.derivatives(near)) for term in problem.terms]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 
     return remembering(evaluate)
@@ -127,16 +94,7 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Joint:
-    """One station's channel near the path, and the places where its map is wanted."""
-
-    posterior: ChannelPosterior
-    channel: LocalChannel
-    grid: LocalGrid | None
-
-
-def _joint_channels(situation: Situation, path_m: NDArray[np.float64]) -> list[_Joint]:
+def _joint_channels(situation: Situation, path_m: NDArray[np.float64]) -> list[NearStation]:
     """Of each station, where a term couples the places of a path; else none."""
     problem = situation.problem
     if not any(term.shares_places for term in problem.terms):
@@ -144,114 +102,12 @@ def _joint_channels(situation: Situation, path_m: NDArray[np.float64]) -> list[_
     region = None
     if any(term.averages_map for term in problem.terms):
         region = region_along(problem, situation.near_region, path_m)
-    found: list[_Joint] = []
-    for station in situation.stations:
+    found: list[NearStation] = []
+    for station in situation.anticipated:
         channel = local_channel(station, path_m, JOINT_NEIGHBOURS)
         grid = None if region is None else local_grid(channel, region.grid_m, region.weight)
-        found.append(_Joint(station, channel, grid))
+        found.append(NearStation(station, channel, grid))
     return found
-
-
-Part = Derivatives | PathDerivatives
-"""By stage, or of the whole path."""
-
-
-def _derivatives(
-    term: Term,
-    at: Situation,
-    places_m: NDArray[np.float64],
-    power: StagePower | None,
-    each: Sequence[StagePower],
-    joint: Sequence[_Joint],
-    gates: Gates | None,
-    ahead: NDArray[np.intp] | None,
-    tried: NDArray[np.bool_] | None,
-) -> Part:
-    match term:
-        case TrackingTerm() | TransmissionEnergyTerm() | CasadiTerm():
-            if power is None:
-                raise AssertionError("the term needs predictions of the stages")
-            return stage_term_derivatives(term, at, places_m, power, each)
-        case MappingTerm(form="two_layer"):
-            return _steering(at, places_m, ahead)
-        case MotionEnergyTerm():
-            return _motion(term, at, places_m)
-        case UntilConnectedTerm():
-            width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-            channels = [station.channel for station in joint]
-            search = at.search(term)
-            beyond = _beyond(at, search, places_m[-1:], ahead)
-            found = charged_distance_derivatives(channels, places_m, search, width, beyond, tried)
-            return PathDerivatives(-found.value, -found.gradient, -found.hessian)
-        case LearningTerm() | MappingTerm():
-            first, *others = [_informed(term, at, places_m, station, gates) for station in joint]
-            for other in others:
-                first = PathDerivatives(
-                    first.value + other.value,
-                    first.gradient + other.gradient,
-                    first.hessian + other.hessian,
-                )
-            return first
-        case _:
-            raise AssertionError(f"{term.kind} has no value here")
-
-
-def _informed(
-    term: LearningTerm | MappingTerm,
-    at: Situation,
-    places_m: NDArray[np.float64],
-    station: _Joint,
-    gates: Gates | None,
-) -> PathDerivatives:
-    """What the path's measurements of one station tell; those of independent ones add up."""
-    channel = station.channel
-    match term:
-        case LearningTerm():
-            criterion = at.criterion(term, station.posterior)
-            return path_loss_derivatives(channel, places_m, criterion, gates)
-        case MappingTerm(form="path"):
-            return path_uncertainty_derivatives(channel, places_m, at.uncertainty(term), gates)
-        case MappingTerm(form="information"):
-            return path_information_derivatives(channel, places_m, gates=gates)
-        case MappingTerm():
-            if station.grid is None:
-                raise AssertionError("the spatial average needs a grid")
-            return average_reduction_derivatives(channel, station.grid, places_m, gates=gates)
-
-
-def _steering(
-    at: Situation, places_m: NDArray[np.float64], ahead: NDArray[np.intp] | None
-) -> Derivatives:
-    """Minus the distance of every place to the next turn of its way, of number `ahead` (N,)."""
-    if ahead is None or at.steering is None:
-        count = len(places_m)
-        return Derivatives(np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
-    width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-    distance = rounded_length(places_m - at.steering.turns_m[ahead], width)
-    return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
-
-
-def _beyond(
-    at: Situation, search: Search, end_m: NDArray[np.float64], ahead: NDArray[np.intp] | None
-) -> Derivatives | None:
-    """:meth:`Situation.beyond_m` of a path that ends at `end_m` (1, 2); None if nothing steers."""
-    if ahead is None or at.steering is None:
-        return None
-    turn = ahead[-1:]
-    width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-    leg = rounded_length(end_m - at.steering.turns_m[turn], width)
-    rest = LATER * (leg.value + at.steering.rest_m[turn]) + search.beyond_m
-    return Derivatives(rest, LATER * leg.gradient, LATER * leg.hessian)
-
-
-def _motion(
-    term: MotionEnergyTerm, at: Situation, places_m: NDArray[np.float64]
-) -> PathDerivatives:
-    """Minus the energy of the way; that of moving at all hardly depends on where to."""
-    width = LENGTH_ROUNDING_SHARE * at.problem.step_length_m
-    length = path_length_derivatives(at.position_m, places_m, width)
-    scale = -term.per_metre_j_m
-    return PathDerivatives(scale * length.value, scale * length.gradient, scale * length.hessian)
 
 
 def _weighted(weight: float, part: Part) -> Part:

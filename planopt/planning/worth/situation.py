@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,28 +13,25 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces, known_places
-from planopt.objectives.energy import Radio
-from planopt.objectives.mapping import Region, Uncertainty
+from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
-from planopt.objectives.path_loss_learning import Criterion, goal_criterion
-from planopt.objectives.tracking import Tracking
-from planopt.objectives.tracking_filter import FilteredTracking
-from planopt.objectives.until_connected import LATER, Search, charged_distance_m, search_length_m
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.serving import Serving
+from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.region import region_near
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.planning.worth.target_model import target_model
-from planopt.problems.objective import (
-    LearningTerm,
-    MappingTerm,
-    TrackingTerm,
-    TransmissionEnergyTerm,
-    UntilConnectedTerm,
-)
 from planopt.problems.problem import Problem
-from planopt.targets.sensor import Sensor
+from planopt.targets.target_model import TargetModel
+
+Made = TypeVar("Made")
+
+if TYPE_CHECKING:
+    # What a term may read is a protocol of properties; a cached one counts as such only by name.
+    cached_property = property
+else:
+    from functools import cached_property
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +73,43 @@ class Situation:
     _soon: dict[bytes, NDArray[np.float64]] = field(
         default_factory=dict[bytes, NDArray[np.float64]], init=False, repr=False
     )
-    _tracking: dict[TrackingTerm, Tracking] = field(
-        default_factory=dict[TrackingTerm, Tracking], init=False, repr=False
-    )
+    _made: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any], init=False, repr=False)
 
-    _after: dict[UntilConnectedTerm, float] = field(
-        default_factory=dict[UntilConnectedTerm, float], init=False, repr=False
-    )
+    def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """Return what `make` gives, made once for each key: terms keep their settings here."""
+        if key not in self._made:
+            self._made[key] = make()
+        return cast("Made", self._made[key])
 
-    _charged: dict[tuple[UntilConnectedTerm, bytes], float] = field(
-        default_factory=dict[tuple[UntilConnectedTerm, bytes], float], init=False, repr=False
-    )
+    @property
+    def step_s(self) -> float:
+        """Duration of a step."""
+        return self.problem.planner.step_s
+
+    @property
+    def step_length_m(self) -> float:
+        """Length of the longest step."""
+        return self.problem.step_length_m
+
+    @property
+    def standstill_m(self) -> float:
+        """Steps up to this length count as standing."""
+        return STANDSTILL_M
+
+    @property
+    def thresholds_dbm(self) -> tuple[float, ...]:
+        """Power from which on each station is connected."""
+        return tuple(radio.threshold_dbm for radio in self.problem.stations)
+
+    @property
+    def transmit_powers_dbm(self) -> tuple[float, ...]:
+        """Transmit power of each station."""
+        return tuple(radio.transmit_power_dbm for radio in self.problem.stations)
+
+    @property
+    def target_motion(self) -> TargetModel:
+        """How the target moves."""
+        return target_model(self.problem)
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
         """Prediction at `places_m` (n, 2) as searches look at it, made once for each place.
@@ -114,6 +137,16 @@ class Situation:
         for place in np.asarray(places_m, dtype=np.float64):
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
+
+    @property
+    def anticipated(self) -> tuple[ChannelPosterior, ...]:
+        """What is believed of each station's channel once the others have driven their plans."""
+        return self.stations
+
+    @property
+    def others_m(self) -> tuple[NDArray[np.float64], ...]:
+        """Places that the others plan to be at."""
+        return ()
 
     @property
     def stations(self) -> tuple[ChannelPosterior, ...]:
@@ -153,42 +186,7 @@ class Situation:
         """The places of `near_region` prepared for each station; None where it has no factor."""
         return tuple(
             known_places(station, self.near_region.grid_m) if station.has_factor else None
-            for station in self.stations
-        )
-
-    def tracking(self, term: TrackingTerm) -> Tracking:
-        """The settings of a tracking term."""
-        if self.target_m is None:
-            raise AssertionError("a tracking term needs a target")
-        if term not in self._tracking:
-            self._tracking[term] = Tracking(
-                self.problem.stations[0].threshold_dbm,
-                Sensor(term.noise_curvature, term.noise_floor_m2, term.sweet_spot_m),
-                self.target_m,
-            )
-        return self._tracking[term]
-
-    def filtered(self, term: TrackingTerm) -> FilteredTracking:
-        """The settings of a tracking term that follows the station's filter."""
-        if self.information is None:
-            raise AssertionError("this form of tracking needs what the station knows")
-        model = target_model(self.problem)
-        return FilteredTracking(self.tracking(term), model, self.information)
-
-    def search(self, term: UntilConnectedTerm) -> Search:
-        """The settings of a search for connection that ends where a try at the way's end failed.
-
-        Where the robot is is no try (:attr:`tries`), and needs no condition.
-        """
-        x, y = self.position_m
-        if term not in self._after:
-            self._after[term] = self._after_try_m(term)
-        return Search(
-            (float(x), float(y)),
-            self.problem.stations[0].threshold_dbm,
-            disconnected_now=False,
-            beyond_m=self._after[term],
-            further_thresholds_dbm=tuple(r.threshold_dbm for r in self.problem.stations[1:]),
+            for station in self.anticipated
         )
 
     @cached_property
@@ -212,56 +210,11 @@ class Situation:
         spacing = max(self.problem.channel.measure_spacing_m, SAME_PLACE_M)
         return MeasuringRule(spacing, tuple(known))
 
-    def _chance(self, place_m: NDArray[np.float64]) -> float:
-        """Chance of a connection at a place (2,)."""
+    def chance(self, place_m: NDArray[np.float64]) -> float:
+        """Chance of a connection at a place (2,), whatever else is predicted."""
         power = self.law([search_prediction(each, place_m[None]) for each in self.stations])
         threshold = self.problem.stations[0].threshold_dbm
         return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])
-
-    def _after_try_m(self, term: UntilConnectedTerm) -> float:
-        """What is expected beyond the end of the way that the robot is steered along, in metres.
-
-        (1 - P) (L + R) of :func:`planopt.objectives.until_connected.search_length_m`, from the way
-        alone, so that a saved plan has the same.
-        """
-        way = self.steering
-        if way is None:
-            return self.workspace_diagonal_m if term.beyond_m is None else term.beyond_m
-        chance = np.array([self._chance(way.end_m)])
-        after = self.search_length_m(term, way.rest_m[:1], chance) - way.rest_m[0]
-        return max(float(after[0]), 0.0)
-
-    def search_length_m(
-        self, term: UntilConnectedTerm, length_m: NDArray[np.float64], chance: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the expected length of a search by tries at places so far away; ``(k,)``.
-
-        :func:`planopt.objectives.until_connected.search_length_m`, or D + (1 - P) `beyond_m`.
-        """
-        if term.beyond_m is not None:
-            return length_m + (1.0 - chance) * term.beyond_m
-        return search_length_m(length_m, chance, self.decorrelation_m, self.workspace_diagonal_m)
-
-    def beyond_m(
-        self, term: UntilConnectedTerm, ends_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """What a plan is charged that ends at each of some places (n, 2) without connection; (n,).
-
-        The way that is left to where the robot is steered to, and what is expected from there.
-        """
-        after = np.full(len(ends_m), self.search(term).beyond_m)
-        return after if self.steering is None else after + LATER * self.steering.distance_m(ends_m)
-
-    def charged_distance_m(self, term: UntilConnectedTerm, path_m: NDArray[np.float64]) -> float:
-        """Return what a search along a path (N, 2) is charged, integrated once for each path."""
-        key = term, path_m.tobytes()
-        if key not in self._charged:
-            beyond = float(self.beyond_m(term, path_m[-1:])[0])
-            settings = replace(self.search(term), beyond_m=beyond)
-            self._charged[key] = charged_distance_m(
-                self.posterior, path_m, settings, self.stations[1:], self.tries.takes(path_m)
-            )
-        return self._charged[key]
 
     @property
     def workspace_diagonal_m(self) -> float:
@@ -273,26 +226,3 @@ class Situation:
     def decorrelation_m(self) -> float:
         """The longest decorrelation distance of the stations' shadowing."""
         return max(station.parameters.decorrelation_m for station in self.stations)
-
-    def radio(self, term: TransmissionEnergyTerm, station: int = 0) -> Radio:
-        """The settings of a link; the predicted gain is that of the station's own sending."""
-        return Radio(
-            term.bits_per_symbol,
-            term.bit_error_rate,
-            term.noise_dbm,
-            self.problem.stations[station].transmit_power_dbm,
-            term.bits / (term.bits_per_symbol * term.bandwidth_hz),
-        )
-
-    def criterion(self, term: LearningTerm, station: ChannelPosterior) -> Criterion:
-        """The settings of a learning term, for one of the stations."""
-        if term.criterion == "V":
-            return goal_criterion(station, self.region.grid_m, self.region.weight)
-        return Criterion(term.criterion)
-
-    def uncertainty(self, term: MappingTerm) -> Uncertainty:
-        """The settings of a mapping term."""
-        x, y = self.position_m
-        return Uncertainty(
-            term.variance_threshold_db2, term.closeness_per_m, start_m=(float(x), float(y))
-        )

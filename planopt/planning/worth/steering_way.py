@@ -9,13 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.world.clearance import ObstacleIndex, segments_clear
+
+if TYPE_CHECKING:
+    # What a term may read is a protocol of properties; a cached one counts as such only by name.
+    cached_property = property
+else:
+    from functools import cached_property
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -160,8 +161,18 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Return all rows of a folder, sorted by case."""
-    return sorted(FinishedRuns(folder / ROWS).all(Row), key=lambda row: row.case)
+    """Return all rows of a folder, sorted by case; those with impossible numbers are left out."""
+    rows = FinishedRuns(folder / ROWS).all(Row)
+    return sorted((row for row in rows if _is_possible(row)), key=lambda row: row.case)
+
+
+def _is_possible(row: Row) -> bool:
+    """Tell whether every number of a row can be."""
+    least_zero = (row.iterations, row.solve_s, row.wall_s, row.cpu_s, row.steps)
+    counts = all(count >= 0 for count in row.rungs.values())
+    known = (row.objective, row.kkt_residual, row.min_clearance_m, row.min_connectivity)
+    numbers = [*least_zero, *(value for value in known if value is not None)]
+    return counts and min(least_zero) >= 0 and all(map(math.isfinite, numbers))
 
 
 def rows_csv(rows: Sequence[Row]) -> str:

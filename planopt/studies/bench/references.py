@@ -7,6 +7,7 @@ number and why: :func:`frozen` never replaces one unless it is told to.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,6 +108,8 @@ def read_references(file: Path | None = None) -> dict[Case, Reference]:
             file=path,
             remedy="take it from the repository again",
         ) from None
+    if not all(math.isfinite(one.objective or 0.0) and one.cpu_s >= 0.0 for one in found):
+        raise InputError("has a number that cannot be", file=path, remedy="run the suite again")
     references = {one.case: one for one in found}
     if len(references) < len(found):
         raise InputError("has a case twice", file=path, remedy="take out one of them")

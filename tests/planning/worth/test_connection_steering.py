@@ -14,8 +14,8 @@ from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition, extend
 from planopt.objectives.until_connected import LATER, charged_distance_m, search_length_m
-from planopt.planning.loop.run import Outcome
-from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.log import Outcome
 from planopt.planning.worth.connection_steering import ConnectionSteering
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.world.clearance import is_clear, swept_clearance_m
@@ -138,7 +138,7 @@ def test_a_plan_is_charged_the_way_that_is_left():
     search = min((whole + (1.0 - chance) * apart) / chance, np.hypot(40.0, 40.0))
     after = LATER * (whole - legs.sum()) + search - whole
     expected = charged_distance_m(
-        situation.posterior, path, replace(situation.search(term), beyond_m=after)
+        situation.posterior, path, replace(term.search(situation), beyond_m=after)
     )
     assert PathWorth(situation)(path) == pytest.approx(-expected, rel=1e-6)
     still = np.tile(situation.position_m, (3, 1))
@@ -154,7 +154,7 @@ def test_every_planner_arrives_and_never_stands(name, stations, horizon):
     problem = search_problem(
         horizon=horizon, max_steps=60, name=name, stations=stations, threshold_dbm=-31.0
     )
-    run = simulate_team(problem, seed=3).runs[0]
+    run = simulate(problem, seed=3).runs[0]
     assert run.outcome is Outcome.COMPLETED, run.reason
     steps = np.linalg.norm(np.diff(run.log.positions_m, axis=0), axis=1)
     assert steps.min() > 0.1 * problem.step_length_m
@@ -177,7 +177,7 @@ def test_small_steps_and_waiting_are_no_tries():
     spacing = problem.channel.measure_spacing_m
     small = here + np.array([[0.3 * spacing, 0.0], [0.0, 0.3 * spacing], [0.0, 0.0]])
     length = float(np.linalg.norm(np.diff(np.vstack([here, small]), axis=0), axis=1).sum())
-    beyond = situation.beyond_m(problem.terms[0], small[-1:])[0]
+    beyond = problem.terms[0].charged_beyond_m(situation, small[-1:])[0]
     assert PathWorth(situation)(small) == pytest.approx(-length - beyond)
     still = np.tile(here, (3, 1))
     assert PathWorth(situation)(still) == pytest.approx(-beyond)

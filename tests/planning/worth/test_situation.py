@@ -37,6 +37,6 @@ def test_power_is_the_search_prediction_made_once(monkeypatch):
 def test_tracking_settings_are_made_once_for_each_term():
     """The same object for a term, another for another."""
     situation, _ = situation_of(terms_problem(TRACKING, {**TRACKING, "sweet_spot_m": 3.0}))
-    one, other = (situation.tracking(term) for term in situation.problem.terms)
-    assert situation.tracking(situation.problem.terms[0]) is one
+    one, other = (term.settings(situation) for term in situation.problem.terms)
+    assert situation.problem.terms[0].settings(situation) is one
     assert (one.sensor.sweet_spot_m, other.sensor.sweet_spot_m) == (1.0, 3.0)

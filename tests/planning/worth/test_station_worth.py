@@ -97,7 +97,7 @@ def test_sampled_losses_are_those_of_drawn_channels() -> None:
     situation, _ = situation_of(terms_problem({**TRACKING, "form": "sampled"}, stations=2))
     situation = raised(situation, 5.0)
     path, term = a_path(situation), situation.problem.terms[0]
-    settings = situation.filtered(term)
+    settings = term.filtered(situation)
     outcomes, counts = np.unique(drawn_connected(situation, path), axis=0, return_counts=True)
     gain = covariance_gain(outcomes.astype(float), sensing_of(path, settings), settings)
     mean = gain @ counts / DRAWS
@@ -111,7 +111,7 @@ def test_sending_goes_to_the_station_that_needs_least() -> None:
     path, term = a_path(situation), situation.problem.terms[0]
     each = []
     for station, posterior in enumerate(situation.stations):
-        power, radio = posterior.predict(path), situation.radio(term, station)
+        power, radio = posterior.predict(path), term.radio(situation.transmit_powers_dbm[station])
         watts = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
         each.append(radio.send_s * watts)
     assert -PathWorth(situation)(path) == pytest.approx(np.min(each, axis=0).sum(), rel=1e-9)

@@ -12,6 +12,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from planopt.planning.plan import Rung, Termination
 from planopt.problems.library import find_problem
 from planopt.problems.planner_kinds import PlannerKind, register_planner, unregister_planner
 from planopt.studies import finished_runs
-from planopt.studies.bench import row
+from planopt.studies.bench import references, row
 from planopt.studies.bench.references import read_references, write_references
 
 RUN = ["bench", "run", "--seeds", "1", "--run-seeds", "0", "--horizons", "2"]
@@ -130,6 +131,23 @@ def test_report(folder: Path, capsys) -> None:
     assert not (folder / "report.png").exists()
 
 
+def test_rows_with_impossible_numbers(tmp_path: Path, capsys) -> None:
+    """Are left out of a report, like damaged ones."""
+    out = tmp_path / "out"
+    assert ran(out, "--planners", "auto,lattice,one_step") == 0
+    first, second, _ = sorted((out / "rows").iterdir())
+    for file, change in ((first, {"objective": "nan"}), (second, {"cpu_s": -1.0})):
+        data = json.loads(file.read_text())
+        file.write_text(json.dumps({**data, "result": {**data["result"], **change}}))
+    (out / "rows" / "other.json").write_text("[" * 100_000)
+    capsys.readouterr()
+    assert main(["bench", "report", str(out), "--no-figures", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 1
+    (out / "bench.json").write_text('{"program": 3}')
+    assert main(["bench", "report", str(out)]) == 2
+    assert "is damaged" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["missing", "plain"])
 def test_report_of_no_run(name: str, tmp_path: Path, capsys) -> None:
     """Ours, with the folder."""
@@ -154,6 +172,63 @@ def test_freeze_does_not_overwrite_silently(folder: Path, tmp_path: Path, capsys
     assert main([*freeze, "--replace"]) == 0
     assert "objective 1.0 -> " in capsys.readouterr().out
     assert read_references(file) == made
+
+
+@pytest.fixture
+def share(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """References of the fast share of a library with one problem."""
+    monkeypatch.setattr(references, "library_names", lambda: ["outdoor_map"])
+    known = {c: r for c, r in read_references().items() if r.problem == "outdoor_map"}
+    file = tmp_path / "references.json"
+    write_references(known, file)
+    return file
+
+
+def checked(file: Path) -> int:
+    """The check against a file of references."""
+    return main(["bench", "check", "--workers", "1", "--references", str(file)])
+
+
+def test_check_passes(share: Path, capsys) -> None:
+    """Exit code 0 against the committed references."""
+    assert checked(share) == 0
+    assert "as good as the references" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda one: {"objective": 1.05 * one.objective}, "% worse"),
+        (lambda one: {"outcome": "no_plan"}, "outcome planned, was no_plan"),
+        (lambda one: {"horizon": one.horizon + 1}, "no reference with its own settings"),
+    ],
+)
+def test_check_fails_in_words(share: Path, change, words: str, capsys) -> None:
+    """A mutated reference is a regression: exit code 1, and which number it is."""
+    known = read_references(share)
+    changed = {
+        case: replace(one, **change(one))
+        for case, one in known.items()
+        if case.planner == "auto" and one.kind == "plan"
+    }
+    kept = {one.case: one for one in changed.values()}
+    write_references(kept, share)
+    assert checked(share) == 1
+    assert words in capsys.readouterr().out
+
+
+def test_a_rejected_plan_and_an_error_fail(share: Path, monkeypatch, capsys) -> None:
+    """A check that objects is a regression; so is a planner that raises, and the rest goes on."""
+    monkeypatch.setattr(row, "check", lambda _: SimpleNamespace(verdict=None, reasons=("forged",)))
+    assert checked(share) == 1
+    assert "the check from its files rejects it (forged)" in capsys.readouterr().out
+
+    def broken(*_):
+        raise ZeroDivisionError("no")
+
+    monkeypatch.setattr(row, "solve_on", broken)
+    assert checked(share) == 1
+    assert "outcome error, was planned (ZeroDivisionError: no)" in capsys.readouterr().out
 
 
 class Liar:

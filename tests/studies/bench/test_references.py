@@ -105,6 +105,14 @@ def test_damaged_files(text: str, tmp_path: Path) -> None:
         read_references(file)
 
 
+def test_impossible_numbers(tmp_path: Path) -> None:
+    """An objective that is no number would make every comparison true."""
+    file = tmp_path / "references.json"
+    write_references({row().case: replace(REFERENCE, objective=float("nan"))}, file)
+    with pytest.raises(InputError, match="a number that cannot be"):
+        read_references(file)
+
+
 def test_a_case_twice(tmp_path: Path) -> None:
     """The second would silently win."""
     file = tmp_path / "references.json"
@@ -113,6 +121,15 @@ def test_a_case_twice(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace(line, f"{line},\n{line}"))
     with pytest.raises(InputError, match="a case twice"):
         read_references(file)
+
+
+def test_library_is_whole() -> None:
+    """Every library problem has references for the fast share, which has every kind of case."""
+    cases, missing = fast_cases(read_references())
+    assert missing == []
+    assert {case.question.problem for case in cases} == set(library_names())
+    assert {case.question.kind for case in cases} == {"plan", "run"}
+    assert {case.planner for case in cases} == {"auto", "scp", "lattice"}
 
 
 def test_a_problem_without_reference_is_told() -> None:
@@ -132,6 +149,8 @@ def test_cases_are_all_combinations() -> None:
     mapped = [case for case in cases if case.question.problem == "outdoor_map"]
     assert len(mapped) == 2 * 2 * 7 + 1
     assert len(set(cases)) == len(cases)
+    driven = library_cases(["harbour_track"], seeds=[0], run_seeds=[])
+    assert {case.planner for case in driven} == {"auto", "nlp", "scp", "lattice"}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,359 @@
+"""The inputs of a term: the planning step, many paths at once, one path of a solver, a lattice.
+
+A term reads these and nothing else. The planner's own classes have these attributes; a test, or a
+study of a term alone, can pass any others that have them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction, connection_probability
+from planopt.objectives.batch import KnownPlaces
+from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.local_channel import LocalChannel, LocalGrid
+from planopt.objectives.mapping import Region
+from planopt.objectives.measuring import Gates, MeasuringRule
+from planopt.objectives.told_batch import ToldBatch
+from planopt.objectives.way_batch import WayBatch
+from planopt.targets.rounding import Derivatives
+from planopt.targets.target_model import TargetModel
+
+Made = TypeVar("Made")
+
+StagePower = tuple[Derivatives, Derivatives]
+"""Mean and standard deviation of the power at every stage, with derivatives by its place."""
+
+Part = Derivatives | PathDerivatives
+"""A value with derivatives: by stage where it adds up over them, else of the whole path."""
+
+LENGTH_ROUNDING_SHARE = 0.01
+"""Width of the rounding of a length at zero, as a share of the longest step."""
+
+
+class SteeredPath(Protocol):
+    """The path that a robot is steered along."""
+
+    @property
+    def turns_m(self) -> NDArray[np.float64]:
+        """``(m, 2)`` its start, its turns and its end."""
+        ...
+
+    @property
+    def end_m(self) -> NDArray[np.float64]:
+        """``(2,)`` its end."""
+        ...
+
+    @property
+    def rest_m(self) -> NDArray[np.float64]:
+        """``(m,)`` its length from each turn on."""
+        ...
+
+    @property
+    def lattice_m(self) -> NDArray[np.float64] | None:
+        """``(ny, nx)`` length of the shortest path to its end from each node, where known."""
+        ...
+
+    def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Return the number of the turn that each place (n, 2) goes straight to."""
+        ...
+
+    def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the length of the path from each place (n, 2) to the end; (n,)."""
+        ...
+
+    def gained_m(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return by how much the places of paths (..., N, 2) are nearer than the start, summed."""
+        ...
+
+
+class StepContext(Protocol):
+    """What is known when a robot plans one step."""
+
+    @property
+    def position_m(self) -> NDArray[np.float64]:
+        """``(2,)`` where the robot is."""
+        ...
+
+    @property
+    def step_s(self) -> float:
+        """Duration of a step."""
+        ...
+
+    @property
+    def step_length_m(self) -> float:
+        """Length of the longest step."""
+        ...
+
+    @property
+    def standstill_m(self) -> float:
+        """Steps up to this length count as standing."""
+        ...
+
+    @property
+    def stations(self) -> tuple[ChannelPosterior, ...]:
+        """Belief of each station's channel."""
+        ...
+
+    @property
+    def anticipated(self) -> tuple[ChannelPosterior, ...]:
+        """The same, as if the other robots of a team had measured along their plans."""
+        ...
+
+    @property
+    def others_m(self) -> tuple[NDArray[np.float64], ...]:
+        """``(N, 2)`` each: the places after each step of the plans of other robots that count."""
+        ...
+
+    @property
+    def thresholds_dbm(self) -> tuple[float, ...]:
+        """Power from which on each station is connected."""
+        ...
+
+    @property
+    def transmit_powers_dbm(self) -> tuple[float, ...]:
+        """Transmit power of each station."""
+        ...
+
+    @property
+    def target_m(self) -> NDArray[np.float64] | None:
+        """``(N, 2)`` where the target is expected after each step; None without target."""
+        ...
+
+    @property
+    def information(self) -> NDArray[np.float64] | None:
+        """``(4, 4)`` information matrix of the station's filter; None without target."""
+        ...
+
+    @property
+    def target_motion(self) -> TargetModel:
+        """How the target moves."""
+        ...
+
+    @property
+    def steering(self) -> SteeredPath | None:
+        """The path that the robot is steered along; None if it is not."""
+        ...
+
+    @property
+    def region(self) -> Region:
+        """Where a map is wanted."""
+        ...
+
+    @property
+    def near_region(self) -> Region:
+        """The same, finer where a plan can change it."""
+        ...
+
+    @property
+    def near_places(self) -> tuple[KnownPlaces | None, ...]:
+        """The places of `near_region` prepared for each anticipated channel, where it has them."""
+        ...
+
+    @property
+    def measuring(self) -> MeasuringRule:
+        """Which places of a path bring a measurement."""
+        ...
+
+    @property
+    def near_measuring(self) -> MeasuringRule:
+        """The same for places that a plan can come to."""
+        ...
+
+    @property
+    def tries(self) -> MeasuringRule:
+        """Which places of a path are a try for connection."""
+        ...
+
+    @property
+    def workspace_diagonal_m(self) -> float:
+        """Length from corner to corner of the bounds."""
+        ...
+
+    @property
+    def decorrelation_m(self) -> float:
+        """The longest decorrelation distance of the stations' shadowing."""
+        ...
+
+    def power(self, places_m: NDArray[np.float64]) -> Prediction:
+        """Return the power that connectivity rests on at places (n, 2)."""
+        ...
+
+    def powers(self, places_m: NDArray[np.float64]) -> list[Prediction]:
+        """Return each station's power at places (n, 2)."""
+        ...
+
+    def law(self, powers: Sequence[Prediction]) -> Prediction:
+        """Return what connectivity rests on, from each station's power."""
+        ...
+
+    def chance(self, place_m: NDArray[np.float64]) -> float:
+        """Return the probability of connection at one place (2,), whatever else is predicted."""
+        ...
+
+    def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """Return what `make` gives, made once a step for each key."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Many paths of one step, with predictions along them.
+
+    Attributes
+    ----------
+    at
+        What is known.
+    ways_m
+        ``(c, N, 2)`` places after each step.
+    stations
+        Each station's power along all of them.
+    told
+        What measurements of it along them tell.
+    """
+
+    at: StepContext
+    ways_m: NDArray[np.float64]
+    stations: Sequence[WayBatch]
+    told: Sequence[ToldBatch]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of paths, and of steps."""
+        return self.stations[0].shape
+
+    @cached_property
+    def each(self) -> list[Prediction]:
+        """Each station's power at every place, those of a path together; ``(c N,)``."""
+        return [batch.power for batch in self.stations]
+
+    @cached_property
+    def power(self) -> Prediction:
+        """Power that connectivity rests on at every place; ``(c N,)``."""
+        return self.at.law(self.each)
+
+    @cached_property
+    def chance(self) -> NDArray[np.float64]:
+        """Probability of a connection after every step; ``(c, N)``."""
+        found = connection_probability(
+            self.power.mean_db, self.power.deviation_db, self.at.thresholds_dbm[0]
+        )
+        return found.reshape(self.shape)
+
+    @cached_property
+    def legs_m(self) -> NDArray[np.float64]:
+        """Lengths of the steps of every path, ``(c, N)``."""
+        return legs_m(self.at, self.ways_m)
+
+
+def legs_m(at: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lengths of the steps of paths ``(c, N, 2)`` from where the robot is; (c, N)."""
+    ends = np.concatenate([np.broadcast_to(at.position_m, (len(ways_m), 1, 2)), ways_m], axis=1)
+    return np.linalg.norm(np.diff(ends, axis=1), axis=2)
+
+
+@dataclass(frozen=True, eq=False)
+class NearStation:
+    """One station's channel near a path, and the places where its map is wanted."""
+
+    posterior: ChannelPosterior
+    channel: LocalChannel
+    grid: LocalGrid | None
+
+    @property
+    def required_grid(self) -> LocalGrid:
+        """The places where the map is wanted, for terms that average it."""
+        if self.grid is None:
+            raise AssertionError("the spatial average needs a grid")
+        return self.grid
+
+
+@dataclass(frozen=True, eq=False)
+class NearPath:
+    """One path of a solver, near the path that it began from.
+
+    Attributes
+    ----------
+    at
+        What is known.
+    places_m
+        ``(N, 2)`` places after each step.
+    power, each
+        Power that connectivity rests on at every stage, and each station's; None and empty where
+        no term needs it and nothing is asked of connectivity.
+    joint
+        Each station's channel near the path, where places share measurements.
+    gates
+        How much of a measurement each place brings; None where no term measures.
+    ahead
+        ``(N,)`` number of the turn of the steered path that each place goes to; None if nothing
+        steers.
+    tried
+        ``(N,)`` which places are tries for connection; None where no term tries.
+    """
+
+    at: StepContext
+    places_m: NDArray[np.float64]
+    power: StagePower | None
+    each: Sequence[StagePower]
+    joint: Sequence[NearStation]
+    gates: Gates | None
+    ahead: NDArray[np.intp] | None
+    tried: NDArray[np.bool_] | None
+
+    @property
+    def stage_power(self) -> StagePower:
+        """Power that connectivity rests on, for terms that need it."""
+        if self.power is None:
+            raise AssertionError("the term needs predictions of the stages")
+        return self.power
+
+    @property
+    def rounding_m(self) -> float:
+        """Lengths are rounded within this of zero."""
+        return LENGTH_ROUNDING_SHARE * self.at.step_length_m
+
+
+class NodeChannel(Protocol):
+    """Predictions of one station's power at the nodes of a lattice."""
+
+    @property
+    def mean_db(self) -> NDArray[np.float64]:
+        """``(ny, nx)``."""
+        ...
+
+    @property
+    def deviation_db(self) -> NDArray[np.float64]:
+        """``(ny, nx)``."""
+        ...
+
+    @property
+    def trend(self) -> NDArray[np.float64]:
+        """``(ny, nx, 2)`` regressors of the path loss less what measurements say of them."""
+        ...
+
+
+class Nodes(Protocol):
+    """Predictions at the nodes of a lattice."""
+
+    @property
+    def grid_m(self) -> NDArray[np.float64]:
+        """``(ny, nx, 2)`` positions of the nodes."""
+        ...
+
+    @property
+    def stations(self) -> Sequence[NodeChannel]:
+        """Each station's own predictions at the nodes."""
+        ...
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the nodes within reach."""
+        ...

@@ -1,8 +1,8 @@
 """How long steps take under a deadline, over the library's motion problems.
 
 ``python benchmarks/step_deadlines.py --budget 0.5 --seeds 1 --log FILE`` drives each problem with a
-deadline and without, appends a line a run to the log, and prints the table. The log is a cache: runs
-that it has are not driven again. Times are wall times: run it on an idle machine.
+deadline and without, appends a line a run to the log, and prints the table. The log is a cache:
+runs that it has are not driven again. Times are wall times: run it on an idle machine.
 """
 
 from __future__ import annotations

@@ -87,6 +87,8 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             tables.planner.neighbours,
             tables.planner.max_steps,
             tables.planner.budget_s,
+            tables.planner.coordination,
+            tables.planner.rounds,
         ),
         file=file,
         report=ReportSettings(tables.report.figures),

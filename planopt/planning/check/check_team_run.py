@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,7 @@ from planopt.planning.team.team_tables import (
     target_table,
 )
 from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.pending import counts_others, places_of_others
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import braked_motion
@@ -225,6 +226,11 @@ def _driven(
         here, residual = states[step - 1], released.kkt_residual
         judgement = judge(own, index, posterior, here, path, residual, circumstances, drive)
         aim = aim_again(released.aim, aim_of(watch, number, own.planner.horizon))
+        if counts_others(saved.problem):
+            tracks = [made.positions_m[1:step] for made in saved.steps]
+            aim = replace(
+                aim, pending=replace(aim.pending, driven_m=places_of_others(tracks, number))
+            )
         worth = worth_again(own, posterior, path, aim, region, circumstances, index)
         plan = rebuilt_plan(own, path, judgement, released, Effort(), worth, drive=drive)
         where = f"{key}[{step - 1}]"

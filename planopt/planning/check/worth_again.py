@@ -56,5 +56,6 @@ def worth_again(
         steering,
         aim.information,
         circumstances=circumstances,
+        pending=aim.pending,
     )
     return PathWorth(at)(path_m[1:])

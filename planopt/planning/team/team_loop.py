@@ -96,6 +96,7 @@ def simulate_team(
                 for number, member in enumerate(crew)
             ],
             warm=[made[-1] if made else None for made in plans],
+            driven_m=[np.array(driven)[1:, :2] for driven in states],
         )
         for number, (plan, aim) in enumerate(
             zip(*plan_together(problem, crew, moment), strict=True)

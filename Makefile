@@ -1,6 +1,7 @@
 # make demo   the main job, end to end, with pictures in demo/
 # make test   everything that is checked: style, types, imports, tests with coverage
 # make bench  the benchmarks        make docs   the documentation in docs/_build/html
+# make regression  the fast share of the solver regression suite
 # make pictures  the pictures of README and documentation, drawn again
 # make clean  removes what these make, .venv included
 #
@@ -21,7 +22,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: demo test lint types imports tests bench docs pictures clean
+.PHONY: demo test lint types imports tests bench regression docs pictures clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -64,6 +65,9 @@ tests: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-bench
 	$(BIN)/python -m pytest benchmarks --benchmark-sort=name $(BENCH_OPTIONS)
 
+regression: $(VENV)/.installed
+	$(BIN)/planopt bench check --workers $(WORKERS)
+
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
@@ -71,8 +75,10 @@ docs: $(VENV)/.installed-docs
 # A run that is not verified throughout, or does not arrive, has a picture as well.
 pictures: $(VENV)/.installed
 	@for name in munich_courier crowded_track; do \
-		$(BIN)/planopt simulate $$name --out build/$$name || case $$? in 3|4) ;; *) exit 1 ;; esac; \
-		cp build/$$name/run.png docs/pictures/$$name.png; done
+		$(BIN)/planopt simulate $$name --animation --out build/$$name \
+			|| case $$? in 3|4) ;; *) exit 1 ;; esac; \
+		cp build/$$name/run.png docs/pictures/$$name.png; \
+		cp build/$$name/run.gif docs/pictures/$$name.gif; done
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist .coverage .coverage.* .pytest_cache .ruff_cache .benchmarks \

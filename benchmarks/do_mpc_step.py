@@ -69,8 +69,9 @@ class DoMpcStep:
         self._mpc.bounds["lower", "_x", "at"] = np.array([x_min, y_min])
         self._mpc.bounds["upper", "_x", "at"] = np.array([x_max, y_max])
         self._mpc.set_nl_cons("speed", ca.sumsqr(move), ub=problem.step_length_m**2)
-        z = bound_quantile(problem.constraints.p_min)
-        self._mpc.set_nl_cons("bound", z * deviation + radio.threshold_dbm - mean, ub=0.0)
+        if problem.constraints.p_min > 0.0:
+            z = bound_quantile(problem.constraints.p_min)
+            self._mpc.set_nl_cons("bound", z * deviation + radio.threshold_dbm - mean, ub=0.0)
         for number, obstacle in enumerate(problem.workspace.obstacles):
             corners = np.asarray(obstacle.polygon.exterior.coords)[:-1]
             centre = corners.mean(axis=0)
@@ -101,6 +102,16 @@ class DoMpcStep:
         wall, cpu = perf_counter() - wall, process_time() - cpu
         stages = self._mpc.opt_x_num["_x", :, 0, 0]
         return wall, cpu, np.array([np.asarray(place).ravel() for place in stages])[1:]
+
+    @property
+    def status(self) -> str:
+        """What IPOPT says of the last solve."""
+        return str(self._mpc.solver_stats["return_status"])
+
+    @property
+    def iterations(self) -> int:
+        """Its iterations."""
+        return int(self._mpc.solver_stats["iter_count"])
 
 
 def _power(situation: Situation, place: Any) -> tuple[Any, Any]:

@@ -1,6 +1,7 @@
 """Public names of planopt; each is imported from its module when it is first used."""
 
 from planopt import channel as channel
+from planopt import objectives as objectives
 from planopt.channel.belief import Belief as Belief
 from planopt.channel.estimation.fit import fit_channel as fit_channel
 from planopt.channel.logs.log_file import read_log as read_log
@@ -20,10 +21,29 @@ from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.solution import Solution as Solution
 from planopt.planning.solve import solve as solve
 from planopt.planning.team.team_run import TeamRun as TeamRun
-from planopt.problems.casadi_term import casadi_term as casadi_term
+from planopt.problems.base_station import BaseStation as BaseStation
+from planopt.problems.channel_setup import ArrayTruth as ArrayTruth
+from planopt.problems.channel_setup import ChannelSetup as ChannelSetup
+from planopt.problems.channel_setup import FunctionTruth as FunctionTruth
+from planopt.problems.channel_setup import LoggedMeasurements as LoggedMeasurements
+from planopt.problems.channel_setup import ModelTruth as ModelTruth
+from planopt.problems.channel_setup import RasterTruth as RasterTruth
+from planopt.problems.channel_setup import SampledMeasurements as SampledMeasurements
+from planopt.problems.connectivity_rule import ConnectivityRule as ConnectivityRule
+from planopt.problems.constraints import Constraints as Constraints
 from planopt.problems.library import list_problems as list_problems
 from planopt.problems.load import load as load
+from planopt.problems.planner_kinds import PlannerKind as PlannerKind
+from planopt.problems.planner_kinds import register_planner as register_planner
 from planopt.problems.problem import Problem as Problem
+from planopt.problems.robot import Robot as Robot
+from planopt.problems.settings import PlannerSettings as PlannerSettings
 from planopt.problems.systems import SystemProblem as SystemProblem
 from planopt.problems.systems import load_system as load_system
+from planopt.problems.target import Target as Target
 from planopt.studies.compare import compare_horizons as compare_horizons
+from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle
+from planopt.world.obstacle_sources import obstacles_from as obstacles_from
+from planopt.world.occupancy_grid import OccupancyGrid as OccupancyGrid
+from planopt.world.workspace import Obstacle as Obstacle
+from planopt.world.workspace import Workspace as Workspace

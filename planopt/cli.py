@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from planopt.commands.bench import bench
 from planopt.commands.check import check
 from planopt.commands.compare import compare
 from planopt.commands.fit import fit
@@ -43,6 +44,7 @@ app.command()(compare)
 app.command()(fit)
 app.command("map")(map_log)
 app.command()(check)
+app.add_typer(bench, name="bench")
 app.command()(schema)
 app.command()(init)
 app.command("show")(show_problem)

@@ -27,7 +27,8 @@ def lazy_names(
     package, file
         ``__name__`` and ``__file__`` of the package.
     former
-        Former public names, accepted with a warning, and the names that replace them.
+        Former public names, accepted with a warning, and the names that replace them; with a dot
+        those of other packages.
     moved_to
         A package that has public names which `package` had formerly; accepted with a warning.
     """
@@ -68,7 +69,7 @@ def _replacement(
 ) -> str | None:
     """Return the full name that replaces a former one; None if it never was a name."""
     if name in former:
-        return f"{package}.{former[name]}"
+        return former[name] if "." in former[name] else f"{package}.{former[name]}"
     # Python and its tools ask any module for names with underscores.
     if moved_to is None or name.startswith("_"):
         return None

@@ -39,3 +39,6 @@ OutOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
 ]
+AnimationOption = Annotated[
+    bool, typer.Option("--animation", help="Save the run as an animation too, run.gif in --out.")
+]

@@ -50,6 +50,13 @@ def picture_team_run(run: TeamRun, folder: Path) -> None:
     save_figure(draw_team_run(run), folder / "run.png")
 
 
+def animate(run: Simulation | TeamRun, folder: Path) -> None:
+    """The run step by step."""
+    from planopt.report.animation import save_animation
+
+    save_animation(run, folder / "run.gif")
+
+
 def picture_team_plan(
     problem: Problem,
     plans: Sequence[Plan],

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planopt.commands.options import (
+    AnimationOption,
     CalibrationOption,
     CostToGoOption,
     HorizonOption,
@@ -17,6 +18,7 @@ from planopt.commands.options import (
     ProblemArgument,
     SeedOption,
 )
+from planopt.errors import InputError
 
 if TYPE_CHECKING:
     from planopt.problems.problem import Problem
@@ -30,7 +32,7 @@ class Asked:
     ----------
     problem
         With horizon, planner, cost to go and calibration as asked for.
-    seed, out, json
+    seed, out, json, animation
         The options of these names.
     """
 
@@ -38,6 +40,12 @@ class Asked:
     seed: int
     out: Path | None
     json: bool
+    animation: bool = False
+
+    @property
+    def has_pictures(self) -> bool:
+        """Whether pictures or an animation follow the numbers."""
+        return self.problem.report.figures or self.animation
 
 
 def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
@@ -53,37 +61,94 @@ def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
         out: OutOption = None,
         json: JsonOption = False,
     ) -> int:
-        from planopt.problems.overrides import with_overrides
-        from planopt.problems.systems import Request, SystemProblem, load_any
+        overrides = Overrides(horizon, planner, cost_to_go, calibration)
+        return _answered(answer, problem, overrides, seed, out, json=json)
 
-        found = load_any(problem)
-        if isinstance(found, SystemProblem):
-            from planopt.commands.systems import answer_command
-            from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
+    return _named(command, answer)
 
-            return answer_command(
-                found,
-                answer.__name__,
-                Request(
-                    seed,
-                    () if horizon is None else (horizon,),
-                    () if planner is None else (planner,),
-                ),
-                out=out,
-                json=json,
-                replaced=PLAN_OR_RUN,
-                file=PLAN_FILE if answer.__name__ == "solve" else RUN_FILE,
-                not_for_it={"--cost-to-go": cost_to_go, "--calibration": calibration},
-            )
-        asked = with_overrides(
-            found,
-            horizon=horizon,
-            planner=planner,
-            cost_to_go=cost_to_go,
-            calibration=calibration,
+
+def driving_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
+    """A planning command that drives a run, which can be animated."""
+
+    def command(
+        problem: ProblemArgument,
+        horizon: HorizonOption = None,
+        planner: PlannerOption = None,
+        cost_to_go: CostToGoOption = None,
+        calibration: CalibrationOption = None,
+        seed: SeedOption = 0,
+        out: OutOption = None,
+        animation: AnimationOption = False,
+        json: JsonOption = False,
+    ) -> int:
+        overrides = Overrides(horizon, planner, cost_to_go, calibration)
+        return _answered(answer, problem, overrides, seed, out, json=json, animation=animation)
+
+    return _named(command, answer)
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """Settings of the problem that the command line replaces; None for the problem's own."""
+
+    horizon: int | None
+    planner: str | None
+    cost_to_go: str | None
+    calibration: str | None
+
+
+def _answered(
+    answer: Callable[[Asked], int],
+    problem: str,
+    overrides: Overrides,
+    seed: int,
+    out: Path | None,
+    *,
+    json: bool,
+    animation: bool = False,
+) -> int:
+    """Load what is asked about, and answer."""
+    from planopt.problems.overrides import with_overrides
+    from planopt.problems.systems import Request, SystemProblem, load_any
+
+    if animation and out is None:
+        raise InputError(
+            "an animation is saved in a folder", key="--animation", remedy="give --out"
         )
-        return answer(Asked(asked, seed, out, json))
+    found = load_any(problem)
+    if isinstance(found, SystemProblem):
+        from planopt.commands.systems import answer_command
+        from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
 
-    # Not functools.wraps: the signature that Typer reads is the one above.
+        return answer_command(
+            found,
+            answer.__name__,
+            Request(
+                seed,
+                () if overrides.horizon is None else (overrides.horizon,),
+                () if overrides.planner is None else (overrides.planner,),
+            ),
+            out=out,
+            json=json,
+            replaced=PLAN_OR_RUN,
+            file=PLAN_FILE if answer.__name__ == "solve" else RUN_FILE,
+            not_for_it={
+                "--cost-to-go": overrides.cost_to_go,
+                "--calibration": overrides.calibration,
+                "--animation": "run.gif" if animation else None,
+            },
+        )
+    asked = with_overrides(
+        found,
+        horizon=overrides.horizon,
+        planner=overrides.planner,
+        cost_to_go=overrides.cost_to_go,
+        calibration=overrides.calibration,
+    )
+    return answer(Asked(asked, seed, out, json, animation))
+
+
+def _named(command: Callable[..., int], answer: Callable[[Asked], int]) -> Callable[..., int]:
+    # Not functools.wraps: the signature that Typer reads is the command's.
     command.__name__, command.__doc__ = answer.__name__, answer.__doc__
     return command

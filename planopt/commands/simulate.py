@@ -13,7 +13,7 @@ from planopt.commands.output import (
     show,
     shown_number,
 )
-from planopt.commands.planning import Asked, planning_command
+from planopt.commands.planning import Asked, driving_command
 from planopt.commands.team import simulate_asked
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from planopt.planning.plan import Plan
 
 
-@planning_command
+@driving_command
 def simulate(asked: Asked) -> int:
     """Drive in the true channel. Exit code 0 all verified, 3 not all, 4 goal not reached."""
     from planopt.errors import NoPlanError
@@ -49,13 +49,16 @@ def simulate(asked: Asked) -> int:
             show(asked.json, data, f"{problem.name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            save_simulation(simulation, folder, pictures_follow=problem.report.figures)
+            save_simulation(simulation, folder, pictures_follow=asked.has_pictures)
         show(asked.json, simulation_json(simulation), _in_words(simulation))
-        with drawing(folder, PLAN_OR_RUN, wanted=problem.report.figures) as new:
+        with drawing(folder, PLAN_OR_RUN, wanted=asked.has_pictures) as new:
             if new is not None:
-                from planopt.commands.pictures import picture_simulation
+                from planopt.commands.pictures import animate, picture_simulation
 
-                picture_simulation(simulation, new)
+                if problem.report.figures:
+                    picture_simulation(simulation, new)
+                if asked.animation:
+                    animate(simulation, new)
     return exit_code(simulation)
 
 

@@ -62,18 +62,20 @@ def simulate_asked(asked: Asked) -> int:
     from planopt.planning.loop.run import Outcome
     from planopt.planning.team.team_loop import simulate_team
 
-    figures = asked.problem.report.figures
     with results_folder(asked.out) as folder:
         with progress("driving, steps:", asked.problem.planner.max_steps) as advance:
             run = simulate_team(asked.problem, seed=asked.seed, on_step=lambda _: advance())
         if folder is not None:
-            save_team_run(run, folder, pictures_follow=figures)
+            save_team_run(run, folder, pictures_follow=asked.has_pictures)
         show(asked.json, team_run_json(run), _run_in_words(run))
-        with drawing(folder, PLAN_OR_RUN, wanted=figures) as new:
+        with drawing(folder, PLAN_OR_RUN, wanted=asked.has_pictures) as new:
             if new is not None:
-                from planopt.commands.pictures import picture_team_run
+                from planopt.commands.pictures import animate, picture_team_run
 
-                picture_team_run(run, new)
+                if asked.problem.report.figures:
+                    picture_team_run(run, new)
+                if asked.animation:
+                    animate(run, new)
     if run.runs[0].outcome is not Outcome.COMPLETED:
         return NOT_DONE
     return 0 if run.verified_rate == 1.0 else NOT_VERIFIED

@@ -1,1 +1,8 @@
-"""What a plan is worth."""
+"""Objectives: the terms of a sum that is to be maximised, their values and derivatives.
+
+Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+"""
+
+from planopt.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fields.truth import Truth, measure, model_truth, raster_truth
+from planopt.channel.fields.truth import (
+    Truth,
+    measure,
+    model_truth,
+    power_truth,
+    raster_truth,
+)
 from planopt.channel.logs.log_file import read_log
 from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
-from planopt.problems.channel_setup import LoggedMeasurements, ModelTruth, RasterTruth
+from planopt.problems.channel_setup import (
+    ArrayTruth,
+    FunctionTruth,
+    LoggedMeasurements,
+    ModelTruth,
+    RasterTruth,
+    SampledMeasurements,
+)
 from planopt.problems.problem import Problem
 from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.world.clearance import clearance_m, index_obstacles
+from planopt.world.raster import cell_centres_m
 from planopt.world.raster_files import read_raster
+
+GivenMeasurements = Measurements | Table | Sequence[Measurements | Table]
+"""First measurements that a user gives: a table, or one for each station."""
 
 LARGEST_GAIN_DB = 500.0
 """Path gains of maps are within this of 0 dB, as those of problem files."""
@@ -55,7 +73,7 @@ class Given:
         return tuple(given.truth for given in self.stations if given.truth is not None)
 
 
-def draw(problem: Problem, seed: int) -> Given:
+def draw(problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None) -> Given:
     """Draw the truth, and take or read the first measurements.
 
     Parameters
@@ -65,6 +83,8 @@ def draw(problem: Problem, seed: int) -> Given:
     seed
         Fixes the fading and the measured places; streams of their own, so that more measurements
         leave the fading as it was, and more stations all that there was.
+    measurements
+        First measurements of each station, in place of those that the problem names.
 
     Raises
     ------
@@ -83,9 +103,19 @@ def draw(problem: Problem, seed: int) -> Given:
         for station, stream in enumerate(fading_seeds)
     ]
     setup = problem.channel.measurements
-    if isinstance(setup, LoggedMeasurements):
+    if measurements is not None:
+        measured = list(measurements)
+    elif isinstance(setup, LoggedMeasurements):
         measured = [_read_log(log_of(setup, radio)) for radio in problem.stations]
     else:
+        if setup.count == 0:
+            raise InputError(
+                "there are no first measurements",
+                file=problem.file,
+                key="channel.measurements",
+                remedy="give measurements= to solve, simulate or Planner, or a count or a log to "
+                "the problem's channel",
+            )
         places = free_places(problem, setup.count, np.random.default_rng(places_seed))
         measured = [_measured(problem, truth, places) for truth in truths]
     stations = [Given(*both) for both in zip(truths, measured, strict=True)]
@@ -143,7 +173,105 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
             generator,
             setup.multipath,
         )
+    if isinstance(setup, ArrayTruth | FunctionTruth):
+        return _given_truth(problem, setup, station)
     return None
+
+
+def _given_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: int) -> Truth:
+    """Return the truth of a station from arrays or from a function of places."""
+    if isinstance(setup, ArrayTruth):
+        x, y, values = (
+            _numbers(key, array)
+            for key, array in (
+                ("x_m", setup.x_m),
+                ("y_m", setup.y_m),
+                ("power_dbm", setup.power_dbm),
+            )
+        )
+        several = values.ndim == 3
+    else:
+        x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+        x = cell_centres_m(x_min, x_max, setup.cell_m)
+        y = cell_centres_m(y_min, y_max, setup.cell_m)
+        places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        values = _numbers("power_dbm", setup.power_dbm(places))
+        several = values.ndim == 2
+        if values.shape[-1:] != (len(places),):
+            raise InputError(
+                f"returned shape {values.shape} for {len(places)} places",
+                key="channel.truth.power_dbm",
+                remedy="return a power for each place, (n,) or (stations, n)",
+            )
+        values = values.reshape(*values.shape[:-1], len(y), len(x))
+    if several != (len(problem.stations) > 1) or (several and len(values) != len(problem.stations)):
+        raise InputError(
+            f"has powers of shape {values.shape} for {len(problem.stations)} stations",
+            key="channel.truth.power_dbm",
+            remedy="give one map for each station, the first axis counting them",
+        )
+    return power_truth(x, y, values[station] if several else values, setup.floor_dbm)
+
+
+def _numbers(key: str, values: object) -> NDArray[np.float64]:
+    """Return an array of numbers, or say under which key there is none."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(
+            "is no array of numbers", key=f"channel.truth.{key}", remedy="give numbers"
+        ) from None
+
+
+def with_measurements(
+    problem: Problem, measurements: GivenMeasurements | None
+) -> tuple[Problem, tuple[Measurements, ...] | None]:
+    """Return a problem without first measurements of its own, and those that a user gave.
+
+    Without any, the problem as it is and None. Parameters and errors are those of
+    :func:`measurements_by_station`.
+    """
+    if measurements is None:
+        return problem, None
+    given = measurements_by_station(problem, measurements)
+    bare = tuple(
+        replace(station, log_file=None, power_column=None, censored_column=None)
+        for station in problem.stations
+    )
+    channel = replace(problem.channel, measurements=SampledMeasurements())
+    return replace(problem, stations=bare, channel=channel), given
+
+
+def measurements_by_station(
+    problem: Problem, measurements: GivenMeasurements
+) -> tuple[Measurements, ...]:
+    """Return measurements that a user gave, one table for each station.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    measurements
+        Measurements or a table of them (:func:`planopt.channel.as_measurements`); of several
+        stations a sequence with one for each, in the problem's order.
+
+    Raises
+    ------
+    InputError
+        There are not as many as stations, or something is no table of measurements.
+    """
+    if isinstance(measurements, Sequence):
+        tables = list(measurements)
+    else:
+        tables = [measurements]
+    if len(tables) != len(problem.stations):
+        raise InputError(
+            f"measurements of {len(tables)} stations were given, the problem has "
+            f"{len(problem.stations)}",
+            key="measurements",
+            remedy="give a sequence with one table for each station, in the problem's order",
+        )
+    return tuple(as_measurements(table) for table in tables)
 
 
 def free_places(

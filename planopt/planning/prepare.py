@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
+from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.given import draw
 from planopt.planning.loop.learn import learn_stations
@@ -37,7 +39,9 @@ class Prepared:
 
 
 @one_blas_thread()
-def prepare(problem: Problem, seed: int) -> Prepared:
+def prepare(
+    problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
+) -> Prepared:
     """Draw the truth, take or read the first measurements, fit the channel, condition on them.
 
     Parameters
@@ -46,11 +50,13 @@ def prepare(problem: Problem, seed: int) -> Prepared:
         The problem.
     seed
         Of the fading and of the measured places.
+    measurements
+        First measurements of each station, in place of those that the problem names.
 
     Raises
     ------
     InputError
         As :func:`planopt.planning.given.draw`.
     """
-    given = draw(problem, seed)
+    given = draw(problem, seed, measurements)
     return Prepared(given.truth, learn_stations(problem, given), given.truths[1:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
+from planopt.planning.given import GivenMeasurements, with_measurements
 from planopt.planning.history import BEGINNING
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.prepare import prepare
@@ -26,6 +27,7 @@ def solve(
     planner: str | None = None,
     cost_to_go: str | None = None,
     seed: int = 0,
+    measurements: GivenMeasurements | None = None,
 ) -> Solution:
     """Plan `horizon` steps ahead from the start, for each robot.
 
@@ -41,6 +43,10 @@ def solve(
     seed
         Of the ground truth's fading, the measured places, the first estimate of a target, and of
         planners that draw.
+    measurements
+        First measurements in place of those that the problem names: :class:`planopt.Measurements`
+        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
+        stations a sequence with one for each.
 
     Raises
     ------
@@ -49,10 +55,11 @@ def solve(
     NoPlanError
         Obstacles cut the goal off.
     """
+    problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     # An unreachable goal is found out before the files of the channel are read.
     scene = build_scene(problem) if problem.task == "reach" else None
-    return _solved(problem, prepare(problem, seed).belief, seed, scene)
+    return _solved(problem, prepare(problem, seed, given).belief, seed, scene)
 
 
 def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = None) -> Solution:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from planopt.channel.multipath.multipath_models import Rician
-from planopt.channel.parameters import Station
 from planopt.errors import InputError
+from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import (
     ChannelSetup,
     LoggedMeasurements,
@@ -16,7 +16,6 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.objective_forms import ReachObjective, TermsObjective
 from planopt.problems.problem import Problem
-from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import ProblemFile
 from planopt.problems.schema_channel import (
     ChannelTable,
@@ -64,34 +63,27 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
         channel=_channel(tables.channel, folder),
         robots=tuple(table.robot for table in tables.robots),
         stations=tuple(
-            RadioStation(
-                table.name,
-                Station(table.position_m, table.height_m),
-                table.transmit_power_dbm,
-                table.threshold_dbm,
-                None if table.gain_file is None else folder / table.gain_file,
-                table.gain_variable,
-                None if table.log_file is None else folder / table.log_file,
-                table.power_column,
-                table.censored_column,
+            BaseStation(
+                name=table.name,
+                position_m=table.position_m,
+                height_m=table.height_m,
+                transmit_power_dbm=table.transmit_power_dbm,
+                threshold_dbm=table.threshold_dbm,
+                gain_file=None if table.gain_file is None else folder / table.gain_file,
+                gain_variable=table.gain_variable,
+                log_file=None if table.log_file is None else folder / table.log_file,
+                power_column=table.power_column,
+                censored_column=table.censored_column,
             )
             for table in tables.stations
         ),
         objective=_objective(tables),
         targets=tuple(table.target for table in tables.targets),
         constraints=tables.constraints.constraints,
-        planner=PlannerSettings(
-            tables.planner.name,
-            tables.planner.horizon,
-            tables.planner.step_s,
-            tables.planner.neighbours,
-            tables.planner.max_steps,
-            tables.planner.budget_s,
-            tables.planner.coordination,
-            tables.planner.rounds,
-        ),
+        planner=PlannerSettings(**tables.planner.model_dump()),
         file=file,
         report=ReportSettings(tables.report.figures),
+        checked=True,
     )
 
 
@@ -138,19 +130,24 @@ def _truth(table: RasterTruthTable | ModelTruthTable, folder: Path) -> RasterTru
         multipath = None if table.rician_k is None else Rician(table.rician_k)
         if table.multipath is not None:
             multipath = table.multipath.law
-        return RasterTruth(folder / table.file, table.variable, table.floor_db, multipath)
+        return RasterTruth(
+            file=folder / table.file,
+            variable=table.variable,
+            floor_db=table.floor_db,
+            multipath=multipath,
+        )
     multipath = None if table.multipath is None else table.multipath.law
     # The schema lets exactly one of multipath and its deviation be absent.
     deviation = (table.multipath_std_db or 0.0) if multipath is None else multipath.std_db
     return ModelTruth(
-        table.k_pl_db,
-        table.n_pl,
-        table.shadow_std_db,
-        table.decorrelation_m,
-        deviation,
-        table.cell_m,
-        table.floor_db,
-        multipath,
+        k_pl_db=table.k_pl_db,
+        n_pl=table.n_pl,
+        shadow_std_db=table.shadow_std_db,
+        decorrelation_m=table.decorrelation_m,
+        multipath_std_db=deviation,
+        cell_m=table.cell_m,
+        floor_db=table.floor_db,
+        multipath=multipath,
     )
 
 

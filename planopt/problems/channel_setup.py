@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
+from planopt.plain_values import make_plain, part_of
 
 CalibrationName = Literal["none", "platt"]
 """How predicted probabilities of connection are calibrated."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RasterTruth:
     """The true channel as a raster of path gains, with seeded small-scale fading on top.
 
@@ -30,12 +35,15 @@ class RasterTruth:
     """
 
     file: Path
-    variable: str
+    variable: str = "path_gain_db"
     floor_db: float
-    multipath: Multipath | None
+    multipath: Multipath | None = None
+
+    def __post_init__(self) -> None:
+        make_plain(self, "file")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelTruth:
     """The true channel drawn from the channel model itself, for synthetic problems.
 
@@ -58,15 +66,80 @@ class ModelTruth:
     decorrelation_m: float
     multipath_std_db: float
     cell_m: float
-    floor_db: float | None
+    floor_db: float | None = None
     multipath: Multipath | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ArrayTruth:
+    """The true channel as arrays of received power. Saved results leave it out.
+
+    Attributes
+    ----------
+    x_m, y_m
+        ``(nx,)`` and ``(ny,)`` cell centres, ascending and evenly spaced.
+    power_dbm
+        ``(ny, nx)`` received power, or ``(stations, ny, nx)`` of several stations; NaN where
+        nothing arrives, for which a floor is needed.
+    floor_dbm
+        The receiver's floor: smaller powers are clipped to it and censored; None for none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from planopt import ArrayTruth
+    >>> x, y = np.arange(0.5, 100.0), np.arange(0.5, 60.0)
+    >>> truth = ArrayTruth(x_m=x, y_m=y, power_dbm=-40.0 - 0.3 * np.hypot(x, y[:, None]))
+    """
+
+    x_m: ArrayLike
+    y_m: ArrayLike
+    power_dbm: ArrayLike
+    floor_dbm: float | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FunctionTruth:
+    """The true channel as a function of the place. Saved results leave it out.
+
+    The function is evaluated once, at the centres of the cells that cover the workspace; a robot
+    receives the power of the cell that it is in.
+
+    Attributes
+    ----------
+    power_dbm
+        From places ``(n, 2)`` in metres to received power ``(n,)``, or ``(stations, n)`` of several
+        stations; NaN where nothing arrives, for which a floor is needed.
+    cell_m
+        Cell side.
+    floor_dbm
+        As in :class:`ArrayTruth`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from planopt import FunctionTruth
+    >>> truth = FunctionTruth(power_dbm=lambda places_m: -50.0 - 0.2 * places_m[:, 0], cell_m=0.5)
+    """
+
+    power_dbm: Callable[[NDArray[np.float64]], ArrayLike]
+    cell_m: float = 1.0
+    floor_dbm: float | None = None
+
+
+ChannelTruth = RasterTruth | ModelTruth | ArrayTruth | FunctionTruth
+"""Where the true channel comes from."""
 
 
 @dataclass(frozen=True)
 class SampledMeasurements:
-    """First measurements taken from the truth at `count` seeded random free places."""
+    """First measurements taken from the truth at `count` seeded random free places.
 
-    count: int
+    With a `count` of 0 none are taken: they are given to :func:`planopt.solve`,
+    :func:`planopt.simulate` or :class:`planopt.Planner`.
+    """
+
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -86,12 +159,15 @@ class LoggedMeasurements:
     """
 
     file: Path
-    columns: tuple[str, str, str]
-    censored_column: str | None
-    floor_dbm: float | None
+    columns: tuple[str, str, str] = ("x_m", "y_m", "power_dbm")
+    censored_column: str | None = None
+    floor_dbm: float | None = None
+
+    def __post_init__(self) -> None:
+        make_plain(self, "file")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ChannelSetup:
     """Where the truth and the first measurements come from and how the channel is fitted.
 
@@ -110,8 +186,22 @@ class ChannelSetup:
         How predicted probabilities of connection are calibrated on what was measured.
     """
 
-    truth: RasterTruth | ModelTruth | None
-    measurements: SampledMeasurements | LoggedMeasurements
-    fit_method: FitMethod
-    measure_spacing_m: float
+    truth: ChannelTruth | None = None
+    measurements: SampledMeasurements | LoggedMeasurements = field(
+        default_factory=SampledMeasurements
+    )
+    fit_method: FitMethod = "reml"
+    measure_spacing_m: float = 2.0
     calibration: CalibrationName = "none"
+
+    def __post_init__(self) -> None:
+        make_plain(self)
+        if self.truth is not None:
+            remedy = "give an ArrayTruth, a FunctionTruth, a RasterTruth or a ModelTruth"
+            part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
+        part_of(
+            "channel.measurements",
+            self.measurements,
+            cast("type[object]", SampledMeasurements | LoggedMeasurements),
+            "give SampledMeasurements or LoggedMeasurements; tables go to solve(measurements=)",
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from planopt.errors import InputError
-from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
+from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth, SampledMeasurements
 from planopt.problems.problem import Problem
 from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.world.raster_files import raster_ending
@@ -23,6 +23,13 @@ def check_files(problem: Problem) -> None:
         A station's map or its log of measurements is not a file.
     """
     truth, measurements = problem.channel.truth, problem.channel.measurements
+    if isinstance(measurements, SampledMeasurements) and measurements.count == 0:
+        raise InputError(
+            "is 0, should be greater than or equal to 1",
+            file=problem.file,
+            key="channel.measurements.count",
+            remedy="take some, or give the file of a log",
+        )
     for number, radio in enumerate(problem.stations):
         if isinstance(truth, RasterTruth):
             own = radio.gain_file is not None

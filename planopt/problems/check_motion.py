@@ -5,6 +5,8 @@ If it is moving at the start it must be able to stop: then there is always a cle
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from planopt.errors import InputError
@@ -25,7 +27,9 @@ def check_dynamics(problem: Problem) -> None:
         if dynamics is None:
             continue
         rest = dynamics.state_names[2:]
-        if len(robot.start_rest) != len(rest) or not np.isfinite(robot.start_rest).all():
+        given = robot.start_rest
+        numbers = all(isinstance(value, int | float) for value in cast("tuple[object]", given))
+        if len(given) != len(rest) or not numbers or not np.isfinite(given).all():
             raise InputError(
                 f"has the start_rest {list(robot.start_rest)}, should have finite numbers for "
                 f"{', '.join(rest)}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from planopt.errors import InputError
 from planopt.problems.problem import Problem
-from planopt.world.lattice import node_estimate
+from planopt.world.lattice_size import node_estimate
 
 NODE_BYTES, STAGE_BYTES = 1700, 8
 """Memory of a node of the lattice, and of a node at one stage of the horizon, as measured."""

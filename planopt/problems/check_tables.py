@@ -7,6 +7,8 @@ from dataclasses import replace
 from pydantic import ValidationError
 
 from planopt.errors import InputError, require_text
+from planopt.problems.check_motion import check_dynamics
+from planopt.problems.checks import check
 from planopt.problems.messages import input_error
 from planopt.problems.objective_forms import TermsObjective
 from planopt.problems.problem import Problem
@@ -16,6 +18,19 @@ from planopt.problems.schema import ProblemFile
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.unicycle import Unicycle
 from planopt.world.footprints import check_name
+
+
+def check_problem(problem: Problem) -> None:
+    """Raise the first fault of a problem: of its tables, or of several of them together.
+
+    Raises
+    ------
+    InputError
+        With the key of the problem file.
+    """
+    check_dynamics(problem)
+    check_tables(problem)
+    check(problem)
 
 
 def check_tables(problem: Problem) -> None:

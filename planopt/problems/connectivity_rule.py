@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from planopt.plain_values import make_plain
+
 ParameterUncertainty = Literal["path_loss", "all"]
 ConnectivityForm = Literal["each_step", "stated_times", "average", "joint", "outage", "data"]
 
@@ -48,6 +50,9 @@ class ConnectivityRule:
     slack_max_db: float | None = None
     slack_price: float = 0.0
     parameter_uncertainty: ParameterUncertainty = "path_loss"
+
+    def __post_init__(self) -> None:
+        make_plain(self)
 
     @property
     def is_plain(self) -> bool:

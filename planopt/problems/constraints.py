@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from planopt.plain_values import make_plain, part_of
 from planopt.problems.connectivity_rule import ConnectivityRule
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Constraints:
     """What every plan must keep.
 
@@ -25,11 +26,15 @@ class Constraints:
         Where, when or over what the connection is asked for; at each step unless it says else.
     """
 
-    p_min: float
-    clearance_m: float
-    goal_radius_m: float
+    p_min: float = 0.0
+    clearance_m: float = 1.0
+    goal_radius_m: float = 1.0
     separation_m: float = 0.0
     rule: ConnectivityRule = field(default_factory=ConnectivityRule)
+
+    def __post_init__(self) -> None:
+        make_plain(self)
+        part_of("constraints", self.rule, ConnectivityRule)
 
     @property
     def asks_connection(self) -> bool:

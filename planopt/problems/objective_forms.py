@@ -29,8 +29,8 @@ class ReachObjective:
         What a metre that is certainly out of contact costs besides, in metres (a number).
     """
 
-    effort_weight_s2_m2: float
-    cost_to_go: CostToGo
+    effort_weight_s2_m2: float = 0.1
+    cost_to_go: CostToGo = "connected"
     outage_price: float = 10.0
 
 

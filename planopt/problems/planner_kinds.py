@@ -43,6 +43,8 @@ class PlannerKind:
         Whether it has a global search, whose paths fall back on each other.
     solves
         Whether a solver runs: only then may a plan report its termination, iterations and residual.
+    version
+        Of a planner from outside: studies do not take results of another version from a record.
     """
 
     name: str
@@ -51,6 +53,7 @@ class PlannerKind:
     has_dynamics: bool = False
     searches: bool = False
     solves: bool = False
+    version: str = ""
 
     def maker(self) -> Callable[..., Any]:
         """Return what makes the planner.
@@ -161,7 +164,9 @@ def planner_kind(name: str) -> PlannerKind:
             key="planner.name",
             remedy="install what it needs, or name another planner",
         ) from None
-    return replace(found, name=name) if isinstance(found, PlannerKind) else PlannerKind(name, found)
+    kind = found if isinstance(found, PlannerKind) else PlannerKind(name, found)
+    package = getattr(point, "dist", None)
+    return replace(kind, name=name, version=kind.version or getattr(package, "version", ""))
 
 
 def names_with(trait: str) -> str:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
+from planopt.plain_values import part_of, parts_of
+from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective_forms import CostToGo, ReachObjective, Term, TermsObjective
-from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.target import Target
@@ -19,22 +21,60 @@ from planopt.world.workspace import Workspace
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Problem:
     """Everything that defines one planning problem.
 
-    Attributes
+    A problem is checked when it is made, as strictly as a problem file. One that
+    :func:`dataclasses.replace` makes of it is checked when it is solved or simulated.
+
+    Parameters
     ----------
-    name, description
-        For people.
+    robots, stations
+        At least one of each.
     workspace
         Bounds and obstacles.
-    channel, robots, stations, objective, constraints, planner
-        The tables of the problem file.
+    planner
+        Duration of a step, horizon and further settings.
+    objective
+        A :class:`planopt.objectives.ReachObjective`, or terms of :mod:`planopt.objectives` to be
+        maximised, of which the first says what the task is. By default the goal of the robot is to
+        be reached.
+    constraints
+        What every plan must keep.
+    channel
+        Ground truth, first measurements and fit. Without ground truth a problem can be solved, not
+        simulated; without first measurements they are given to :func:`planopt.solve`.
+    targets
+        The target, where an objective tracks one.
+    name, description
+        For people and file names.
+    report
+        What is drawn.
     file
         Where it was read from, for messages; None if made in Python.
-    report, targets
-        The tables of these names.
+    checked
+        Whether it has been checked already.
+
+    Raises
+    ------
+    InputError
+        Something is not allowed; the error names the key of the problem file.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> problem = planopt.Problem(
+    ...     robots=planopt.Robot(start_m=(5, 5), goal_m=(35, 25), speed_max_m_s=2.0),
+    ...     stations=planopt.BaseStation(
+    ...         position_m=(20, 15), transmit_power_dbm=10.0, threshold_dbm=-70.0
+    ...     ),
+    ...     workspace=planopt.Workspace((0, 0, 40, 30)),
+    ...     constraints=planopt.Constraints(p_min=0.9),
+    ...     planner=planopt.PlannerSettings(step_s=1.0),
+    ... )
+    >>> problem.task
+    'reach'
     """
 
     name: str
@@ -42,13 +82,55 @@ class Problem:
     workspace: Workspace
     channel: ChannelSetup
     robots: tuple[Robot, ...]
-    stations: tuple[RadioStation, ...]
+    stations: tuple[BaseStation, ...]
     objective: ReachObjective | TermsObjective
     constraints: Constraints
     planner: PlannerSettings
-    file: Path | None = None
-    report: ReportSettings = field(default_factory=ReportSettings)
-    targets: tuple[Target, ...] = ()
+    file: Path | None
+    report: ReportSettings
+    targets: tuple[Target, ...]
+    checked: bool = field(repr=False, compare=False)
+
+    def __init__(
+        self,
+        *,
+        robots: Robot | Iterable[Robot],
+        stations: BaseStation | Iterable[BaseStation],
+        workspace: Workspace,
+        planner: PlannerSettings,
+        objective: ReachObjective | TermsObjective | Term | Sequence[Term] | None = None,
+        constraints: Constraints | None = None,
+        channel: ChannelSetup | None = None,
+        targets: Target | Iterable[Target] = (),
+        name: str = "problem",
+        description: str = "",
+        report: ReportSettings | None = None,
+        file: Path | None = None,
+        checked: bool = False,
+    ) -> None:
+        parts: dict[str, Any] = {
+            "name": name,
+            "description": description,
+            "workspace": part_of("world", workspace, Workspace),
+            "channel": part_of("channel", channel or ChannelSetup(), ChannelSetup),
+            "robots": parts_of("robots", robots, Robot),
+            "stations": parts_of("stations", stations, BaseStation),
+            "objective": _objective(objective),
+            "constraints": part_of("constraints", constraints or Constraints(), Constraints),
+            "planner": part_of("planner", planner, PlannerSettings),
+            "file": file,
+            "report": part_of("report", report or ReportSettings(), ReportSettings),
+            "targets": parts_of("targets", targets, Target),
+            # Copies by dataclasses.replace take it over: they are not checked again and again.
+            "checked": True,
+        }
+        for key, value in parts.items():
+            object.__setattr__(self, key, value)
+        if not checked:
+            # The checks read problems, so that they cannot be imported before there are any.
+            from planopt.problems.check_tables import check_problem
+
+            check_problem(self)
 
     def __repr__(self) -> str:
         """Return the name, the task, and how many of everything there are."""
@@ -100,3 +182,16 @@ class Problem:
         if isinstance(self.objective, ReachObjective):
             return "reach"
         return cast("Task", self.objective.terms[0].task or "custom")
+
+
+def _objective(
+    given: ReachObjective | TermsObjective | Term | Sequence[Term] | None,
+) -> ReachObjective | TermsObjective:
+    """Return the objective that is given, as terms or by default a goal."""
+    if given is None:
+        return ReachObjective()
+    if isinstance(given, ReachObjective):
+        return given
+    terms = given.terms if isinstance(given, TermsObjective) else given
+    remedy = "give terms of planopt.objectives"
+    return TermsObjective(parts_of("objective.terms", terms, Term, remedy))

@@ -7,35 +7,49 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.plain_values import make_plain
 from planopt.robots.dynamics import Dynamics
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Robot:
     """One robot.
 
     Attributes
     ----------
-    name
-        What outputs call it.
     start_m
-        ``(x, y)`` in metres.
+        Start ``(x, y)`` in metres.
     goal_m
         Where it must go; None unless the task is to reach a goal.
     speed_max_m_s
         Largest speed; of a single integrator the input set is the disc of this radius.
+    name
+        Name in outputs.
     dynamics
         How it moves; None for the single integrator.
     start_rest
-        What its state at the start has beyond its place, in the order of ``dynamics.state_names``.
+        Components of its state at the start beyond its place, in the order of
+        ``dynamics.state_names``; all zero where they are left out.
+
+    Examples
+    --------
+    >>> from planopt import Robot
+    >>> Robot(start_m=(5.0, 5.0), goal_m=(90.0, 60.0), speed_max_m_s=2.0).name
+    'robot'
     """
 
-    name: str
     start_m: tuple[float, float]
-    goal_m: tuple[float, float] | None
+    goal_m: tuple[float, float] | None = None
     speed_max_m_s: float
+    name: str = "robot"
     dynamics: Dynamics | None = None
     start_rest: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        make_plain(self)
+        if self.dynamics is not None and not self.start_rest:
+            rest = (0.0,) * (len(self.dynamics.state_names) - 2)
+            object.__setattr__(self, "start_rest", rest)
 
     @property
     def start_state(self) -> NDArray[np.float64]:

@@ -15,11 +15,19 @@ from typing import Any, cast
 import shapely
 
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
-from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements, ModelTruth, RasterTruth
+from planopt.problems.base_station import BaseStation
+from planopt.problems.channel_setup import (
+    ArrayTruth,
+    ChannelSetup,
+    FunctionTruth,
+    LoggedMeasurements,
+    ModelTruth,
+    RasterTruth,
+    SampledMeasurements,
+)
 from planopt.problems.load import problem_from_tables
 from planopt.problems.objective_forms import Term
 from planopt.problems.problem import Problem
-from planopt.problems.radio_station import RadioStation
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.problems.schema_constraints import constraints_table
 from planopt.problems.schema_robot import robot_table
@@ -37,8 +45,9 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "fit": {"method": problem.channel.fit_method},
         "calibration": problem.channel.calibration,
     }
-    if problem.channel.truth is not None:
-        channel["truth"] = _truth(problem.channel.truth)
+    truth = problem.channel.truth
+    if isinstance(truth, RasterTruth | ModelTruth):
+        channel["truth"] = _truth(truth)
     return {
         "problem": {
             "schema": SCHEMA_VERSION,
@@ -135,7 +144,13 @@ def _multipath(law: Multipath) -> dict[str, Any]:
 
 
 def _measurements(channel: ChannelSetup) -> dict[str, Any]:
-    table = _plain(asdict(channel.measurements))
+    given = channel.measurements
+    if isinstance(given, SampledMeasurements) and isinstance(
+        channel.truth, ArrayTruth | FunctionTruth
+    ):
+        # What they were taken from is in no file.
+        given = SampledMeasurements()
+    table = _plain(asdict(given))
     if isinstance(channel.measurements, LoggedMeasurements):
         table["columns"] = dict(zip(("x", "y", "power"), table["columns"], strict=True))
     return {**table, "spacing_m": channel.measure_spacing_m}
@@ -145,10 +160,11 @@ STATION_FILES = ("gain_file", "gain_variable", "log_file", "power_column", "cens
 """What a station may have in place of the channel's."""
 
 
-def _station(station: RadioStation) -> dict[str, Any]:
+def _station(station: BaseStation) -> dict[str, Any]:
     return {
         "name": station.name,
-        **_plain(asdict(station.site)),
+        "position_m": list(station.position_m),
+        "height_m": station.height_m,
         "transmit_power_dbm": station.transmit_power_dbm,
         "threshold_dbm": station.threshold_dbm,
         **_plain({name: getattr(station, name) for name in STATION_FILES}),

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.problems.base_station import BaseStation
 from planopt.problems.planner_kinds import OWN, planner_names
 from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
@@ -20,7 +21,13 @@ from planopt.problems.schema_constraints import ConstraintsTable
 from planopt.problems.schema_objective import ObjectiveTable, TargetTable
 from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_world import WorldTable
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, Coordination, ReportSettings
+from planopt.problems.settings import (
+    MAX_HORIZON,
+    MIN_HORIZON,
+    Coordination,
+    PlannerSettings,
+    ReportSettings,
+)
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table
 from planopt.problems.task_faults import task_fault
 
@@ -48,10 +55,11 @@ class ProblemTable(Table):
 class StationTable(Table):
     """``[[stations]]``: a fixed station and its radio."""
 
-    name: Name = Field(default="station", description="What outputs call it.")
+    name: Name = Field(default=BaseStation.name, description="What outputs call it.")
     position_m: Pair = Field(description="Place [x, y] in metres; it may be outside the bounds.")
     height_m: Metres = Field(
-        default=0.0, description="Height of its antenna above the robots' antennas, in metres."
+        default=BaseStation.height_m,
+        description="Height of its antenna above the robots' antennas, in metres.",
     )
     transmit_power_dbm: Decibels = Field(
         description="Transmit power in dBm; received power is this plus the path gain."
@@ -103,22 +111,27 @@ class PlannerTable(Table):
     """``[planner]``: how plans are found."""
 
     name: Annotated[str, AfterValidator(_known_planner)] = Field(
-        default="auto",
+        default=PlannerSettings.name,
         examples=list(OWN),
         description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
         "programming), auto (the better of them, nlp), lattice (no polish), and for tasks other "
         "than reach one_step, random or lawnmower; or a planner that is registered.",
     )
-    horizon: int = Field(default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead (N).")
+    horizon: int = Field(
+        default=PlannerSettings.horizon,
+        ge=MIN_HORIZON,
+        le=MAX_HORIZON,
+        description="Steps ahead (N).",
+    )
     step_s: float = Field(gt=0, le=1e4, description="Duration of a step in seconds.")
     neighbours: int = Field(
-        default=48,
+        default=PlannerSettings.neighbours,
         ge=4,
         le=512,
         description="Measurements that the solver conditions each stage on (a number).",
     )
     max_steps: int = Field(
-        default=400,
+        default=PlannerSettings.max_steps,
         ge=1,
         le=100_000,
         description="A closed loop that has not arrived after this many steps ends.",
@@ -131,12 +144,12 @@ class PlannerTable(Table):
         "enough for its proof; left out: no limit.",
     )
     coordination: Coordination = Field(
-        default="joint",
+        default=PlannerSettings.coordination,
         description="For several robots: joint (each is told what the others plan to measure, and "
         "counts what it adds) or decoupled (each counts as if it were alone).",
     )
     rounds: int = Field(
-        default=1,
+        default=PlannerSettings.rounds,
         ge=1,
         le=10,
         description="How often the robots of a joint team plan in one step, in turn (a number); "

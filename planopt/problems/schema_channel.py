@@ -11,7 +11,12 @@ from planopt.channel.estimation.channel_fit import FitMethod, current_name
 from planopt.channel.multipath.multipath_field import MultipathKind, multipath_of
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.errors import InputError
-from planopt.problems.channel_setup import CalibrationName
+from planopt.problems.channel_setup import (
+    CalibrationName,
+    ChannelSetup,
+    LoggedMeasurements,
+    RasterTruth,
+)
 from planopt.problems.tables import Decibels, FileName, Table
 
 MIN_DEVIATION_DB = 0.001
@@ -59,7 +64,7 @@ class RasterTruthTable(Table):
         "NetCDF or GeoTIFF, by ending; relative to the problem file."
     )
     variable: str = Field(
-        default="path_gain_db", min_length=1, description="Name of the path gain in dB."
+        default=RasterTruth.variable, min_length=1, description="Name of the path gain in dB."
     )
     floor_db: Decibels = Field(
         description="The receiver's floor as a path gain in dB: what is below is clipped and "
@@ -123,10 +128,16 @@ class ModelTruthTable(Table):
 class ColumnsTable(Table):
     """``columns`` of a log: what its columns are called."""
 
-    x: str = Field(default="x_m", min_length=1, description="Column of x in metres.")
-    y: str = Field(default="y_m", min_length=1, description="Column of y in metres.")
+    x: str = Field(
+        default=LoggedMeasurements.columns[0], min_length=1, description="Column of x in metres."
+    )
+    y: str = Field(
+        default=LoggedMeasurements.columns[1], min_length=1, description="Column of y in metres."
+    )
     power: str = Field(
-        default="power_dbm", min_length=1, description="Column of received power in dBm."
+        default=LoggedMeasurements.columns[2],
+        min_length=1,
+        description="Column of received power in dBm.",
     )
 
 
@@ -135,9 +146,10 @@ class MeasurementsTable(Table):
 
     count: int | None = Field(
         default=None,
-        ge=1,
+        ge=0,
         le=100_000,
-        description="Number of first measurements, taken from the truth at seeded free places.",
+        description="Number of first measurements, taken from the truth at seeded free places; 0 "
+        "only in saved results, of first measurements that were given in Python.",
     )
     file: FileName | None = Field(
         default=None, description="CSV log of first measurements, relative to the problem file."
@@ -152,7 +164,7 @@ class MeasurementsTable(Table):
         default=None, description="Powers in the log at or below this many dBm are censored."
     )
     spacing_m: float = Field(
-        default=2.0,
+        default=ChannelSetup.measure_spacing_m,
         ge=0,
         le=1e6,
         description="On the way a robot measures only at this distance in metres from every "
@@ -179,7 +191,8 @@ class FitTable(Table):
     """``[channel.fit]``: how parameters are estimated."""
 
     method: FitMethod = Field(
-        default="reml", description="lemma1, capped, convex, nls or reml: docs/channel.md, Fit."
+        default=ChannelSetup.fit_method,
+        description="lemma1, capped, convex, nls or reml: docs/channel.md, Fit.",
     )
 
     @field_validator("method", mode="before")
@@ -197,7 +210,7 @@ class ChannelTable(Table):
     measurements: MeasurementsTable
     fit: FitTable = Field(default_factory=FitTable)
     calibration: CalibrationName = Field(
-        default="none",
+        default=ChannelSetup.calibration,
         description="How predicted probabilities of connection are calibrated: none (the normal "
         "law stands), or platt (Platt scaling on what was measured, on the way too).",
     )

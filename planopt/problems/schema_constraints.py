@@ -33,24 +33,27 @@ class ConstraintsTable(Table):
     """``[constraints]``: what every plan must keep."""
 
     p_min: float = Field(
-        default=0.0,
+        default=Constraints.p_min,
         ge=0,
         lt=1,
         description="Least probability of connection at every step where that is possible, or of "
         "what connectivity says; 0 asks for none. The task reach needs it above 0.",
     )
     clearance_m: float = Field(
-        default=1.0,
+        default=Constraints.clearance_m,
         ge=0,
         le=1e4,
         description="Least distance in metres of the swept path from every obstacle, moving ones "
         "included.",
     )
     goal_radius_m: float = Field(
-        default=1.0, gt=0, le=1e4, description="Distance in metres at which the goal is reached."
+        default=Constraints.goal_radius_m,
+        gt=0,
+        le=1e4,
+        description="Distance in metres at which the goal is reached.",
     )
     separation_m: float = Field(
-        default=0.0,
+        default=Constraints.separation_m,
         ge=0,
         le=1e4,
         description="Least distance in metres of any two robots at equal times, all the way; 0 "
@@ -145,11 +148,11 @@ class ConstraintsTable(Table):
     def constraints(self) -> Constraints:
         """The plain constraints."""
         return Constraints(
-            self.p_min,
-            self.clearance_m,
-            self.goal_radius_m,
-            self.separation_m,
-            ConnectivityRule(
+            p_min=self.p_min,
+            clearance_m=self.clearance_m,
+            goal_radius_m=self.goal_radius_m,
+            separation_m=self.separation_m,
+            rule=ConnectivityRule(
                 self.connectivity,
                 tuple(self.connected_times_s),
                 self.outage_max_m,

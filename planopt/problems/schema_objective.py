@@ -21,13 +21,13 @@ class ObjectiveTable(Table):
     """``[objective]``: to reach a goal, time plus effort; for other tasks a sum of terms."""
 
     effort_weight_s2_m2: float = Field(
-        default=0.1,
+        default=ReachObjective.effort_weight_s2_m2,
         ge=0,
         le=1e6,
         description="Weight of speed squared in the cost rate 1 + weight * speed^2, in s^2/m^2.",
     )
     cost_to_go: CostToGo = Field(
-        default="connected",
+        default=ReachObjective.cost_to_go,
         description="Beyond the horizon: geodesic (shortest path round the obstacles) or connected "
         "(cheapest path at the outage price).",
     )
@@ -48,20 +48,21 @@ class ObjectiveTable(Table):
 class TargetTable(Table):
     """``[[targets]]``: a moving target and what is known of it at the start."""
 
-    name: Name = Field(default="target", description="What outputs call it.")
+    name: Name = Field(default=Target.name, description="What outputs call it.")
     start_m: Pair = Field(description="Where it truly starts, [x, y] in metres.")
     velocity_m_s: Pair = Field(description="Its true velocity at the start, [x, y] in m/s.")
     acceleration_std_m_s2: Deviation = Field(
-        default=0.03, description="Deviation of its white acceleration along an axis, in m/s^2."
+        default=Target.acceleration_std_m_s2,
+        description="Deviation of its white acceleration along an axis, in m/s^2.",
     )
     position_std_m: float = Field(
-        default=1.0,
+        default=Target.position_std_m,
         ge=LEAST_STD,
         le=1e6,
         description="Deviation of its first estimated position, in m.",
     )
     velocity_std_m_s: float = Field(
-        default=0.3,
+        default=Target.velocity_std_m_s,
         ge=LEAST_STD,
         le=1e6,
         description="Deviation of its first estimated velocity, in m/s.",

@@ -37,7 +37,7 @@ LEAST_LIMIT = 1e-6
 class RobotTable(Table):
     """``[[robots]]``: one robot, how it moves, and where it must go."""
 
-    name: Name = Field(default="robot", description="What outputs call it.")
+    name: Name = Field(default=Robot.name, description="What outputs call it.")
     start_m: Pair = Field(description="Start [x, y] in metres.")
     goal_m: Pair | None = Field(
         default=None, description="Goal [x, y] in metres, for the task reach."
@@ -90,12 +90,12 @@ class RobotTable(Table):
     def robot(self) -> Robot:
         """The plain robot."""
         return Robot(
-            self.name,
-            self.start_m,
-            self.goal_m,
-            self.speed_max_m_s,
-            self._dynamics(),
-            self._start_rest(),
+            name=self.name,
+            start_m=self.start_m,
+            goal_m=self.goal_m,
+            speed_max_m_s=self.speed_max_m_s,
+            dynamics=self._dynamics(),
+            start_rest=self._start_rest(),
         )
 
     def _dynamics(self) -> Dynamics | None:

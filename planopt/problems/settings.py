@@ -5,17 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from planopt.plain_values import make_plain
+
 MIN_HORIZON, MAX_HORIZON = 1, 500
 
 Coordination = Literal["joint", "decoupled"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlannerSettings:
     """How plans are found.
 
     Attributes
     ----------
+    step_s
+        Duration of a step in seconds.
     name
         ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
         programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
@@ -23,8 +27,6 @@ class PlannerSettings:
         ``lawnmower``, or a planner from outside (:mod:`planopt.problems.planner_kinds`).
     horizon
         Steps ahead, N.
-    step_s
-        Duration of a step in seconds.
     neighbours
         Measurements that the solver conditions each stage on.
     max_steps
@@ -40,14 +42,17 @@ class PlannerSettings:
         proof; None for no limit.
     """
 
-    name: str
-    horizon: int
     step_s: float
-    neighbours: int
-    max_steps: int
+    name: str = "auto"
+    horizon: int = 10
+    neighbours: int = 48
+    max_steps: int = 400
     budget_s: float | None = None
     coordination: Coordination = "joint"
     rounds: int = 1
+
+    def __post_init__(self) -> None:
+        make_plain(self)
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
-from planopt.problems.radio_station import RadioStation
 
 
-def raster_truth_of(truth: RasterTruth, radio: RadioStation) -> RasterTruth:
+def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
     """The map of a station: the truth's, but for what the station has of its own."""
     return replace(
         truth,
@@ -17,7 +17,7 @@ def raster_truth_of(truth: RasterTruth, radio: RadioStation) -> RasterTruth:
     )
 
 
-def log_of(log: LoggedMeasurements, radio: RadioStation) -> LoggedMeasurements:
+def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
     """The log of a station: that of all stations, but for what it has of its own.
 
     Rows that a common log marks as censored are so for another station's power.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from planopt.plain_values import make_plain
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, kw_only=True)
 class Target:
     """A moving target and what is known of it at the start (equation 4.7).
 
@@ -21,9 +23,12 @@ class Target:
         Deviation of the first estimate of position and velocity along either axis (P_0).
     """
 
-    name: str
+    name: str = "target"
     start_m: tuple[float, float]
     velocity_m_s: tuple[float, float]
-    acceleration_std_m_s2: float
-    position_std_m: float
-    velocity_std_m_s: float
+    acceleration_std_m_s2: float = 0.03
+    position_std_m: float = 1.0
+    velocity_std_m_s: float = 0.3
+
+    def __post_init__(self) -> None:
+        make_plain(self)

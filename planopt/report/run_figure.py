@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.planning.loop.run import StepLog
 from planopt.planning.loop.simulation import Simulation
 from planopt.planning.loop.true_serving import true_serving_dbm
+from planopt.planning.team.team_run import TeamRun
 from planopt.report.maps import LAYER_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
 from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
@@ -45,7 +46,7 @@ def draw_run(simulation: Simulation) -> Figure:
     draw_ground(panel, problem.workspace, f"{spaced(run.outcome)}: {run.reason}")
     draw_layer(
         panel,
-        _true_power(simulation),
+        true_power(simulation),
         POWER_MAP,
         figure,
         "true power [dBm] (line: threshold)",
@@ -67,8 +68,8 @@ def draw_run(simulation: Simulation) -> Figure:
     return figure
 
 
-def _true_power(simulation: Simulation) -> Raster:
-    """The true power, of several stations the serving one's, on the first one's cells."""
+def true_power(simulation: Simulation | TeamRun) -> Raster:
+    """Return the true power, of several stations the serving one's, on the first one's cells."""
     raster = simulation.truth.raster
     if not simulation.further_truths:
         return raster

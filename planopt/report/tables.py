@@ -104,7 +104,7 @@ def reliability_lines(
     elif groups is not None:
         title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
     header = [heading for heading, _ in columns]
-    return [title, *_aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
+    return [title, *aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
 
 
 def _range(one: ReliabilityBin) -> str:
@@ -179,12 +179,12 @@ def _in_blocks(table: Sequence[Sequence[str]], words: int) -> list[str]:
     for block in blocks:
         height = max(len(heading) for heading, _ in block)
         padded = [[*[""] * (height - len(heading)), *heading, *below] for heading, below in block]
-        lines += ["", *_aligned(list(zip(*padded, strict=True)), words)]
+        lines += ["", *aligned(list(zip(*padded, strict=True)), words)]
     return lines[1:]
 
 
-def _aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
-    """Lines of columns two spaces apart, the first `words` to the left, the others right."""
+def aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
+    """Return columns two spaces apart, the first `words` to the left, the others to the right."""
     widths = [max(len(line[column]) for line in table) for column in range(len(table[0]))]
     return [
         "  ".join(

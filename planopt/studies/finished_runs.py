@@ -52,6 +52,16 @@ class FinishedRuns:
         except (InputError, ValueError, KeyError, TypeError, RecursionError):
             return None
 
+    def all(self, kind: type[Value]) -> list[Value]:
+        """Return every result of a type that is kept, whatever its key; damaged ones left out."""
+        found: list[Value] = []
+        for file in sorted(self.folder.glob("*.json")):
+            try:
+                found.append(decoded(kind, json.loads(read_text(file))["result"]))
+            except (InputError, ValueError, KeyError, TypeError, RecursionError):
+                continue
+        return found
+
     def keep(self, key: Mapping[str, Any], result: object) -> None:
         """Keep a result, whole or not at all.
 
@@ -83,7 +93,7 @@ def run_key(problem: Problem, seed: int) -> dict[str, Any]:
     """
     tables = problem_to_dict(problem)
     del tables["report"]
-    return {"problem": _with_contents(tables), "seed": seed, "program": dict(_program())}
+    return {"problem": _with_contents(tables), "seed": seed, "program": dict(program())}
 
 
 def _with_contents(value: Any, name: str = "") -> Any:
@@ -99,8 +109,8 @@ def _with_contents(value: Any, name: str = "") -> Any:
 
 
 @cache
-def _program() -> tuple[tuple[str, str], ...]:
-    """Versions, and a digest of the source: a checkout changes without its version."""
+def program() -> tuple[tuple[str, str], ...]:
+    """Return versions, and a digest of the source: a checkout changes without its version."""
     package = Path(__file__).parents[1]
     source = b"".join(path.read_bytes() for path in sorted(package.rglob("*.py")))
     return (

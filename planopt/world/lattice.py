@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.world.clearance import ObstacleIndex, index_obstacles, is_clear, segment_lines
-from planopt.world.lattice_moves import LONGEST_MOVE, MOVES, blocked_ways, near_pairs, open_moves
+from planopt.world.lattice_moves import MOVES, blocked_ways, near_pairs, open_moves
+from planopt.world.lattice_size import LONGEST_MOVE
 from planopt.world.workspace import Workspace
 
 __all__ = [
@@ -24,7 +25,6 @@ __all__ = [
     "build_lattice",
     "moves_from",
     "nearest_node",
-    "node_estimate",
     "node_positions",
 ]
 
@@ -99,13 +99,6 @@ def build_lattice(
     free = free.reshape(ny, nx)
     moves = open_moves(index, positions, free, near, clearance_m)
     return Lattice(origin, spacing, (ny, nx), free, moves)
-
-
-def node_estimate(workspace: Workspace, step_m: float) -> float:
-    """Return about how many nodes a lattice for steps of `step_m` has within the bounds."""
-    x_min, y_min, x_max, y_max = workspace.bounds_m
-    spacing = step_m / LONGEST_MOVE
-    return (x_max - x_min) / spacing * ((y_max - y_min) / spacing)
 
 
 def node_positions(lattice: Lattice) -> NDArray[np.float64]:

@@ -7,7 +7,6 @@ from it. Only ways that this bound leaves open are measured.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +22,6 @@ _FORWARD = (*_TESTED, *((2 * dx, 2 * dy) for dx, dy in _DOUBLED))
 MOVES: NDArray[np.int64] = np.array([(0, 0), *_FORWARD, *((-dx, -dy) for dx, dy in _FORWARD)])
 """(21, 2) the moves (dx, dy) with dx^2 + dy^2 <= 5; move k + 10 undoes move k, k = 1 to 10."""
 MOVES.flags.writeable = False
-
-LONGEST_MOVE = math.sqrt(5.0)
-"""Length of the longest move in spacings."""
 
 
 @dataclass(frozen=True)

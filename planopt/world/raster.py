@@ -80,10 +80,10 @@ def checked_raster(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     values: NDArray[np.float64],
-    path: Path,
+    path: Path | None,
     variable: str,
 ) -> Raster:
-    """The raster of arrays that were read from `path`.
+    """The raster of arrays that were read from `path`; None if they are from no file.
 
     Minus infinity, the decibels of nothing, becomes NaN.
 

@@ -99,7 +99,7 @@ def obstacle_from_wkt(name: str, text: str) -> Obstacle:
     InputError
         Not WKT, not exactly one polygon, or an invalid one.
     """
-    obstacles = list(_from_geometry(name, _parsed_wkt(name, text)))
+    obstacles = list(obstacles_of_geometry(name, _parsed_wkt(name, text)))
     if len(obstacles) != 1:
         raise InputError(
             f"{name}: {len(obstacles)} polygons in one obstacle",
@@ -112,7 +112,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
     """Obstacles of a file with one geometry over any number of lines, or with one a line."""
     whole = _tolerant_wkt(text)
     if whole is not None:
-        yield from _from_geometry(stem, whole)
+        yield from obstacles_of_geometry(stem, whole)
         return
     lines = [(row, line) for row, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if not lines:
@@ -120,7 +120,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
     for row, line in lines:
         name = stem if len(lines) == 1 else f"{stem} line {row}"
         try:
-            yield from _from_geometry(name, _parsed_wkt(name, line))
+            yield from obstacles_of_geometry(name, _parsed_wkt(name, line))
         except InputError as error:
             raise InputError(error.message, row=row, remedy=error.remedy) from error
 
@@ -159,7 +159,7 @@ def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
         ) from error
 
 
-def _from_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:
+def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:
     """Obstacles of a polygon or of a collection of polygons, numbered if there are several."""
     if isinstance(geometry, shapely.Polygon):
         exterior, *holes = (
@@ -170,7 +170,7 @@ def _from_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:
     elif isinstance(geometry, (shapely.MultiPolygon, shapely.GeometryCollection)):
         parts = shapely.get_parts(cast("shapely.Geometry", geometry))
         for part_name, part in _named_parts(name, list(parts)):
-            yield from _from_geometry(part_name, part)
+            yield from obstacles_of_geometry(part_name, part)
     else:
         raise InputError(f"{name}: a {type(geometry).__name__} is not an area", remedy=_AREAS)
 

@@ -39,4 +39,4 @@ def hand_made(form: str, p_min: float = 0.9, **rule: Any) -> Problem:
     """The hand-made problem of `scenes` under a rule."""
     problem = small_problem()
     asked = ConnectivityRule(form, **rule)
-    return replace(problem, constraints=Constraints(p_min, 0.5, 1.0, rule=asked))
+    return replace(problem, constraints=Constraints(p_min=p_min, clearance_m=0.5, rule=asked))

@@ -27,11 +27,11 @@ from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
+from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
-from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
 from planopt.world.lattice import build_lattice
@@ -99,16 +99,22 @@ def small_problem(
         description="",
         workspace=workspace_of(bounds_m, polygons),
         channel=ChannelSetup(
-            None,
-            LoggedMeasurements(Path("none.csv"), ("x_m", "y_m", "power_dbm"), None, None),
-            "reml",
-            1.0,
+            measurements=LoggedMeasurements(Path("none.csv")), measure_spacing_m=1.0
         ),
-        robots=(Robot("robot", start_m, goal_m, speed_max_m_s),),
-        stations=(RadioStation("station", Station((0.0, 15.0), 5.0), 0.0, threshold_dbm),),
+        robots=(Robot(start_m=start_m, goal_m=goal_m, speed_max_m_s=speed_max_m_s),),
+        stations=(
+            BaseStation(
+                position_m=(0.0, 15.0),
+                height_m=5.0,
+                transmit_power_dbm=0.0,
+                threshold_dbm=threshold_dbm,
+            ),
+        ),
         objective=ReachObjective(effort_weight_s2_m2, cost_to_go),
-        constraints=Constraints(p_min, clearance_m, goal_radius_m),
-        planner=PlannerSettings(planner, horizon, step_s, 32, max_steps),
+        constraints=Constraints(p_min=p_min, clearance_m=clearance_m, goal_radius_m=goal_radius_m),
+        planner=PlannerSettings(
+            name=planner, horizon=horizon, step_s=step_s, neighbours=32, max_steps=max_steps
+        ),
     )
 
 

@@ -164,9 +164,7 @@ def mirror(problem, situation, judge):
             ),
         ),
         robots=(replace(robot, start_m=robot.start_m[::-1], start_rest=rest),),
-        stations=(
-            replace(station, site=replace(station.site, position_m=station.site.position_m[::-1])),
-        ),
+        stations=(replace(station, position_m=station.position_m[::-1]),),
         targets=(
             replace(
                 target,

@@ -207,7 +207,13 @@ def test_mirrored_scene_gives_the_mirrored_plan():
     mirrored = replace(
         problem,
         robots=(replace(problem.robots[0], start_m=start),),
-        stations=(replace(problem.stations[0], site=parameters.station),),
+        stations=(
+            replace(
+                problem.stations[0],
+                position_m=parameters.station.position_m,
+                height_m=parameters.station.height_m,
+            ),
+        ),
     )
     there, belief = situation_of(problem)
     there = replace(

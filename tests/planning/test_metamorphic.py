@@ -11,7 +11,6 @@ from shapely import affinity
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
 from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -87,14 +86,15 @@ def scaled_problem(problem: Problem, by: float) -> Problem:
             term = replace(term, per_metre_j_m=term.per_metre_j_m / by)
         terms.append(term)
     robot, station = problem.robots[0], problem.stations[0]
-    site = Station(place(station.site.position_m), by * station.site.height_m)
     return replace(
         problem,
         workspace=Workspace(bounds, obstacles),
         robots=(
             replace(robot, start_m=place(robot.start_m), speed_max_m_s=by * robot.speed_max_m_s),
         ),
-        stations=(replace(station, site=site),),
+        stations=(
+            replace(station, position_m=place(station.position_m), height_m=by * station.height_m),
+        ),
         objective=replace(problem.objective, terms=tuple(terms)),
         constraints=replace(problem.constraints, clearance_m=by * problem.constraints.clearance_m),
         channel=replace(problem.channel, measure_spacing_m=by * problem.channel.measure_spacing_m),

@@ -83,6 +83,7 @@ def test_entry_points(monkeypatch) -> None:
         SimpleNamespace(name="broken", load=lambda: __import__("no_such_module")),
     ]
     monkeypatch.setattr(planner_kinds, "entry_points", lambda group: points)
+    monkeypatch.setattr(planner_kinds, "_registered", {})
     planner_kinds._installed.cache_clear()
     try:
         assert planner_names() == (*OWN, "mower", "east", "broken")

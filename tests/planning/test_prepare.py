@@ -20,6 +20,7 @@ from planopt.planning.prepare import prepare
 from planopt.problems.channel_setup import RasterTruth, SampledMeasurements
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters
+from planopt.world.workspace import Obstacle, Workspace
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +102,9 @@ def test_raster_truth(problem, tmp_path):
     truth = draw_truth(
         replace(
             problem,
-            channel=replace(problem.channel, truth=RasterTruth(path, "gain", -120.0, None)),
+            channel=replace(
+                problem.channel, truth=RasterTruth(file=path, variable="gain", floor_db=-120.0)
+            ),
         ),
         np.random.default_rng(0),
     )
@@ -118,7 +121,7 @@ def test_raster_truth_of_another_format(problem, tmp_path, ending):
     write_rasters(path, {"gain": gain}, {"gain": "dB"})
     values = []
     for law in (None, Nakagami(2.0)):
-        setup = RasterTruth(path, "gain", -500.0, law)
+        setup = RasterTruth(file=path, variable="gain", floor_db=-500.0, multipath=law)
         channel = replace(problem.channel, truth=setup)
         drawn = draw_truth(replace(problem, channel=channel), np.random.default_rng(0))
         values.append(drawn.raster.values)
@@ -148,8 +151,9 @@ def test_places_are_uniform():
 
 def test_no_place_to_measure_at():
     """Obstacles over the whole workspace."""
+    covered = Workspace((0, 0, 40, 30), [Obstacle("all", shapely.box(-1, -1, 41, 31))])
     with pytest.raises(InputError, match=r"world\.obstacles"):
-        free_places(small_problem(shapely.box(-1, -1, 41, 31)), 5, np.random.default_rng(0))
+        free_places(replace(small_problem(), workspace=covered), 5, np.random.default_rng(0))
 
 
 def test_learning_from_given_measurements(problem):

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.channel.parameters import Station
 from planopt.planning.prepare import Prepared
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
+from planopt.problems.base_station import BaseStation
 from planopt.problems.problem import Problem
-from planopt.problems.radio_station import RadioStation
 from tests.planning.scenes import (
     PowerAt,
     bad_everywhere,
@@ -42,8 +41,14 @@ def silent(positions_m: np.ndarray) -> np.ndarray:
 
 def with_station(problem: Problem, name: str = "east") -> Problem:
     """The problem with a second station in the east."""
-    site = Station((40.0, 15.0), 5.0)
-    east = RadioStation(name, site, 0.0, EAST_THRESHOLD_DBM, power_column="east_dbm")
+    east = BaseStation(
+        name=name,
+        position_m=(40.0, 15.0),
+        height_m=5.0,
+        transmit_power_dbm=0.0,
+        threshold_dbm=EAST_THRESHOLD_DBM,
+        power_column="east_dbm",
+    )
     return replace(problem, stations=(*problem.stations, east))
 
 

@@ -64,7 +64,7 @@ def test_relative_files_start_at_the_problem_file(
     assert problem.channel.measurements == LoggedMeasurements(
         folder / "log.csv", ("x_m", "y_m", "rssi"), None, None
     )
-    assert problem.channel.truth == RasterTruth(folder / "map.npz", "path_gain_db", -130.0, None)
+    assert problem.channel.truth == RasterTruth(file=folder / "map.npz", floor_db=-130.0)
     assert problem.workspace.obstacles[-1].polygon.area == pytest.approx(108)
     (folder / "log.csv").unlink()
     with pytest.raises(InputError, match=r"log\.csv is not a file") as caught:

@@ -70,7 +70,6 @@ def test_a_rule_made_in_python_is_held_to_what_one_from_a_file_is(rule, key: str
 @pytest.mark.parametrize(
     ("name", "rest", "key"),
     [
-        ("outdoor_track", (), "robots[0]"),
         ("outdoor_track", (float("nan"),), "robots[0]"),
         ("outdoor_track", (0.0, 0.0), "robots[0]"),
     ],

@@ -46,7 +46,15 @@ def test_the_earlier_name_of_lemma1(tables: Tables, built: Build) -> None:
 def test_values_land_in_the_right_fields(tables: Tables, built: Build) -> None:
     """Each value of the truth arrives under its own name, whole numbers as floats."""
     tables["channel"]["truth"] |= {"k_pl_db": -31, "floor_db": -120}
-    assert built(tables).channel.truth == ModelTruth(-31.0, 2.4, 4.0, 15.0, 1.5, 1.0, -120.0)
+    assert built(tables).channel.truth == ModelTruth(
+        k_pl_db=-31.0,
+        n_pl=2.4,
+        shadow_std_db=4.0,
+        decorrelation_m=15.0,
+        multipath_std_db=1.5,
+        cell_m=1.0,
+        floor_db=-120.0,
+    )
 
 
 Tables = dict[str, Any]

@@ -19,11 +19,11 @@ from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.solution import Solution
 from planopt.planning.worth.aim import Aim
-from planopt.problems.channel_setup import ChannelSetup, SampledMeasurements
+from planopt.problems.base_station import BaseStation
+from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
-from planopt.problems.radio_station import RadioStation
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
 from planopt.studies.comparison import Comparison, Row
@@ -48,12 +48,20 @@ def problem() -> Problem:
         workspace=Workspace(
             (0.0, 0.0, 100.0, 80.0), (Obstacle("a", court), Obstacle("b", slanted))
         ),
-        channel=ChannelSetup(None, SampledMeasurements(30), "reml", 2.0),
-        robots=(Robot("rover", (10.0, 10.0), (90.0, 75.0), 1.0),),
-        stations=(RadioStation("mast", STATION, 20.0, THRESHOLD_DBM),),
+        channel=ChannelSetup(),
+        robots=(Robot(name="rover", start_m=(10.0, 10.0), goal_m=(90.0, 75.0), speed_max_m_s=1.0),),
+        stations=(
+            BaseStation(
+                name="mast",
+                position_m=STATION.position_m,
+                height_m=STATION.height_m,
+                transmit_power_dbm=20.0,
+                threshold_dbm=THRESHOLD_DBM,
+            ),
+        ),
         objective=ReachObjective(0.1, "connected"),
-        constraints=Constraints(0.8, 1.5, 1.0),
-        planner=PlannerSettings("auto", 4, 2.0, 32, 100),
+        constraints=Constraints(p_min=0.8, clearance_m=1.5),
+        planner=PlannerSettings(horizon=4, step_s=2.0, neighbours=32, max_steps=100),
     )
 
 

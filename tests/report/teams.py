@@ -22,11 +22,11 @@ TERMS = {
 
 def team_problem(problem: Any, task: str, robots: int, p_min: float) -> Any:
     """The small problem with another task."""
-    target = Target("visitor", (12.0, 12.0), (1.0, 0.5), 0.03, 1.0, 0.3)
+    target = Target(name="visitor", start_m=(12.0, 12.0), velocity_m_s=(1.0, 0.5))
     return replace(
         problem,
         robots=tuple(
-            Robot(f"robot {number}", (10.0, 10.0 + 6.0 * number), None, 1.0)
+            Robot(name=f"robot {number}", start_m=(10.0, 10.0 + 6.0 * number), speed_max_m_s=1.0)
             for number in range(robots)
         ),
         objective=TermsObjective((TERMS[task],)),

@@ -68,7 +68,7 @@ def test_a_small_team_has_a_window(simulation):
     """Where robots, target and station are near each other, the map is a square about them."""
     run = team_run(simulation, "track")
     radio = run.problem.stations[0]
-    near = replace(radio, site=replace(radio.site, position_m=(15.0, 20.0)))
+    near = replace(radio, position_m=(15.0, 20.0))
     figure = drawn(draw_team_run(replace(run, problem=replace(run.problem, stations=(near,)))))
     (left, right), (low, top) = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
     assert right - left == pytest.approx(top - low)

@@ -112,7 +112,7 @@ def test_what_decides_a_run_is_in_its_key(tmp_path: Path, monkeypatch) -> None:
 
     assert key == run_key(moved(b""), 0)
     assert key != run_key(moved(b"0"), 0)
-    monkeypatch.setattr(finished_runs, "_program", lambda: (("planopt", "9.9"),))
+    monkeypatch.setattr(finished_runs, "program", lambda: (("planopt", "9.9"),))
     assert key != run_key(problem, 0)
 
 

@@ -9,13 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.fields.field import shadow_field_db
 from planopt.channel.mean_model import regressors
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import MAX_POWER_DB, Measurements
 from planopt.channel.multipath.multipath_field import multipath_field_db
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import require_places
+from planopt.errors import InputError
 from planopt.short_repr import short_repr
-from planopt.world.raster import Raster, cell_centres_m, nearest_cells
+from planopt.world.raster import Raster, cell_centres_m, checked_raster, nearest_cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,44 @@ def model_truth(
     if floor_dbm is not None:
         power, faded = np.maximum(power, floor_dbm), np.maximum(faded, floor_dbm)
     return Truth(Raster(x, y, faded), floor_dbm, power)
+
+
+def power_truth(
+    x_m: NDArray[np.float64],
+    y_m: NDArray[np.float64],
+    power_dbm: NDArray[np.float64],
+    floor_dbm: float | None = None,
+) -> Truth:
+    """Truth from arrays of received power, small-scale fading included or not.
+
+    Parameters
+    ----------
+    x_m, y_m
+        ``(nx,)`` and ``(ny,)`` cell centres, ascending and evenly spaced.
+    power_dbm
+        ``(ny, nx)``, NaN where nothing arrives.
+    floor_dbm
+        The receiver's floor; smaller powers are clipped to it. None for none.
+
+    Raises
+    ------
+    InputError
+        The axes do not fit the powers, a power is beyond `MAX_POWER_DB`, or there is no floor where
+        nothing arrives.
+    """
+    raster = checked_raster(x_m, y_m, power_dbm, None, "power_dbm")
+    if floor_dbm is not None and not abs(floor_dbm) <= MAX_POWER_DB:
+        raise InputError(f"is {floor_dbm!r}, which is no power", key="floor_dbm", remedy="give dBm")
+    if floor_dbm is None and np.isnan(raster.values).any():
+        raise InputError(
+            "is not finite somewhere",
+            key="power_dbm",
+            remedy="give floor_dbm, the least power that the receiver reports",
+        )
+    power = raster.values if floor_dbm is None else np.fmax(raster.values, floor_dbm)
+    if not (np.abs(power) <= MAX_POWER_DB).all():
+        raise InputError("is no power in dBm somewhere", key="power_dbm", remedy="give dBm")
+    return Truth(Raster(raster.x_m, raster.y_m, power), floor_dbm, power)
 
 
 def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:

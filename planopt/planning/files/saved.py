@@ -30,7 +30,7 @@ PLAN_OR_RUN = ResultFiles(
     "plan_or_run",
     (
         *(PLAN_FILE, RUN_FILE, STEPS_FILE, BELIEF_FILE, "belief_*.npz", TARGET_FILE),
-        *(KNOWLEDGE_FILE, "plan.png", "run.png", "series.png", "belief.png"),
+        *(KNOWLEDGE_FILE, "plan.png", "run.png", "run.gif", "series.png", "belief.png"),
     ),
 )
 """The files of a plan or run with its pictures: a folder has one of either."""

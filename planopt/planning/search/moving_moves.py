@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES, Lattice
-from planopt.world.lattice_moves import LONGEST_MOVE
+from planopt.world.lattice_size import LONGEST_MOVE
 from planopt.world.moving_discs import MovingDiscs, passing_gaps_m
 
 TINY_M2 = 1e-30

@@ -26,7 +26,7 @@ from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
-from planopt.world.lattice_moves import LONGEST_MOVE
+from planopt.world.lattice_size import LONGEST_MOVE
 from planopt.world.moving_discs import ways_gap_m
 
 STARTS = 2

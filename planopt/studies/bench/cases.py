@@ -11,6 +11,7 @@ from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_names
 from planopt.problems.problem import Problem
+from planopt.problems.systems import SYSTEMS
 
 PLAN, RUN = "plan", "run"
 """Kinds of cases: one plan from the start, or a closed loop."""
@@ -103,7 +104,7 @@ def library_cases(
                 key="planners",
                 remedy=f"one of {', '.join(known)}",
             )
-    names = [entry.name for entry in list_problems()] if problems is None else problems
+    names = library_names() if problems is None else problems
     each, driven = list(seeds), list(run_seeds)
     cases: list[Case] = []
     for name in dict.fromkeys(names):
@@ -132,6 +133,11 @@ def library_cases(
             remedy="name another planner or another problem",
         )
     return cases
+
+
+def library_names() -> list[str]:
+    """Return the library problems of motion planning, which planners answer."""
+    return [entry.name for entry in list_problems() if entry.task not in SYSTEMS]
 
 
 def problem_of(case: Case) -> Problem:

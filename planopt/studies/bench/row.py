@@ -27,6 +27,7 @@ from planopt.planning.scene import Scene, build_scene
 from planopt.planning.solve import solve_on
 from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.team.team_run import TeamRun
+from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.studies.bench.cases import RUN, Case, Question, problem_of
 from planopt.studies.finished_runs import run_key
@@ -138,6 +139,7 @@ def key_of(case: Case) -> dict[str, Any]:
     """Return all that decides a row."""
     return {
         **run_key(problem_of(case), case.question.seed),
+        "planner_version": planner_kind(case.planner).version,
         "kind": case.question.kind,
         "name": case.question.problem,
     }

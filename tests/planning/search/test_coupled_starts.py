@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -117,7 +117,7 @@ def test_kilometres_for_metres_give_the_scaled_plan(terms, monkeypatch):
             ),
         ),
         robots=(replace(robot, speed_max_m_s=1e3 * robot.speed_max_m_s),),
-        stations=(replace(problem.stations[0], site=longer(site)),),
+        stations=(replace(problem.stations[0], **asdict(longer(site))),),
         constraints=replace(problem.constraints, clearance_m=1e3 * problem.constraints.clearance_m),
     )
     measured = situation.posterior.measurements

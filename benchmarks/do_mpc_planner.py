@@ -1,0 +1,54 @@
+"""do-mpc as a planner from outside, by name, in the regression suite.
+
+``python benchmarks/do_mpc_planner.py bench run --problems FILE --planners auto,do_mpc --out DIR``
+registers the planner ``do_mpc`` and hands the arguments to planopt. It needs the extra ``bench``,
+and plans for problems of one station whose first term is tracking.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+from do_mpc_step import DoMpcStep
+
+from planopt.cli import main
+from planopt.errors import InputError
+from planopt.planning.ground import Ground
+from planopt.planning.judge import Judge
+from planopt.planning.plan import Plan, Rung
+from planopt.planning.programme.ipopt_status import termination_of
+from planopt.planning.worth.situation import Situation
+from planopt.problems.objective import TrackingTerm
+from planopt.problems.planner_kinds import PlannerKind, register_planner
+from planopt.problems.problem import Problem
+
+
+class DoMpcPlanner:
+    """Plans for one robot with do-mpc: a straight transcription, started from standing still.
+
+    Parameters
+    ----------
+    problem
+        With one robot and one station, and tracking as its first term.
+    """
+
+    def __init__(self, problem: Problem, _ground: Ground, _generator: Any) -> None:
+        if not isinstance(problem.terms[0], TrackingTerm) or len(problem.stations) > 1:
+            raise InputError("is do_mpc, which tracks with one station", key="planner.name")
+
+    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+        """Build the controller, solve once, and let planopt's verifier judge the path."""
+        begun = perf_counter()
+        built = DoMpcStep(situation, "MX")
+        solve_s, _, path_m = built.step()
+        candidate = judge.candidate(path_m, Rung.PLAN, termination_of(built.status))
+        found = replace(judge.judged(candidate), solve_s=solve_s, iterations=built.iterations)
+        return judge.plan_from(found, wall_s=perf_counter() - begun)
+
+
+if __name__ == "__main__":
+    register_planner(PlannerKind("do_mpc", DoMpcPlanner, solves=True))
+    sys.exit(main())

@@ -1,0 +1,225 @@
+"""``planopt bench run|report|check``: the solver regression suite."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from planopt.commands.compare import listed
+from planopt.commands.options import JsonOption
+from planopt.commands.output import drawing, progress, results_folder, show
+from planopt.errors import InputError
+from planopt.files.result_folder import ResultFiles, replaced_results
+
+if TYPE_CHECKING:
+    from planopt.studies.bench.folder import Manifest
+    from planopt.studies.bench.references import References
+    from planopt.studies.bench.row import Row
+
+REPORT_FILE, PICTURE_FILE = "report.json", "report.png"
+
+REPORT = ResultFiles("report", (REPORT_FILE, PICTURE_FILE))
+"""The files of a report with its picture."""
+
+REGRESSED, NOT_ANSWERED = 1, 3
+
+bench = typer.Typer(
+    help="Solve the library again and compare with its references.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes.")]
+ReferencesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--references", metavar="FILE", help="References in place of those of the library."
+    ),
+]
+
+
+@bench.command("run")
+def run(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the rows.")],
+    problems: Annotated[
+        str | None,
+        typer.Option("--problems", metavar="A,B", help="Names or files; else the whole library."),
+    ] = None,
+    planners: Annotated[
+        str | None,
+        typer.Option("--planners", metavar="A,B", help="Names; else all that a problem allows."),
+    ] = None,
+    horizons: Annotated[
+        str | None,
+        typer.Option("--horizons", metavar="N,N", help="Steps ahead; else the own, 5 and 20."),
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=0, help="How many, for plans.")] = 3,
+    run_seeds: Annotated[int, typer.Option("--run-seeds", min=0, help="For closed loops.")] = 1,
+    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="The first of them.")] = 0,
+    workers: WorkersOption = 1,
+    json: JsonOption = False,
+) -> int:
+    """Answer every case; run again, it goes on. Exit code 0, or 3 if an answer failed the check."""
+    from planopt.studies.bench.cases import library_cases
+    from planopt.studies.bench.folder import TABLE, run_into
+    from planopt.studies.bench.row import ERROR
+
+    cases = library_cases(
+        None if problems is None else listed(problems, "--problems", str),
+        planners=None if planners is None else listed(planners, "--planners", str),
+        horizons=None if horizons is None else listed(horizons, "--horizons", int),
+        seeds=range(first_seed, first_seed + seeds),
+        run_seeds=range(first_seed, first_seed + run_seeds),
+    )
+    with results_folder(out) as folder:
+        if folder is None:
+            raise AssertionError("--out is required")
+        with progress("solving, cases:", len(cases)) as advance:
+            rows = run_into(folder, cases, workers=workers, on_row=lambda _: advance())
+    failed = [row for row in rows if row.accepted is False or row.outcome == ERROR]
+    words = [f"{row.case}: {'; '.join(row.reasons)}" for row in failed]
+    data = {"rows": len(rows), "table": str(out / TABLE), "failed": words}
+    lines = [
+        f"{len(rows)} cases answered, {len(failed)} rejected by the check or ended with an error",
+        *(f"  {each}" for each in words),
+        f"next: planopt bench report {out}",
+    ]
+    show(json, data, "\n".join(lines))
+    return NOT_ANSWERED if failed else 0
+
+
+@bench.command("report")
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run.")],
+    references: ReferencesOption = None,
+    freeze: Annotated[
+        Path | None,
+        typer.Option("--freeze", metavar="FILE", help="Add the rows to this file of references."),
+    ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="With --freeze: also where references change.")
+    ] = False,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw a picture.")] = True,
+    json: JsonOption = False,
+) -> int:
+    """Print and draw how planners did. Exit code 0."""
+    from planopt.files.whole import strict_text, write_text
+    from planopt.report.bench_report import bench_text
+    from planopt.studies.bench.folder import read_manifest, read_rows
+    from planopt.studies.bench.references import best_known, read_references, references_file
+
+    manifest, rows = read_manifest(folder), read_rows(folder)
+    if not rows:
+        raise InputError("has no rows yet", file=folder, remedy="planopt bench run --out DIR")
+    if freeze is not None:
+        return _freeze(rows, manifest, freeze, replace, json)
+    given = references is not None or references_file().exists()
+    known = read_references(references) if given else {}
+    best = best_known(known, rows)
+    data = report_json(manifest, rows, known)
+    with replaced_results(folder, REPORT, pictures_follow=figures) as new:
+        write_text(new / REPORT_FILE, strict_text(data))
+    show(json, data, "" if json else bench_text(data))
+    with drawing(folder, REPORT, wanted=figures) as new:
+        if new is not None:
+            from planopt.report.bench_report import draw_bench
+            from planopt.report.saving import save_figure
+
+            save_figure(draw_bench(rows, best, manifest), new / PICTURE_FILE)
+    return 0
+
+
+@bench.command("check")
+def check(
+    references: ReferencesOption = None,
+    workers: WorkersOption = 2,
+    json: JsonOption = False,
+) -> int:
+    """Solve the fast share again. Exit code 0, or 1 if anything is worse than its reference."""
+    from time import perf_counter
+
+    from planopt.studies.bench.folder import answers
+    from planopt.studies.bench.references import fast_cases, judged, read_references
+
+    begun = perf_counter()
+    known = read_references(references)
+    cases, worse = fast_cases(known)
+    with progress("solving, cases:", len(cases)) as advance:
+        rows = answers(cases, workers=workers, on_row=lambda _: advance())
+    regressed, better = judged(rows, known, lambda row: f"{row.case}: no reference")
+    worse += regressed
+    wall_s = perf_counter() - begun
+    data = {
+        "cases": len(rows),
+        "regressions": worse,
+        "improvements": better,
+        "wall_s": wall_s,
+        "rows": [asdict(row) for row in rows],
+    }
+    lines = [
+        *(f"worse: {words}" for words in worse),
+        *(f"better: {words}" for words in better),
+        f"{len(rows)} cases in {wall_s:.0f} s: "
+        + (f"{len(worse)} regressions" if worse else "as good as the references"),
+    ]
+    show(json, data, "\n".join(lines))
+    return REGRESSED if worse else 0
+
+
+def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[str, Any]:
+    """Return the JSON keys of ``bench report``."""
+    from planopt.studies.bench.references import best_known, judged
+    from planopt.studies.bench.scores import LIMIT_S, SHIFT_S, scores, time_profile
+
+    best = best_known(known, rows)
+    worse, better = judged(rows, known, lambda row: "")
+    profile = time_profile(rows, best)
+    return {
+        **asdict(manifest),
+        "rows": len(rows),
+        "questions": len({row.question for row in rows}),
+        "with_reference": sum(row.case in known for row in rows),
+        "planners": [asdict(score) for score in scores(rows, best)],
+        "time_shift_s": SHIFT_S,
+        "time_limit_s": LIMIT_S,
+        "profile": {
+            "ratios": profile.ratios.tolist(),
+            "shares": dict(zip(profile.planners, profile.shares.tolist(), strict=True)),
+        },
+        "regressions": worse,
+        "improvements": better,
+        "rejected": [
+            f"{row.case}: {'; '.join(row.reasons)}" for row in rows if row.accepted is False
+        ],
+    }
+
+
+def _freeze(rows: list[Row], manifest: Manifest, file: Path, replace: bool, json: bool) -> int:
+    """Add rows to a file of references; refuse where one changes, unless that is wanted."""
+    from planopt.studies.bench.references import frozen, read_references, write_references
+
+    known = read_references(file) if file.exists() else {}
+    references, changes = frozen(known, rows, manifest.made_by)
+    changed = [case for case in known if references[case] != known[case]]
+    if changed and not replace:
+        raise InputError(
+            f"has {len(changed)} references that would change: " + "; ".join(changes),
+            file=file,
+            remedy="give --replace as well, and list each change with its reason in the commit",
+        )
+    write_references(references, file)
+    data = {
+        "references": len(references),
+        "added": len(references) - len(known),
+        "changes": changes,
+    }
+    lines = [
+        *changes,
+        f"{file}: {len(references)} references, {data['added']} new, {len(changed)} changed",
+    ]
+    show(json, data, "\n".join(lines))
+    return 0

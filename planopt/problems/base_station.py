@@ -1,0 +1,59 @@
+"""A base station of a problem: where it stands, and its radio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from planopt.channel.parameters import Station
+from planopt.plain_values import make_plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseStation:
+    """A fixed station: a base station, access point or gateway.
+
+    Attributes
+    ----------
+    position_m
+        Place ``(x, y)`` in metres; it may be outside the workspace.
+    height_m
+        Height of its antenna above the robots' antennas.
+    transmit_power_dbm
+        Added to path gains.
+    threshold_dbm
+        Received power from which on a robot is connected.
+    name
+        Name in outputs.
+    gain_file, gain_variable
+        Its own map of path gains in place of a :class:`RasterTruth`'s, and the gain's name there.
+    log_file, power_column, censored_column
+        Its own log of first measurements in place of a :class:`LoggedMeasurements`'s, the column of
+        its power, and the one that marks censored rows.
+
+    Examples
+    --------
+    >>> from planopt import BaseStation
+    >>> mast = BaseStation(position_m=(40, 0), transmit_power_dbm=30.0, threshold_dbm=-83.0)
+    >>> mast.name, mast.height_m
+    ('station', 0.0)
+    """
+
+    position_m: tuple[float, float]
+    height_m: float = 0.0
+    transmit_power_dbm: float
+    threshold_dbm: float
+    name: str = "station"
+    gain_file: Path | None = None
+    gain_variable: str | None = None
+    log_file: Path | None = None
+    power_column: str | None = None
+    censored_column: str | None = None
+
+    def __post_init__(self) -> None:
+        make_plain(self, "gain_file", "log_file")
+
+    @property
+    def site(self) -> Station:
+        """Where its antenna is, for the channel model."""
+        return Station(self.position_m, self.height_m)

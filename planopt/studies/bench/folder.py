@@ -1,0 +1,233 @@
+"""A folder of the regression suite: what made it, and its rows.
+
+``bench.json`` says by which program and from which problems the rows are; a folder of another
+program or of other problems is refused, since its rows could not be compared. Each row is a file
+of ``rows``, written when it is finished.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from planopt.errors import InputError
+from planopt.files.regular import read_text
+from planopt.files.typed_json import decoded, encoded
+from planopt.files.whole import strict_text, write_text
+from planopt.planning import tolerances
+from planopt.problems.load import load
+from planopt.studies.bench.cases import Case
+from planopt.studies.bench.references import OBJECTIVE_SHARE
+from planopt.studies.bench.row import Row, answer, key_of, start_of
+from planopt.studies.finished_runs import FinishedRuns, program, run_key
+from planopt.studies.study import Study, run_study
+
+MANIFEST, ROWS, TABLE = "bench.json", "rows", "rows.csv"
+
+STUDY = Study(kind=Row, prepare=start_of, work=answer, key=key_of)
+"""How a case is answered."""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What made the rows of a folder.
+
+    Attributes
+    ----------
+    program
+        Versions of planopt and of the libraries that decide a result, and a digest of the source.
+    python, cpu, cores
+        The interpreter and the machine.
+    tolerances
+        The planner's and verifier's tolerances, and the share by which objectives are told apart.
+    problems
+        Digest of every problem with the files that it names, by name.
+    """
+
+    program: dict[str, str]
+    python: str
+    cpu: str
+    cores: int
+    tolerances: dict[str, float]
+    problems: dict[str, str]
+
+    @property
+    def made_by(self) -> str:
+        """The program in words, as references name it."""
+        return f"planopt {self.program['planopt']}, source {self.program['source'][:12]}"
+
+
+def manifest_of(problems: Sequence[str]) -> Manifest:
+    """Return what would make rows of some problems here and now."""
+    known = {
+        name.lower(): float(value)
+        for name, value in vars(tolerances).items()
+        if name.isupper() and isinstance(value, float)
+    }
+    return Manifest(
+        program=dict(program()),
+        python=platform.python_version(),
+        cpu=_cpu_name(),
+        cores=os.cpu_count() or 1,
+        tolerances={**known, "objective_share": OBJECTIVE_SHARE},
+        problems={name: _problem_digest(name) for name in problems},
+    )
+
+
+def answers(
+    cases: Sequence[Case],
+    *,
+    workers: int = 1,
+    record: FinishedRuns | None = None,
+    on_row: Callable[[Row], None] | None = None,
+) -> list[Row]:
+    """Answer cases, those of one problem and seed on the same belief; rows in their order."""
+    groups = [
+        list(group)
+        for _, group in groupby(cases, lambda case: (case.question.problem, case.question.seed))
+    ]
+    rows: list[Row] = []
+    for results in run_study(STUDY, groups, workers=workers, record=record):
+        for one in results:
+            rows.append(one.result)
+            if on_row is not None:
+                on_row(one.result)
+    return rows
+
+
+def run_into(
+    folder: Path,
+    cases: Sequence[Case],
+    *,
+    workers: int = 1,
+    on_row: Callable[[Row], None] | None = None,
+) -> list[Row]:
+    """Answer cases into a folder; those that it has already are taken from it.
+
+    Parameters
+    ----------
+    folder
+        A new one, or one that this program made of the same problems.
+    cases
+        What is asked.
+    workers
+        Processes.
+    on_row
+        Called for every row, for progress display.
+
+    Raises
+    ------
+    InputError
+        The folder was made by another program or of other problems, or is damaged.
+    OutputError
+        It cannot be written.
+    """
+    now = manifest_of(list(dict.fromkeys(case.question.problem for case in cases)))
+    if (folder / MANIFEST).exists():
+        before = read_manifest(folder)
+        _require_same(before, now, folder)
+        now = replace(now, problems={**before.problems, **now.problems})
+    write_text(folder / MANIFEST, strict_text(encoded(now)))
+    rows = answers(cases, workers=workers, record=FinishedRuns(folder / ROWS), on_row=on_row)
+    write_text(folder / TABLE, rows_csv(read_rows(folder)))
+    return rows
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read what made a folder.
+
+    Raises
+    ------
+    InputError
+        It is no folder of the suite, or damaged.
+    """
+    file = folder / MANIFEST
+    try:
+        return decoded(Manifest, json.loads(read_text(file)))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(
+            "is damaged", file=file, remedy="run planopt bench run into another folder"
+        ) from None
+
+
+def read_rows(folder: Path) -> list[Row]:
+    """Return all rows of a folder, sorted by case; those with impossible numbers are left out."""
+    rows = FinishedRuns(folder / ROWS).all(Row)
+    return sorted((row for row in rows if _is_possible(row)), key=lambda row: row.case)
+
+
+def _is_possible(row: Row) -> bool:
+    """Tell whether every number of a row can be."""
+    least_zero = (row.iterations, row.solve_s, row.wall_s, row.cpu_s, row.steps)
+    counts = all(count >= 0 for count in row.rungs.values())
+    known = (row.objective, row.kkt_residual, row.min_clearance_m, row.min_connectivity)
+    numbers = [*least_zero, *(value for value in known if value is not None)]
+    return counts and min(least_zero) >= 0 and all(map(math.isfinite, numbers))
+
+
+def rows_csv(rows: Sequence[Row]) -> str:
+    """Return rows as a CSV table for people and other programs."""
+    text = io.StringIO()
+    names = [part.name for part in fields(Row)]
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(names)
+    for row in rows:
+        values = [getattr(row, name) for name in names]
+        table.writerow([_cell(value) for value in values])
+    return text.getvalue()
+
+
+def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
+    """Refuse a folder whose rows could not be compared with new ones."""
+    remedy = "choose another --out, or remove this folder"
+    changed = [
+        f"{name} {old}, this is {now.program.get(name)}"
+        for name, old in before.program.items()
+        if now.program.get(name) != old
+    ]
+    if changed:
+        words = ", ".join(words.replace("source ", "the source ") for words in changed)
+        raise InputError(f"was made by another program: {words}", file=folder, remedy=remedy)
+    for name, digest in now.problems.items():
+        if before.problems.get(name, digest) != digest:
+            raise InputError(
+                f"was made of another problem {name}: its file has changed since",
+                file=folder,
+                remedy=remedy,
+            )
+
+
+def _problem_digest(name: str) -> str:
+    tables: Mapping[str, Any] = run_key(load(name), 0)["problem"]
+    return hashlib.sha256(strict_text(tables).encode()).hexdigest()[:16]
+
+
+def _cell(value: object) -> object:
+    """Return a value as a cell: parts of a list or table separated by ``; ``."""
+    if isinstance(value, Mapping):
+        return "; ".join(f"{name} {count}" for name, count in value.items())  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, tuple):
+        return "; ".join(str(part) for part in value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    return value
+
+
+def _cpu_name() -> str:
+    """Return the processor's name, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    for line in lines:
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -1,0 +1,303 @@
+"""References of the regression suite: what each planner is known to reach, case by case.
+
+They stand in one file of the problem library. They change in commits of their own that list each
+number and why: :func:`frozen` never replaces one unless it is told to.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from planopt.errors import InputError
+from planopt.files.regular import read_text
+from planopt.files.typed_json import decoded, encoded
+from planopt.files.whole import write_text
+from planopt.planning.plan import Verdict
+from planopt.problems.library import library_folder
+from planopt.problems.load import load
+from planopt.studies.bench.cases import PLAN, RUN, Case, Question, library_names
+from planopt.studies.bench.row import Row
+
+OBJECTIVE_SHARE = 0.01
+"""An objective is worse than another if it is by more than this share of it."""
+
+DIGITS = 9
+"""Significant digits of frozen objectives."""
+
+FAST_SEED = 0
+"""Seed of the fast share."""
+
+FAST_PLANNERS = ("auto", "scp", "lattice")
+"""Planners of the fast share."""
+
+FAST_RUN_CPU_S = 5.0
+"""Closed loops of the fast share took at most this long when they were frozen."""
+
+_ABOUT = (
+    "Best known results of the solver regression suite, one a line: planopt bench report DIR "
+    "--freeze FILE. They change in commits of their own that list each number and why."
+)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a planner is known to reach in a case.
+
+    Attributes
+    ----------
+    problem, kind, cost_to_go, horizon, seed, planner
+        The case.
+    sense, objective, verdict, outcome
+        As of :class:`planopt.studies.bench.row.Row`.
+    rungs
+        Which fallbacks released how many steps.
+    cpu_s
+        Processor time that it took on the machine that made it; for choosing the fast share.
+    made_by
+        The program that made it.
+    """
+
+    problem: str
+    kind: str
+    cost_to_go: str
+    horizon: int
+    seed: int
+    planner: str
+    sense: str
+    objective: float | None
+    verdict: str
+    outcome: str
+    rungs: dict[str, int]
+    cpu_s: float
+    made_by: str
+
+    @property
+    def case(self) -> Case:
+        """What was asked, and of which planner."""
+        question = Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
+        return Case(question, self.planner)
+
+
+References = Mapping[Case, Reference]
+
+
+def references_file() -> Path:
+    """Return the file of the library's references."""
+    return library_folder() / "references.json"
+
+
+def read_references(file: Path | None = None) -> dict[Case, Reference]:
+    """Read references; the library's if no file is given.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or has a case twice.
+    """
+    path = references_file() if file is None else file
+    try:
+        listed = json.loads(read_text(path))["references"]
+        found = decoded(list[Reference], listed)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(
+            f"is no file of references: {error}",
+            file=path,
+            remedy="take it from the repository again",
+        ) from None
+    if not all(math.isfinite(one.objective or 0.0) and one.cpu_s >= 0.0 for one in found):
+        raise InputError("has a number that cannot be", file=path, remedy="run the suite again")
+    references = {one.case: one for one in found}
+    if len(references) < len(found):
+        raise InputError("has a case twice", file=path, remedy="take out one of them")
+    return references
+
+
+def write_references(references: References, file: Path) -> None:
+    """Write references sorted by case, one a line, whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    lines = [
+        json.dumps(encoded(references[case]), allow_nan=False, ensure_ascii=False)
+        for case in sorted(references)
+    ]
+    listed = ",\n".join(lines)
+    write_text(file, f'{{"about": {json.dumps(_ABOUT)},\n"references": [\n{listed}\n]}}\n')
+
+
+def reference_of(row: Row, made_by: str) -> Reference:
+    """Return a row as a reference."""
+    objective = None if row.objective is None else float(f"{row.objective:.{DIGITS}g}")
+    return Reference(
+        **{name: getattr(row, name) for name in Question.__dataclass_fields__},
+        planner=row.planner,
+        sense=row.sense,
+        objective=objective,
+        verdict=row.verdict,
+        outcome=row.outcome,
+        rungs=row.rungs,
+        cpu_s=round(row.cpu_s, 2),
+        made_by=made_by,
+    )
+
+
+def frozen(
+    known: References, rows: Iterable[Row], made_by: str
+) -> tuple[dict[Case, Reference], list[str]]:
+    """Return references with those of rows, and in words each that is not as it was.
+
+    A row that the check rejects, or that ended with an error, is no reference.
+
+    Parameters
+    ----------
+    known
+        What there is.
+    rows
+        New results.
+    made_by
+        The program that made them.
+    """
+    references = dict(known)
+    changes: list[str] = []
+    for row in rows:
+        if row.accepted is False or row.outcome == "error":
+            changes.append(f"{row.case}: left out, {'; '.join(row.reasons)}")
+            continue
+        new, old = reference_of(row, made_by), references.get(row.case)
+        if old is not None:
+            changed = [
+                f"{name} {getattr(old, name)} -> {getattr(new, name)}"
+                for name in ("objective", "verdict", "outcome", "rungs")
+                if getattr(old, name) != getattr(new, name)
+            ]
+            if not changed:
+                continue
+            changes.append(f"{row.case}: {', '.join(changed)}")
+        references[row.case] = new
+    return references, changes
+
+
+def worse_share(objective: float, best: float, sense: str) -> float:
+    """Return by what share of `best` an objective is worse than it; negative if it is better."""
+    worse = objective - best if sense == "min" else best - objective
+    return worse / max(abs(best), 1e-12)
+
+
+def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Question, float]:
+    """Return the best objective of each question, by verified answers that no check rejects."""
+    best: dict[Question, float] = {}
+    judged = [one for one in rows if one.accepted is not False]
+    for one in (*references.values(), *judged):
+        if one.objective is None or one.verdict != Verdict.VERIFIED.value:
+            continue
+        question = one.case.question
+        known = best.get(question)
+        if known is None or worse_share(one.objective, known, one.sense) < 0.0:
+            best[question] = one.objective
+    return best
+
+
+def regressions(row: Row, reference: Reference) -> list[str]:
+    """Return in words how a row is worse than its reference; empty if it is not."""
+    found: list[str] = []
+    order = [verdict.value for verdict in Verdict]
+    if row.outcome != reference.outcome:
+        found.append(f"outcome {row.outcome}, was {reference.outcome}")
+    if row.verdict not in order or order.index(row.verdict) > order.index(reference.verdict):
+        found.append(f"verdict {row.verdict}, was {reference.verdict}")
+    if row.accepted is False:
+        found.append("the check from its files rejects it")
+    if reference.objective is not None:
+        if row.objective is None:
+            found.append(f"no objective, was {reference.objective:.6g}")
+        elif (share := worse_share(row.objective, reference.objective, row.sense)) > (
+            OBJECTIVE_SHARE
+        ):
+            found.append(
+                f"objective {row.objective:.6g}, was {reference.objective:.6g}: {share:.1%} worse"
+            )
+    return [f"{row.case}: {words}" for words in _with_reasons(found, row.reasons)]
+
+
+def improvement(row: Row, reference: Reference) -> str | None:
+    """Return in words by how much a row is better than its reference; None if it is not clearly."""
+    if row.objective is None or reference.objective is None or row.accepted is False:
+        return None
+    share = -worse_share(row.objective, reference.objective, row.sense)
+    if share <= OBJECTIVE_SHARE:
+        return None
+    return (
+        f"{row.case}: objective {row.objective:.6g}, was {reference.objective:.6g}: "
+        f"{share:.1%} better"
+    )
+
+
+def fast_cases(references: References) -> tuple[list[Case], list[str]]:
+    """Return the fast share, and in words what the references lack for it.
+
+    Every library problem with its own horizon and settings: plans of `FAST_PLANNERS`, and closed
+    loops that are quick.
+    """
+    cases: list[Case] = []
+    missing: list[str] = []
+    names = library_names()
+    for name in names:
+        problem = load(name)
+        asked = (problem.planner.horizon, problem.cost_to_go or "")
+        mine = [
+            one
+            for one in references.values()
+            if one.problem == name
+            and one.seed == FAST_SEED
+            and (one.horizon, one.cost_to_go) == asked
+        ]
+        plans = [one.case for one in mine if one.kind == PLAN and one.planner in FAST_PLANNERS]
+        runs = [one.case for one in mine if one.kind == RUN and one.cpu_s <= FAST_RUN_CPU_S]
+        if not plans:
+            missing.append(f"{name}: no reference with its own settings, seed {FAST_SEED}")
+        cases += [*sorted(plans), *sorted(runs)]
+    missing += [
+        f"{name}: has references, but the library has no such problem"
+        for name in sorted({one.problem for one in references.values()}.difference(names))
+    ]
+    return cases, missing
+
+
+def judged(
+    rows: Sequence[Row], references: References, on_unknown: Callable[[Row], str]
+) -> tuple[list[str], list[str]]:
+    """Return all regressions of rows, and all improvements, in words.
+
+    Parameters
+    ----------
+    rows
+        Results.
+    references
+        What they are held to.
+    on_unknown
+        What is said of a row without a reference; nothing if that is empty.
+    """
+    worse: list[str] = []
+    better: list[str] = []
+    for row in rows:
+        reference = references.get(row.case)
+        if reference is None:
+            worse += [words for words in (on_unknown(row),) if words]
+            continue
+        worse += regressions(row, reference)
+        better += [words for words in (improvement(row, reference),) if words is not None]
+    return worse, better
+
+
+def _with_reasons(found: list[str], reasons: Sequence[str]) -> list[str]:
+    """Add what the check or the error says to the first of the words."""
+    if not found or not reasons:
+        return found
+    return [f"{found[0]} ({'; '.join(reasons[:3])})", *found[1:]]

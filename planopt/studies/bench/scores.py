@@ -1,0 +1,214 @@
+"""Scores of planners over the rows of the regression suite."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.studies.bench.cases import Question
+from planopt.studies.bench.references import OBJECTIVE_SHARE, worse_share
+from planopt.studies.bench.row import ERROR, NO_PLAN, Row
+
+SHIFT_S = 0.01
+"""Shift of the geometric mean of times: differences far below a hundredth of a second are none."""
+
+LIMIT_S = 10.0
+"""Time that an unsolved case counts as, a step."""
+
+CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
+"""Terminations by which a solver says that it has an optimum."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How one planner did.
+
+    Attributes
+    ----------
+    planner
+        Its name.
+    cases
+        How many it was asked.
+    success_rate
+        Share that it solved (:func:`is_solved`).
+    correct_rate
+        Share of the cases with a claim whose claim holds (:func:`claims`, :func:`is_wrong`); None
+        without any claim.
+    verified_rate
+        Share with the verdict ``verified``.
+    rejected, errors
+        How many verified answers the check rejects, and how many cases ended with an error.
+    fallback_share
+        Share of the released plans that came from another fallback than ``plan``.
+    median_excess, largest_excess
+        By what share objectives are worse than the best known; None where there is none.
+    iterations
+        Mean of solver iterations a plan.
+    mean_s, median_s
+        Shifted geometric mean and median of the processor time a plan, in seconds; unsolved cases
+        count `LIMIT_S` in the first and are left out of the second.
+    """
+
+    planner: str
+    cases: int
+    success_rate: float
+    correct_rate: float | None
+    verified_rate: float
+    rejected: int
+    errors: int
+    fallback_share: float
+    median_excess: float | None
+    largest_excess: float | None
+    iterations: float
+    mean_s: float
+    median_s: float | None
+
+
+def excess(row: Row, best: Mapping[Question, float]) -> float | None:
+    """Return by what share a row's objective is worse than the best known; None without either."""
+    known = best.get(row.question)
+    if known is None or row.objective is None:
+        return None
+    return worse_share(row.objective, known, row.sense)
+
+
+def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
+    """Tell whether a case is solved.
+
+    Verified, not rejected by the check, and the objective within `OBJECTIVE_SHARE` of the best
+    known; or there is no plan, and nobody knows one.
+    """
+    if row.outcome == NO_PLAN:
+        return row.question not in best
+    if row.verdict != Verdict.VERIFIED.value or row.accepted is False or row.outcome == ERROR:
+        return False
+    worse = excess(row, best)
+    return worse is None or worse <= OBJECTIVE_SHARE
+
+
+def claims(row: Row) -> bool:
+    """Tell whether a planner claims something: a verified plan, an optimum, or that none exists."""
+    verified = row.verdict == Verdict.VERIFIED.value
+    return verified or row.termination in CONVERGED or row.outcome == NO_PLAN
+
+
+def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
+    """Tell whether a claim does not hold.
+
+    A verified answer that the check rejects, an optimum that is worse than the best known by more
+    than `OBJECTIVE_SHARE`, or no plan where one is known.
+    """
+    if row.outcome == NO_PLAN:
+        return row.question in best
+    if row.verdict == Verdict.VERIFIED.value and row.accepted is False:
+        return True
+    worse = excess(row, best)
+    return row.termination in CONVERGED and worse is not None and worse > OBJECTIVE_SHARE
+
+
+def scores(rows: Sequence[Row], best: Mapping[Question, float]) -> list[Score]:
+    """Return the score of every planner, in the order in which planners occur."""
+    planners = dict.fromkeys(row.planner for row in rows)
+    return [_score(name, [row for row in rows if row.planner == name], best) for name in planners]
+
+
+def _score(planner: str, rows: Sequence[Row], best: Mapping[Question, float]) -> Score:
+    solved = np.array([is_solved(row, best) for row in rows])
+    claimed = [row for row in rows if claims(row)]
+    wrong = sum(is_wrong(row, best) for row in claimed)
+    verified = [row for row in rows if row.verdict == Verdict.VERIFIED.value]
+    worse = [share for share in (excess(row, best) for row in rows) if share is not None]
+    steps = sum(row.steps for row in rows)
+    direct = sum(row.rungs.get(Rung.PLAN.value, 0) for row in rows)
+    times_s = np.array([step_s(row) for row in rows])
+    return Score(
+        planner=planner,
+        cases=len(rows),
+        success_rate=float(solved.mean()),
+        correct_rate=1.0 - wrong / len(claimed) if claimed else None,
+        verified_rate=len(verified) / len(rows),
+        rejected=sum(row.accepted is False for row in verified),
+        errors=sum(row.outcome == ERROR for row in rows),
+        fallback_share=1.0 - direct / steps if steps else 0.0,
+        median_excess=float(np.median(worse)) if worse else None,
+        largest_excess=max(worse, default=None),
+        iterations=sum(row.iterations for row in rows) / steps if steps else 0.0,
+        mean_s=shifted_geometric_mean(np.where(solved, times_s, LIMIT_S), SHIFT_S),
+        median_s=float(np.median(times_s[solved])) if solved.any() else None,
+    )
+
+
+def step_s(row: Row) -> float:
+    """Return the processor time of a row a plan, in seconds."""
+    return row.cpu_s / max(row.steps, 1)
+
+
+def shifted_geometric_mean(times_s: NDArray[np.float64], shift_s: float) -> float:
+    """Return the geometric mean of times with a shift, in seconds.
+
+    exp(mean(log(t + s))) - s, which very short times cannot dominate.
+    """
+    return float(np.exp(np.log(np.asarray(times_s) + shift_s).mean()) - shift_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A performance profile (Dolan and More, 2002).
+
+    Attributes
+    ----------
+    planners
+        Names.
+    ratios
+        ``(k,)`` sorted ratios to the best time of a question, from 1 on.
+    shares
+        ``(planners, k)`` share of the questions that a planner solves within each ratio.
+    """
+
+    planners: tuple[str, ...]
+    ratios: NDArray[np.float64]
+    shares: NDArray[np.float64]
+
+
+def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile:
+    """Return the profile of the times of solved cases.
+
+    A planner's share is of the questions that it was asked: a problem may allow only some planners.
+    """
+    planners = tuple(dict.fromkeys(row.planner for row in rows))
+    questions = {question: n for n, question in enumerate(dict.fromkeys(r.question for r in rows))}
+    times_s = np.full((len(questions), len(planners)), np.nan)
+    for row in rows:
+        solved = is_solved(row, best)
+        at = questions[row.question], planners.index(row.planner)
+        times_s[at] = step_s(row) if solved else np.inf
+    ratios, shares = performance_profile(times_s)
+    return Profile(planners, ratios, shares)
+
+
+def performance_profile(
+    times_s: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return ratios (k,) and the share of questions that each solver solves within them (s, k).
+
+    Parameters
+    ----------
+    times_s
+        ``(q, s)`` time of each solver for each question: infinite where it fails, NaN where it was
+        not asked.
+    """
+    finite = np.where(np.isfinite(times_s), times_s, np.inf)
+    fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]
+    some = np.isfinite(fastest)
+    # A time of zero is the fastest; equal times have the ratio 1.
+    least = np.where(some, np.maximum(fastest, np.finfo(float).tiny), 1.0)
+    ratio = np.where(np.isfinite(finite), np.maximum(finite, least) / least, np.inf)
+    ratios = np.unique(np.append(ratio[np.isfinite(ratio)], 1.0))
+    asked = ~np.isnan(times_s)
+    within = (ratio[:, :, None] <= ratios) & asked[:, :, None]
+    counts = np.maximum(asked.sum(axis=0), 1)
+    return ratios, within.sum(axis=0) / counts[:, None]

@@ -1,0 +1,228 @@
+"""``planopt bench``: runs that go on, reports, frozen references, and the check of regressions."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planopt import load, solve
+from planopt.cli import main
+from planopt.planning.baselines.baseline import held
+from planopt.planning.plan import Rung, Termination
+from planopt.problems.library import find_problem
+from planopt.problems.planner_kinds import PlannerKind, register_planner, unregister_planner
+from planopt.studies import finished_runs
+from planopt.studies.bench import row
+from planopt.studies.bench.references import read_references, write_references
+
+RUN = ["bench", "run", "--seeds", "1", "--run-seeds", "0", "--horizons", "2"]
+
+
+def ran(folder: Path, *more: str, problems: str = "outdoor_map") -> int:
+    """Run a small suite."""
+    return main(
+        [*RUN, "--problems", problems, "--planners", "auto,lattice", *more, "--out", str(folder)]
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two planners on one problem."""
+    out = tmp_path_factory.mktemp("bench") / "out"
+    assert ran(out) == 0
+    return out
+
+
+@pytest.fixture
+def answered(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Planners of the cases that are answered in this process, not taken from the record."""
+    seen: list[str] = []
+    original = row._plan_row
+
+    def counted(problem, nothing, start):
+        seen.append(nothing.planner)
+        return original(problem, nothing, start)
+
+    monkeypatch.setattr(row, "_plan_row", counted)
+    return seen
+
+
+def test_rows_have_what_was_found(folder: Path) -> None:
+    """The table is of the plan that ``planopt solve`` gives."""
+    with (folder / "rows.csv").open() as file:
+        auto, lattice = csv.DictReader(file)
+    assert (auto["planner"], lattice["planner"]) == ("auto", "lattice")
+    plan = solve(load("outdoor_map"), horizon=2).plan
+    assert float(auto["objective"]) == plan.objective
+    assert auto["verdict"] == "verified" == lattice["verdict"]
+    assert auto["termination"] == plan.termination.value
+    assert lattice["termination"] == "lattice_only" and lattice["iterations"] == "0"
+    assert int(auto["iterations"]) == plan.iterations
+    assert auto["accepted"] == "True" and auto["sense"] == "max"
+    assert float(auto["min_connectivity"]) == plan.certificate.min_connectivity
+    millimetres = (np.round(plan.positions_m, 3) + 0.0).tobytes()
+    assert auto["path_digest"] == hashlib.sha256(millimetres).hexdigest()[:16]
+
+
+def test_again_answers_nothing(folder: Path, answered: list[str], capsys) -> None:
+    """And adds what is new; damaged rows are answered again."""
+    before = (folder / "rows.csv").read_text()
+    assert ran(folder) == 0 and answered == []
+    assert (folder / "rows.csv").read_text() == before
+    capsys.readouterr()
+    assert ran(folder, "--planners", "lattice,one_step", "--json") == 0
+    assert answered == ["one_step"] and json.loads(capsys.readouterr().out)["rows"] == 2
+    for file in (folder / "rows").iterdir():
+        file.write_text(file.read_text()[:-20])
+    del answered[:]
+    assert ran(folder) == 0 and answered == ["auto", "lattice"]
+
+
+def test_another_program_is_refused(folder: Path, monkeypatch, capsys) -> None:
+    """Rows of two programs could not be compared; the message names both."""
+    made = dict(finished_runs.program())
+    from planopt.studies.bench import folder as module
+
+    monkeypatch.setattr(module, "program", lambda: tuple({**made, "planopt": "9.9"}.items()))
+    assert ran(folder) == 2
+    error = capsys.readouterr().err
+    assert f"another program: planopt {made['planopt']}, this is 9.9" in error
+    assert "choose another --out" in error
+
+
+def test_another_problem_is_refused(tmp_path: Path, capsys) -> None:
+    """A problem file that was edited since; other problems may join."""
+    file = tmp_path / "mine.toml"
+    text = find_problem("outdoor_map").read_text()
+    file.write_text(text)
+    assert ran(tmp_path / "out", problems=str(file)) == 0
+    assert ran(tmp_path / "out", problems=f"{file},outdoor_map") == 0
+    file.write_text(text.replace("max_steps = ", "max_steps = 1"))
+    assert ran(tmp_path / "out", problems=str(file)) == 2
+    assert "its file has changed since" in capsys.readouterr().err
+
+
+def test_report(folder: Path, capsys) -> None:
+    """Text, JSON and a picture, with what made the numbers."""
+    assert ran(folder) == 0
+    capsys.readouterr()
+    assert main(["bench", "report", str(folder), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data == json.loads((folder / "report.json").read_text())
+    assert data["program"]["planopt"] and data["cpu"] and data["tolerances"]["objective_share"]
+    assert {score["planner"] for score in data["planners"]} >= {"auto", "lattice"}
+    assert data["profile"]["ratios"][0] == 1.0
+    assert (folder / "report.png").stat().st_size > 10_000
+    assert main(["bench", "report", str(folder), "--no-figures"]) == 0
+    words = capsys.readouterr().out
+    assert "auto" in words and "tolerances:" in words and "casadi" in words
+    assert not (folder / "report.png").exists()
+
+
+def test_rows_with_impossible_numbers(tmp_path: Path, capsys) -> None:
+    """Are left out of a report, like damaged ones."""
+    out = tmp_path / "out"
+    assert ran(out, "--planners", "auto,lattice,one_step") == 0
+    first, second, _ = sorted((out / "rows").iterdir())
+    for file, change in ((first, {"objective": "nan"}), (second, {"cpu_s": -1.0})):
+        data = json.loads(file.read_text())
+        file.write_text(json.dumps({**data, "result": {**data["result"], **change}}))
+    (out / "rows" / "other.json").write_text("[" * 100_000)
+    capsys.readouterr()
+    assert main(["bench", "report", str(out), "--no-figures", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 1
+    (out / "bench.json").write_text('{"program": 3}')
+    assert main(["bench", "report", str(out)]) == 2
+    assert "is damaged" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["missing", "plain"])
+def test_report_of_no_run(name: str, tmp_path: Path, capsys) -> None:
+    """Ours, with the folder."""
+    (tmp_path / "plain").mkdir()
+    assert main(["bench", "report", str(tmp_path / name)]) == 2
+    assert name in capsys.readouterr().err
+
+
+def test_freeze_does_not_overwrite_silently(folder: Path, tmp_path: Path, capsys) -> None:
+    """New cases are added; a changed one needs --replace and is printed."""
+    file = tmp_path / "references.json"
+    freeze = ["bench", "report", str(folder), "--freeze", str(file)]
+    assert ran(folder) == 0 and main(freeze) == 0 and main(freeze) == 0
+    made = read_references(file)
+    case = next(case for case in made if case.planner == "auto")
+    write_references({**made, case: replace(made[case], objective=1.0)}, file)
+    before = file.read_text()
+    capsys.readouterr()
+    assert main(freeze) == 2
+    assert "1 references that would change" in capsys.readouterr().err
+    assert file.read_text() == before
+    assert main([*freeze, "--replace"]) == 0
+    assert "objective 1.0 -> " in capsys.readouterr().out
+    assert read_references(file) == made
+
+
+class Liar:
+    """Stands still, and says that this is an optimum."""
+
+    def __init__(self, problem, ground, generator) -> None:
+        pass
+
+    def plan(self, situation, judge, warm=None):
+        """A plan that claims."""
+        path = held(situation, [])
+        found = judge.judged(judge.candidate(path, Rung.PLAN, Termination.CONVERGED))
+        return judge.plan_from(replace(found, solve_s=1e-4), wall_s=1e-3)
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_planner_from_outside(tmp_path: Path, workers: str, capsys) -> None:
+    """It is solved, checked and scored like planopt's own, in workers as well; lies are seen."""
+    register_planner(PlannerKind("liar", Liar, solves=True))
+    try:
+        names = ["--planners", "auto,liar", "--workers", workers]
+        assert ran(tmp_path, *names, problems="outdoor_map,indoor_learn") == 0
+        capsys.readouterr()
+        assert main(["bench", "report", str(tmp_path), "--json", "--no-figures"]) == 0
+    finally:
+        unregister_planner("liar")
+    own, liar = json.loads(capsys.readouterr().out)["planners"]
+    assert (own["planner"], own["success_rate"], own["correct_rate"]) == ("auto", 1.0, 1.0)
+    assert liar["planner"] == "liar" and liar["verified_rate"] == 1.0
+    assert liar["success_rate"] == 0.0 and liar["correct_rate"] == 0.0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_killed_and_run_again(tmp_path: Path) -> None:
+    """Whole rows survive a kill; the same command answers the others, and nothing twice."""
+    out = tmp_path / "out"
+    arguments = ["bench", "run", "--problems", "outdoor_map", "--run-seeds", "0"]
+    arguments += ["--seeds", "2", "--horizons", "1,2", "--workers", "2", "--out", str(out)]
+    code = "import sys; from planopt.cli import main; sys.exit(main())"
+    process = subprocess.Popen([sys.executable, "-c", code, *arguments])
+    until = time.monotonic() + 120.0
+    while len(list(out.glob("rows/*.json"))) < 3:
+        assert time.monotonic() < until and process.poll() is None
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    time.sleep(2.0)  # workers see that their parent is gone
+    kept = {path.name: path.read_bytes() for path in out.glob("rows/*.json")}
+    assert 3 <= len(kept) <= 28 and not (out / "rows.csv").exists()
+    assert all(json.loads(content)["result"]["accepted"] for content in kept.values())
+    assert main(arguments) == 0
+    rows = {path.name: path.read_bytes() for path in out.glob("rows/*.json")}
+    assert len(rows) == 2 * 2 * 7 and kept.items() <= rows.items()
+    with (out / "rows.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 28

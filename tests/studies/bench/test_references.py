@@ -1,0 +1,157 @@
+"""References: regressions in words, and no silent change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bench_rows import row
+
+from planopt.errors import InputError
+from planopt.studies.bench.cases import library_cases, library_names
+from planopt.studies.bench.references import (
+    fast_cases,
+    frozen,
+    improvement,
+    read_references,
+    reference_of,
+    regressions,
+    write_references,
+)
+
+REFERENCE = reference_of(row(), "planopt 0, source 0")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, None),
+        ({"objective": 100.9}, None),
+        ({"objective": 50.0}, None),
+        ({"rungs": {"lattice": 1}}, None),
+        ({"objective": 102.0}, "objective 102, was 100: 2.0% worse"),
+        ({"objective": None}, "no objective, was 100"),
+        ({"verdict": "feasible_unverified"}, "verdict feasible_unverified, was verified"),
+        ({"verdict": "nonsense"}, "verdict nonsense, was verified"),
+        ({"outcome": "no_plan"}, "outcome no_plan, was planned"),
+        ({"outcome": "error", "reasons": ("ValueError: x",)}, "was planned (ValueError: x)"),
+        ({"accepted": False, "reasons": ("a", "b")}, "the check from its files rejects it (a; b)"),
+    ],
+)
+def test_regressions_in_words(changes, words: str | None) -> None:
+    """Verdict, objective, outcome and the check; what is as good or better says nothing."""
+    found = regressions(row(**changes), REFERENCE)
+    if words is None:
+        assert found == []
+    else:
+        assert len(found) == 1 and words in found[0]
+        assert found[0].startswith("yard, plan, connected cost-to-go, horizon 10, seed 0, planner")
+
+
+def test_sense_decides_what_is_worse() -> None:
+    """Of a sum of terms, less is worse."""
+    reference = replace(REFERENCE, sense="max")
+    assert regressions(row(sense="max", objective=102.0), reference) == []
+    assert "2.0% worse" in regressions(row(sense="max", objective=98.0), reference)[0]
+
+
+def test_a_better_verdict_is_no_regression() -> None:
+    """From unverified to verified."""
+    assert regressions(row(), replace(REFERENCE, verdict="feasible_unverified")) == []
+    assert regressions(row(), replace(REFERENCE, objective=None)) == []
+
+
+def test_improvements_are_told() -> None:
+    """By more than the share only."""
+    assert improvement(row(objective=99.5), REFERENCE) is None
+    assert "10.0% better" in (improvement(row(objective=90.0), REFERENCE) or "")
+    assert improvement(row(objective=90.0, accepted=False), REFERENCE) is None
+
+
+def test_frozen_names_every_change() -> None:
+    """New cases are added; changes have words; what the check rejects is no reference."""
+    rows = [row(), row(seed=1, objective=7.123456789123)]
+    first, changes = frozen({}, rows, "one")
+    assert changes == [] and [one.objective for one in first.values()] == [100.0, 7.12345679]
+    again, changes = frozen(first, rows, "two")
+    assert changes == [] and again == first
+    later, changes = frozen(first, [row(objective=90.0, rungs={"lattice": 1})], "two")
+    assert len(changes) == 1 and "objective 100.0 -> 90.0" in changes[0]
+    assert "rungs {'plan': 1} -> {'lattice': 1}" in changes[0]
+    assert later[row().case].made_by == "two" and len(later) == 2
+    bad = [row(seed=2, accepted=False, reasons=("no",)), row(seed=3, outcome="error")]
+    same, changes = frozen(first, bad, "two")
+    assert same == first and len(changes) == 2 and "left out, no" in changes[0]
+
+
+def test_file_round_trip(tmp_path: Path) -> None:
+    """One case a line, sorted, and read as written."""
+    file = tmp_path / "references.json"
+    made, _ = frozen({}, [row(seed=3), row(), row(planner="scp")], "one")
+    write_references(made, file)
+    assert read_references(file) == made
+    text = file.read_text()
+    assert text.count('"problem": "yard"') == 3 and len(text.splitlines()) == 6
+    assert text.index('"seed": 0') < text.index('"seed": 3')
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"references": [{}]}', '{"references": 3}'])
+def test_damaged_files(text: str, tmp_path: Path) -> None:
+    """Ours, with the file."""
+    file = tmp_path / "references.json"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"references\.json"):
+        read_references(file)
+
+
+def test_impossible_numbers(tmp_path: Path) -> None:
+    """An objective that is no number would make every comparison true."""
+    file = tmp_path / "references.json"
+    write_references({row().case: replace(REFERENCE, objective=float("nan"))}, file)
+    with pytest.raises(InputError, match="a number that cannot be"):
+        read_references(file)
+
+
+def test_a_case_twice(tmp_path: Path) -> None:
+    """The second would silently win."""
+    file = tmp_path / "references.json"
+    write_references({row().case: REFERENCE}, file)
+    line = file.read_text().splitlines()[2]
+    file.write_text(file.read_text().replace(line, f"{line},\n{line}"))
+    with pytest.raises(InputError, match="a case twice"):
+        read_references(file)
+
+
+def test_a_problem_without_reference_is_told() -> None:
+    """And one that is gone."""
+    cases, missing = fast_cases({row().case: REFERENCE})
+    assert cases == [] and len(missing) == len(library_names()) + 1
+    assert "open_field: no reference" in " ".join(missing)
+    assert missing[-1].startswith("yard: has references, but")
+
+
+def test_cases_are_all_combinations() -> None:
+    """Planners that a problem does not allow are left out; one closed loop a problem."""
+    cases = library_cases(["open_field", "outdoor_map"], seeds=range(2), horizons=[1, 3])
+    field = [case for case in cases if case.question.problem == "open_field"]
+    assert len(field) == 2 * 2 * 2 * 4 + 1
+    assert {case.planner for case in field} == {"auto", "nlp", "scp", "lattice"}
+    mapped = [case for case in cases if case.question.problem == "outdoor_map"]
+    assert len(mapped) == 2 * 2 * 7 + 1
+    assert len(set(cases)) == len(cases)
+
+
+@pytest.mark.parametrize(
+    ("asked", "key"),
+    [
+        ({"planners": ["magic"]}, "planners"),
+        ({"planners": ["random"]}, "planners"),
+        ({"horizons": [0]}, "planner.horizon"),
+    ],
+)
+def test_cases_that_cannot_be(asked, key: str) -> None:
+    """The error names the option."""
+    with pytest.raises(InputError) as caught:
+        library_cases(["open_field"], **asked)
+    assert caught.value.key == key

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief, update
 from planopt.channel.fields.truth import Truth, measure
+from planopt.channel.measurements import Measurements
 from planopt.objectives.measuring import MeasuringRule
 from planopt.problems.problem import Problem
 
@@ -20,7 +21,23 @@ def learn_here(
 
     Every station is measured, unless the power of each has been measured that near.
     """
-    rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
-    if not rule.is_open(position_m[None])[0]:
+    return learn_measured(problem, belief, [measure(truth, position_m[None]) for truth in truths])
+
+
+def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
+    """Take measurements into a belief, but for those nearer than the spacing to earlier ones.
+
+    Parameters
+    ----------
+    problem
+        Says the spacing.
+    belief
+        The belief before; returned itself where no measurement is taken in.
+    measured
+        Of each station, in the order in which they were taken; none where nothing was measured.
+    """
+    if not measured:
         return belief
-    return update(belief, *(measure(truth, position_m[None]) for truth in truths))
+    rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
+    taken = [each.take(rule.takes(each.positions_m)) for each in measured]
+    return update(belief, *taken) if any(map(len, taken)) else belief

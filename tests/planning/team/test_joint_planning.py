@@ -9,9 +9,9 @@ from terms_scene import TRACKING, terms_problem
 
 from planopt.objectives.mapping import path_information
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 MAPPING = {"kind": "mapping", "form": "information"}
 
@@ -90,8 +90,8 @@ def _worth_together(solution):
 def test_joint_runs_are_judged_from_their_files(terms, tmp_path: Path):
     """What each robot was told is saved, or found again, and the objectives with it."""
     problem = team(*terms, count=2)
-    save_team_solution(solve(problem, seed=2), tmp_path / "plan")
-    save_team_run(simulate_team(problem, seed=2), tmp_path / "run")
+    save_solution(solve(problem, seed=2), tmp_path / "plan")
+    save_run(simulate(problem, seed=2), tmp_path / "run")
     assert check(tmp_path / "plan").reasons == ()
     assert check(tmp_path / "run").reasons == ()
 

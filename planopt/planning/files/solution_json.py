@@ -302,12 +302,13 @@ def aim_json(aim: Aim) -> dict[str, Any]:
     """The aim of one plan; null where there is none."""
     x, y = (None, None) if aim.target_m is None else aim.target_m.T
     turns = aim.steering_turns_m
+    planned = [[finite_list(place) for place in path] for path in aim.pending.planned_m]
     return {
         "target_x_m": None if x is None else finite_list(x),
         "target_y_m": None if y is None else finite_list(y),
         "steering_m": None if turns is None else finite_list(turns[-1]),
         "steering_turns_m": None if turns is None else [finite_list(turn) for turn in turns],
-        "pending_m": [[finite_list(place) for place in path] for path in aim.pending.planned_m],
+        **({"pending_m": planned} if planned else {}),
     }
 
 

@@ -1,5 +1,6 @@
 """Robots of a team that count what the others measure, and rounds that never make it worse."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -103,3 +104,15 @@ def test_decoupled_robots_are_told_nothing():
     alone = solve(replace(problem, robots=problem.robots[1:]), seed=1)
     np.testing.assert_array_equal(decoupled.plans[1].positions_m, alone.plans[0].positions_m)
     assert not decoupled.aims[1].pending.planned_m
+
+
+def test_files_from_before_joint_planning_are_decoupled(tmp_path: Path):
+    """A run without the key is judged as it was made."""
+    problem = team(MAPPING, count=2, coordination="decoupled")
+    save_run(simulate(problem, seed=2), tmp_path)
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text())
+    for key in ("coordination", "rounds"):
+        del data["problem_file"]["planner"][key]
+    file.write_text(json.dumps(data))
+    assert check(tmp_path).reasons == ()

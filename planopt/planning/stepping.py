@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements
 from planopt.planning.history import history_of
-from planopt.planning.loop.learning import learn_measured
+from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan
 from planopt.planning.reach_planner import ReachPlanner

@@ -31,8 +31,7 @@ def shortened(name: str, steps: int, **changes) -> Problem:
 
 def plans_of(run) -> list[list[planopt.Plan]]:
     """The plans of a run, of each robot."""
-    several = isinstance(run.plans[0], tuple)
-    return [list(made) for made in (run.plans if several else (run.plans,))]
+    return [list(made) for made in run.plans]
 
 
 def driven(problem: Problem, steps: int) -> list[list[planopt.Plan]]:

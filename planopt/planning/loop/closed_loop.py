@@ -12,34 +12,28 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.given import GivenMeasurements, with_measurements
-from planopt.planning.history import history_of
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
-from planopt.planning.loop.learning import learn_here
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.robot_run import robot_run
 from planopt.planning.loop.target_log import target_log
-from planopt.planning.loop.target_watch import aim_of, observed, watch_target
+from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
-from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.run import Run
 from planopt.planning.scene import Scene, build_scene
-from planopt.planning.team.crew import build_crew
-from planopt.planning.team.team_seeds import TeamSeeds, team_seeds
-from planopt.planning.team.team_step import TeamMoment, plan_together
-from planopt.planning.worth.aim import Aim
+from planopt.planning.stepping import Stepper, plan_step
+from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
-
-PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
+from planopt.targets.sensor import sense
 
 
 @one_blas_thread()
@@ -99,104 +93,68 @@ def simulate(
     if reaches and scene is None:
         scene = build_scene(problem)
     seeds = team_seeds(problem, seed)
-    plan_step = _plan_step(problem, scene if reaches else None, seeds)
-    watches = [watch_target(problem, seeds.target)]
-    numbers = range(len(problem.robots))
-    owns = [problem_of_robot(problem, number) for number in numbers]
-    states = [[own.robots[0].start_state] for own in owns]
-    learnt: list[list[bool]] = [[] for _ in numbers]
-    plans: list[list[Plan]] = [[] for _ in numbers]
-    aims: list[list[Aim]] = [[] for _ in numbers]
-    beliefs = [prepared.belief for _ in numbers]
+    robots = Stepper(
+        problem,
+        prepared.belief,
+        plan_step(problem, scene if reaches else None, seeds),
+        watch_target(problem, seeds.target),
+    )
     # The error over the whole workspace is dear, and tells little of a way to a goal.
     known_at = None if reaches else workspace_region(problem).grid_m
-    rows = [] if known_at is None else [channel_row(beliefs[0].posteriors, truths, known_at)]
-    connected = np.zeros((0, len(numbers)), dtype=np.bool_)
-
-    def ending() -> tuple[Outcome, str] | None:
-        robots = [
-            Progress(own, driven, measured, made, belief.posteriors)
-            for own, driven, measured, made, belief in zip(
-                owns, states, learnt, plans, beliefs, strict=True
-            )
-        ]
-        return run_ending(problem, connected, robots)
-
-    ended = ending()
+    rows = [] if known_at is None else [channel_row(robots.beliefs[0].posteriors, truths, known_at)]
+    ended = _ending(robots)
     while ended is None:
-        step, watch = len(connected) + 1, watches[-1]
-        moment = TeamMoment(
-            beliefs=beliefs,
-            states=[driven[-1] for driven in states],
-            watched=[aim_of(watch, number, problem.planner.horizon) for number in numbers],
-            histories=[
-                history_of(
-                    own,
-                    np.array(states[number])[:, :2],
-                    connected[:, number],
-                    [plan.certificate for plan in plans[number]],
-                )
-                for number, own in enumerate(owns)
-            ],
-            warm=[made[-1] if made else None for made in plans],
-            driven_m=[np.array(driven)[1:, :2] for driven in states],
-        )
         try:
-            step_plans, step_aims = plan_step(moment)
+            step_plans = robots.plan()
         except NoPlanError as error:
             ended = Outcome.NO_PLAN, str(error)
             break
+        step, watch = len(robots.connected) + 1, robots.watches[-1]
         if step == 1 and on_start is not None:
             on_start(step_plans[0])
-        for number in numbers:
-            plans[number].append(step_plans[number])
-            aims[number].append(step_aims[number])
-            states[number].append(step_plans[number].next_state)
-            before = beliefs[number]
-            beliefs[number] = learn_here(problem, truths, before, states[number][-1][:2])
-            learnt[number].append(beliefs[number] is not before)
-        here = np.array([driven[-1][:2] for driven in states])
-        arrived = true_serving_dbm(problem, truths, here) >= problem.stations[0].threshold_dbm
-        connected = np.vstack([connected, arrived])
-        watches.append(
-            None if watch is None else observed(watch, step, here, arrived, seeds.target)
+        states = [plan.next_state for plan in step_plans]
+        here = np.array([state[:2] for state in states])
+        robots.observe(
+            states,
+            [[measure(truth, place[None]) for truth in truths] for place in here],
+            true_serving_dbm(problem, truths, here) >= problem.stations[0].threshold_dbm,
+            None if watch is None else sense(watch.sensor, here, watch.true_m[step], seeds.target),
         )
         if known_at is not None:
-            rows.append(channel_row(beliefs[0].posteriors, truths, known_at))
+            rows.append(channel_row(robots.beliefs[0].posteriors, truths, known_at))
         if on_step is not None:
             on_step(step)
-        ended = ending()
-    tracks = [np.array(driven)[:, :2] for driven in states]
+        ended = _ending(robots)
+    tracks = [np.array(driven)[:, :2] for driven in robots.states]
     return Run(
         problem=problem,
         seed=seed,
         truths=truths,
         runs=tuple(
             robot_run(own, track, true_serving_dbm(problem, truths, track), made, measured, ended)
-            for own, track, made, measured in zip(owns, tracks, plans, learnt, strict=True)
+            for own, track, made, measured in zip(
+                robots.owns, tracks, robots.plans, robots.learnt, strict=True
+            )
         ),
-        plans=tuple(tuple(made) for made in plans),
-        aims=tuple(tuple(known) for known in aims),
-        beliefs=tuple(beliefs),
+        plans=tuple(tuple(made) for made in robots.plans),
+        aims=tuple(tuple(known) for known in robots.aims),
+        beliefs=tuple(robots.beliefs),
         first_measurements=len(prepared.belief.posterior.measurements),
-        target=target_log(watches, connected),
+        target=target_log(robots.watches, robots.connected),
         channel=channel_log(rows) if rows else None,
         costs=_costs(problem, scene, prepared, tracks[0], ended[0]) if reaches else {},
     )
 
 
-def _plan_step(problem: Problem, scene: Scene | None, seeds: TeamSeeds) -> PlanStep:
-    """Return what plans a step: to a goal in a scene, or a team for its terms."""
-    if scene is not None:
-        planning = ReachPlanner(problem, scene)
-
-        def reach(at: TeamMoment) -> tuple[list[Plan], list[Aim]]:
-            plan = planning.plan(at.beliefs[0], at.states[0], at.warm[0], at.histories[0])
-            return [plan], [Aim()]
-
-        return reach
-    crew = build_crew(problem, seeds)
-    return lambda at: plan_together(problem, crew, at)
+def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
+    """Return how a run ends where its robots are now; None if it goes on."""
+    progress = [
+        Progress(own, driven, measured, made, belief.posteriors)
+        for own, driven, measured, made, belief in zip(
+            robots.owns, robots.states, robots.learnt, robots.plans, robots.beliefs, strict=True
+        )
+    ]
+    return run_ending(robots.problem, robots.connected, progress)
 
 
 def _costs(

@@ -56,7 +56,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             tuple(
                 obstacle
                 for index, table in enumerate(tables.world.obstacles)
-                for obstacle in _obstacles(table, index, folder)
+                for obstacle in obstacles_of(table, index, folder)
             ),
             tuple(table.obstacle for table in tables.world.moving),
         ),
@@ -94,8 +94,8 @@ def _objective(tables: ProblemFile) -> ReachObjective | TermsObjective:
     return TermsObjective(tuple(table.terms))
 
 
-def _obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
-    """The obstacles of one entry; errors carry its key."""
+def obstacles_of(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
+    """Return the obstacles of one entry of ``world.obstacles``; errors carry its key."""
     key = f"world.obstacles[{index}]"
     name = f"obstacle {index}" if table.name is None else table.name
     try:

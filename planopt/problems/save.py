@@ -57,7 +57,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         },
         "world": {
             "bounds_m": list(problem.workspace.bounds_m),
-            "obstacles": [_obstacle(obstacle) for obstacle in problem.workspace.obstacles],
+            "obstacles": [obstacle_table(obstacle) for obstacle in problem.workspace.obstacles],
             "moving": [_moving(obstacle) for obstacle in problem.workspace.moving],
         },
         "channel": channel,
@@ -171,7 +171,8 @@ def _station(station: BaseStation) -> dict[str, Any]:
     }
 
 
-def _obstacle(obstacle: Obstacle) -> dict[str, Any]:
+def obstacle_table(obstacle: Obstacle) -> dict[str, Any]:
+    """Return an obstacle as an entry of ``world.obstacles``."""
     polygon = obstacle.polygon
     table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
     holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]

@@ -23,6 +23,7 @@ from planopt.problems.read_toml import read_toml
 from planopt.problems.tables import Table
 
 SYSTEMS = {
+    "pursuit": "planopt.systems.pursuit.system",
     "pursuit_design": "planopt.systems.pursuit_design.system",
 }
 """The module of each system, by task; its attribute ``SYSTEM`` is the :class:`System`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -155,6 +156,8 @@ class Pursuit:
         ``(e, n + 1, 2)``; they stay where they are caught.
     chased
         ``(p, n)`` which evader each pursuer was after; -1 once all are caught.
+    aims_m
+        ``(p, n, 2)`` where each pursuer drove to in each step.
     capture_s, captors
         ``(e,)`` when each evader was caught, infinite if never, and by whom, -1 if by nobody.
     uses
@@ -166,6 +169,7 @@ class Pursuit:
     pursuers: tuple[NDArray[np.float64], ...]
     evaders_m: NDArray[np.float64]
     chased: NDArray[np.int64]
+    aims_m: NDArray[np.float64]
     capture_s: NDArray[np.float64]
     captors: NDArray[np.int64]
     uses: tuple[Use, ...]
@@ -192,7 +196,9 @@ class Pursuit:
         return float(self.capture_s.max())
 
 
-def simulate_pursuit(scene: Scene, generator: np.random.Generator) -> Pursuit:
+def simulate_pursuit(
+    scene: Scene, generator: np.random.Generator, on_step: Callable[[], None] = lambda: None
+) -> Pursuit:
     """Run a pursuit until all evaders are caught or `max_steps` are over.
 
     Each pursuer is after one evader until that is caught: first the pairs that are together the
@@ -205,15 +211,19 @@ def simulate_pursuit(scene: Scene, generator: np.random.Generator) -> Pursuit:
         Who pursues whom, and where.
     generator
         Source of all randomness.
+    on_step
+        Called after every step, for progress display.
     """
-    return _Run(scene, generator).finish()
+    return _Run(scene, generator, on_step).finish()
 
 
 class _Run:
     """Positions so far, and who is after whom."""
 
-    def __init__(self, scene: Scene, generator: np.random.Generator) -> None:
-        self._scene, self._generator = scene, generator
+    def __init__(
+        self, scene: Scene, generator: np.random.Generator, on_step: Callable[[], None]
+    ) -> None:
+        self._scene, self._generator, self._on_step = scene, generator, on_step
         steps, count = scene.max_steps, len(scene.evaders)
         self._times_s = np.linspace(0.0, steps * scene.step_s, steps + 1)
         self._states = [
@@ -224,6 +234,7 @@ class _Run:
         self._decides: list[Decide] = [each.behaviour.begin(generator) for each in scene.evaders]
         self._drivers: list[Driver | None] = [None] * len(scene.pursuers)
         self._chased = np.full((len(scene.pursuers), steps), -1)
+        self._aims_m = np.zeros((len(scene.pursuers), steps, 2))
         self._after = np.full(len(scene.pursuers), -1)
         self._capture_s, self._captors = np.full(count, np.inf), np.full(count, -1)
         self._uses: list[Use] = []
@@ -234,6 +245,7 @@ class _Run:
             self._assign()
             self._chased[:, self._step] = self._after
             aims = [self._aim_m(number) for number in range(len(self._scene.pursuers))]
+            self._aims_m[:, self._step] = aims
             self._move_evaders(np.array(aims))
             for number, each in enumerate(self._scene.pursuers):
                 states = self._states[number]
@@ -242,6 +254,7 @@ class _Run:
                 )
             self._note_captures(aims)
             self._step += 1
+            self._on_step()
         end = self._step + 1
         return Pursuit(
             self._scene,
@@ -249,6 +262,7 @@ class _Run:
             tuple(states[:end] for states in self._states),
             self._places[:, :end],
             self._chased[:, : self._step],
+            self._aims_m[:, : self._step],
             self._capture_s,
             self._captors,
             tuple(self._uses),

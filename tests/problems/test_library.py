@@ -42,6 +42,10 @@ NAMES = [
     "outdoor_map",
     "outdoor_track",
     "pursuit_design",
+    "pursuit_fleeing",
+    "pursuit_obstacles",
+    "pursuit_several",
+    "pursuit_static",
     "two_station_courier",
 ]
 

@@ -1,5 +1,6 @@
 """Robots of a team that count what the others measure, and rounds that never make it worse."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +10,9 @@ from terms_scene import TRACKING, terms_problem
 
 from planopt.objectives.mapping import path_information
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 MAPPING = {"kind": "mapping", "form": "information"}
 
@@ -90,8 +91,8 @@ def _worth_together(solution):
 def test_joint_runs_are_judged_from_their_files(terms, tmp_path: Path):
     """What each robot was told is saved, or found again, and the objectives with it."""
     problem = team(*terms, count=2)
-    save_team_solution(solve(problem, seed=2), tmp_path / "plan")
-    save_team_run(simulate_team(problem, seed=2), tmp_path / "run")
+    save_solution(solve(problem, seed=2), tmp_path / "plan")
+    save_run(simulate(problem, seed=2), tmp_path / "run")
     assert check(tmp_path / "plan").reasons == ()
     assert check(tmp_path / "run").reasons == ()
 
@@ -103,3 +104,15 @@ def test_decoupled_robots_are_told_nothing():
     alone = solve(replace(problem, robots=problem.robots[1:]), seed=1)
     np.testing.assert_array_equal(decoupled.plans[1].positions_m, alone.plans[0].positions_m)
     assert not decoupled.aims[1].pending.planned_m
+
+
+def test_files_from_before_joint_planning_are_decoupled(tmp_path: Path):
+    """A run without the key is judged as it was made."""
+    problem = team(MAPPING, count=2, coordination="decoupled")
+    save_run(simulate(problem, seed=2), tmp_path)
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text())
+    for key in ("coordination", "rounds"):
+        del data["problem_file"]["planner"][key]
+    file.write_text(json.dumps(data))
+    assert check(tmp_path).reasons == ()

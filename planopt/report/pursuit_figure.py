@@ -1,0 +1,324 @@
+"""Pictures of pursuits: the paths, what pursuers knew when, and an animation of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.files.whole import write_whole
+from planopt.pursuit.simulation import Pursuit, Use
+from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.style import (
+    BLACK,
+    BLUE,
+    OBSTACLE,
+    OBSTACLE_EDGE,
+    ORANGE,
+    SERIES,
+    VERMILLION,
+    dress,
+    head,
+    legend_below,
+    legend_inside,
+    spaced,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+FRAMES, FRAMES_PER_S = 60, 10
+"""Of an animation: at most so many pictures, so many a second."""
+
+ANIMATION_DPI = 70
+
+CIRCLE = np.linspace(0.0, 2.0 * np.pi, 49)
+
+
+def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
+    """Draw who went where, and how old and how far off the records were.
+
+    Parameters
+    ----------
+    name
+        Of the problem.
+    pursuit
+        What happened.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(12.0, 6.4)
+    grid = GridSpec(2, 2, figure=figure, width_ratios=(1.5, 1.0))
+    plane = add_panel(figure, grid[:, 0])
+    entries = _scene(plane, pursuit)
+    for states in pursuit.pursuers:
+        entries["pursuer"] = plane.plot(
+            states[:, 0], states[:, 1], color=BLUE, linewidth=1.5, label="pursuer"
+        )[0]
+        plane.plot(states[:1, 0], states[:1, 1], color=BLUE, marker="s", markersize=6.0)
+    for places in pursuit.evaders_m:
+        entries["evader"] = plane.plot(
+            places[:, 0], places[:, 1], color=VERMILLION, linewidth=1.5, label="evader"
+        )[0]
+        plane.plot(places[:1, 0], places[:1, 1], color=VERMILLION, marker="o", markersize=6.0)
+    reported = np.array([use.record.reported_m for use in pursuit.uses]).reshape(-1, 2)
+    if len(reported):
+        entries["report"] = plane.scatter(
+            reported[:, 0], reported[:, 1], s=16.0, color=ORANGE, zorder=3, label="reported place"
+        )
+    _captures(plane, pursuit, entries)
+    _knowledge(add_panel(figure, grid[0, 1]), add_panel(figure, grid[1, 1]), pursuit)
+    legend_below(figure, entries.values(), len(entries))
+    head(figure, f"{spaced(name)}: {_outcome(pursuit)}")
+    return figure
+
+
+def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
+    """Write a GIF of a pursuit: who is where, and the record that each pursuer goes by.
+
+    Parameters
+    ----------
+    name
+        Of the problem.
+    pursuit
+        What happened.
+    path
+        Ends in ``.gif``.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    from matplotlib.animation import PillowWriter
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(7.0, 6.0)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    _scene(panel, pursuit)
+    _limits(panel, pursuit)
+    moving = _Moving(panel, pursuit)
+    legend_inside(panel, "upper right")
+    title = panel.text(0.02, 0.02, "", transform=cast(Any, panel).transAxes)
+    last = len(pursuit.times_s) - 1
+    steps = np.unique(np.linspace(0, last, min(FRAMES, last + 1)).round().astype(np.int64))
+
+    def write(temporary: Path) -> None:
+        writer = cast(_Writer, PillowWriter(fps=FRAMES_PER_S))
+        writer.setup(figure, str(temporary), dpi=ANIMATION_DPI)
+        # Laid out once: panels would move, and layout takes most of the time.
+        cast(_Drawn, figure.canvas).draw()
+        cast(_LaidOut, figure).set_layout_engine("none")
+        for step in [*steps.tolist(), *[last] * FRAMES_PER_S]:
+            cast(Any, title).set_text(f"{spaced(name)}, {moving.show(step)}")
+            writer.grab_frame()
+        writer.finish()
+
+    write_whole(path, write)
+
+
+def draw_capture_times(name: str, rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw the mean time to capture of each setting with its interval.
+
+    Parameters
+    ----------
+    name
+        Of the problem.
+    rows
+        Those of ``planopt compare``.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(7.0, 4.4)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    labels: list[str] = []
+    for place, row in enumerate(rows):
+        horizon = f"\n{row['horizon']}" if row["planner"] == "receding" else ""
+        labels.append(f"{row['planner']}{horizon}")
+        if row["mean"] is None:
+            continue
+        low = row["mean"] if row["ci_low"] is None else row["ci_low"]
+        high = row["mean"] if row["ci_high"] is None else row["ci_high"]
+        colour = SERIES[0 if row["planner"] == "receding" else 1]
+        panel.plot([place, place], [low, high], color=colour, linewidth=2.0)
+        panel.plot([place], [row["mean"]], color=colour, marker="o", markersize=7.0)
+    panel.set_xticks(list(range(len(labels))), labels)
+    panel.set_ylim(0.0, None)
+    dress(
+        panel, "mean of the seeds and its 95 % interval", "planner, horizon", "time to capture [s]"
+    )
+    head(figure, spaced(name))
+    return figure
+
+
+class _Writer(Protocol):
+    """The methods of ``matplotlib.animation.PillowWriter`` that are used, typed."""
+
+    def setup(self, figure: Figure, outfile: str, *, dpi: float) -> None: ...
+    def grab_frame(self) -> None: ...
+    def finish(self) -> None: ...
+
+
+class _Drawn(Protocol):
+    """The method of a canvas that draws it."""
+
+    def draw(self) -> None: ...
+
+
+class _LaidOut(Protocol):
+    """The method of a figure that says how it is laid out, typed."""
+
+    def set_layout_engine(self, layout: str, /) -> None: ...
+
+
+class _Line(Protocol):
+    """The method of ``matplotlib.lines.Line2D`` that moves it, typed."""
+
+    def set_data(self, x: object, y: object, /) -> None: ...
+
+
+class _Moving:
+    """Everything in an animation that moves."""
+
+    def __init__(self, panel: Panel, pursuit: Pursuit) -> None:
+        self._pursuit = pursuit
+
+        def line(**look: object) -> _Line:
+            return cast(_Line, panel.plot([], [], **look)[0])
+
+        self._paths = [
+            line(color=BLUE, linewidth=1.2, label="pursuer" if n == 0 else "_")
+            for n in range(len(pursuit.pursuers))
+        ]
+        self._flights = [
+            line(color=VERMILLION, linewidth=1.2, label="evader" if n == 0 else "_")
+            for n in range(len(pursuit.evaders_m))
+        ]
+        self._places = line(color=BLUE, marker="s", linestyle="none", markersize=7.0)
+        self._evaders = line(color=VERMILLION, marker="o", linestyle="none", markersize=7.0)
+        self._cells = [
+            line(color=ORANGE, linewidth=1.6, label="where it was reported" if n == 0 else "_")
+            for n in range(len(pursuit.pursuers))
+        ]
+        self._sampled = line(
+            color=VERMILLION,
+            marker="x",
+            linestyle="none",
+            markersize=7.0,
+            label="where it was then",
+        )
+
+    def show(self, step: int) -> str:
+        """Move everything to a step, and say what is known then."""
+        pursuit = self._pursuit
+        now_s = float(pursuit.times_s[step])
+        for line, states in zip(self._paths, pursuit.pursuers, strict=True):
+            line.set_data(states[: step + 1, 0], states[: step + 1, 1])
+        for line, places in zip(self._flights, pursuit.evaders_m, strict=True):
+            line.set_data(places[: step + 1, 0], places[: step + 1, 1])
+        here = np.array([states[step, :2] for states in pursuit.pursuers])
+        self._places.set_data(here[:, 0], here[:, 1])
+        there = pursuit.evaders_m[:, step]
+        self._evaders.set_data(there[:, 0], there[:, 1])
+        sampled: list[NDArray[np.float64]] = []
+        ages: list[float] = []
+        for number, line in enumerate(self._cells):
+            use = _in_use(pursuit, number, now_s)
+            if use is None:
+                line.set_data([], [])
+                continue
+            around = use.record.reported_m[:, None] + use.record.error_m * np.array(
+                [np.cos(CIRCLE), np.sin(CIRCLE)]
+            )
+            line.set_data(around[0], around[1])
+            sampled.append(use.sampled_m)
+            ages.append(now_s - use.record.sampled_s)
+        then = np.array(sampled).reshape(-1, 2)
+        self._sampled.set_data(then[:, 0], then[:, 1])
+        age = f", record {max(ages):.1f} s old" if ages else ", nothing known"
+        return f"{now_s:.1f} s{age}"
+
+
+def _in_use(pursuit: Pursuit, pursuer: int, now_s: float) -> Use | None:
+    own = [use for use in pursuit.uses if use.pursuer == pursuer and use.time_s <= now_s]
+    return own[-1] if own else None
+
+
+def _scene(panel: Panel, pursuit: Pursuit) -> dict[str, Artist]:
+    """Obstacles and bounds; legend entries."""
+    from matplotlib.collections import PolyCollection
+
+    entries: dict[str, Artist] = {}
+    arena = pursuit.scene.arena
+    if arena.obstacles is not None:
+        rings = [shapely.get_coordinates(each.exterior) for each in arena.obstacles.polygons]
+        layer = PolyCollection(
+            rings, facecolors=OBSTACLE, edgecolors=OBSTACLE_EDGE, label="obstacle"
+        )
+        panel.add_collection(layer)
+        entries["obstacle"] = layer
+    if arena.bounds_m is not None:
+        x0, y0, x1, y1 = arena.bounds_m
+        panel.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=OBSTACLE_EDGE, linewidth=0.8)
+    panel.set_aspect("equal", adjustable="datalim")
+    dress(panel, "", "x [m]", "y [m]")
+    return entries
+
+
+def _limits(panel: Panel, pursuit: Pursuit) -> None:
+    places = np.vstack([*(s[:, :2] for s in pursuit.pursuers), *pursuit.evaders_m])
+    margin_m = 0.06 * float(np.ptp(places, axis=0).max()) + pursuit.scene.capture_radius_m
+    low, high = places.min(axis=0) - margin_m, places.max(axis=0) + margin_m
+    panel.set_xlim(float(low[0]), float(high[0]))
+    panel.set_ylim(float(low[1]), float(high[1]))
+
+
+def _captures(panel: Panel, pursuit: Pursuit, entries: dict[str, Artist]) -> None:
+    for places, caught_s in zip(pursuit.evaders_m, pursuit.capture_s.tolist(), strict=True):
+        if np.isfinite(caught_s):
+            around = places[-1][:, None] + pursuit.scene.capture_radius_m * np.array(
+                [np.cos(CIRCLE), np.sin(CIRCLE)]
+            )
+            entries["capture"] = panel.plot(
+                around[0],
+                around[1],
+                color=BLACK,
+                linewidth=1.0,
+                linestyle="--",
+                label="capture radius",
+            )[0]
+
+
+def _knowledge(ages: Panel, distances: Panel, pursuit: Pursuit) -> None:
+    """Age of the record in use and distance over time, a line a pursuer."""
+    times_s = pursuit.times_s
+    for number, states in enumerate(pursuit.pursuers):
+        colour = SERIES[number % len(SERIES)]
+        own = [use for use in pursuit.uses if use.pursuer == number]
+        if own:
+            begun = np.array([use.time_s for use in own])
+            sampled = np.array([use.record.sampled_s for use in own])
+            held = np.searchsorted(begun, times_s, side="right") - 1
+            known = held >= 0
+            ages.plot(times_s[known], (times_s - sampled[held])[known], color=colour, linewidth=1.4)
+        after = np.append(pursuit.chased[number], pursuit.chased[number][-1:])
+        if len(after) and (after >= 0).all():
+            evader = pursuit.evaders_m[after, np.arange(len(times_s))]
+            apart_m = np.linalg.norm(states[:, :2] - evader, axis=1)
+            distances.plot(times_s, apart_m, color=colour, linewidth=1.4)
+    distances.axhline(pursuit.scene.capture_radius_m, color=BLACK, linestyle="--", linewidth=1.0)
+    ages.set_ylim(0.0, None)
+    distances.set_ylim(0.0, None)
+    dress(ages, "age of the record in use", "time [s]", "age [s]")
+    dress(distances, "true distance to the evader (dashed: capture)", "time [s]", "distance [m]")
+
+
+def _outcome(pursuit: Pursuit) -> str:
+    if pursuit.outcome == "captured":
+        return f"captured after {pursuit.capture_time_s:.1f} s"
+    return f"not captured in {pursuit.times_s[-1]:.1f} s"

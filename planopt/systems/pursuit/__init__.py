@@ -1,0 +1,1 @@
+"""The task pursuit: pursuers that know evaders through aged, coarse snapshots, simulated."""

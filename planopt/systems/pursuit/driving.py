@@ -1,0 +1,94 @@
+"""Drive a pursuit by the planner that was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from planopt.errors import InputError
+from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
+from planopt.problems.systems import Request
+from planopt.pursuit.guarantees import Inequality, Theorem
+from planopt.pursuit.simulation import Pursuit, simulate_pursuit
+from planopt.systems.pursuit.tables import PlannerName, PlannerTable, PursuitProblem
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """A pursuit that was driven, with how.
+
+    Attributes
+    ----------
+    problem, pursuit
+        What was asked for, and what happened.
+    planner, horizon, seed
+        By whom.
+    """
+
+    problem: PursuitProblem
+    pursuit: Pursuit
+    planner: str
+    horizon: int
+    seed: int
+
+    @property
+    def alone(self) -> bool:
+        """Whether there is one pursuer and one evader."""
+        return len(self.problem.given.pursuers) == len(self.problem.given.evaders) == 1
+
+    @property
+    def in_stages(self) -> bool:
+        """Whether the theorems speak of it: stages of straight driving, in open space."""
+        return self.planner == "drive" and self.problem.arena.obstacles is None
+
+
+def drive(
+    content: PursuitProblem, planner: PlannerTable, seed: int, on_step: Callable[[], None]
+) -> Driven:
+    """Run a pursuit."""
+    generator = np.random.default_rng(seed)
+    pursuit = simulate_pursuit(content.scene(planner, generator), generator, on_step)
+    return Driven(content, pursuit, planner.name, planner.horizon, seed)
+
+
+def planners(content: PursuitProblem, request: Request) -> list[PlannerTable]:
+    """Return the planner settings asked for; what drives to reports has one horizon.
+
+    Raises
+    ------
+    InputError
+        A name or a horizon is not allowed.
+    """
+    own, names = content.given.planner, get_args(PlannerName)
+    found: list[PlannerTable] = []
+    for name in request.planners or (own.name,):
+        if name not in names:
+            raise InputError(f"is {name!r}", key="planner.name", remedy=f"use {', '.join(names)}")
+        horizons = request.horizons or (own.horizon,)
+        for horizon in horizons if name == "receding" else horizons[:1]:
+            if not MIN_HORIZON <= horizon <= MAX_HORIZON:
+                raise InputError(
+                    f"is {horizon}",
+                    key="planner.horizon",
+                    remedy=f"use {MIN_HORIZON} to {MAX_HORIZON}",
+                )
+            changes = {"name": name, "horizon": horizon}
+            found.append(own.model_copy(update=changes))
+    return found
+
+
+def unguaranteed(content: PursuitProblem) -> Inequality | None:
+    """The first inequality that fails of the theorem that must hold; None if none must or does."""
+    rules = content.given.pursuit
+    if rules.guarantee is None:
+        return None
+    for pursuer in range(len(content.given.pursuers)):
+        for evader in range(len(content.given.evaders)):
+            each = content.guarantees(pursuer, evader)[Theorem(rules.guarantee)]
+            for one in (*each.inequalities, each.captures(rules.capture_radius_m)):
+                if not one.holds:
+                    return one
+    return None

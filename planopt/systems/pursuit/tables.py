@@ -1,0 +1,424 @@
+"""Problem files of the task pursuit, and the scene that they describe."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from planopt.errors import InputError
+from planopt.problems.build import obstacles_of
+from planopt.problems.schema_world import ObstacleTable
+from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
+from planopt.problems.tables import Metres, Name, Pair, Quad, Table
+from planopt.pursuit.arena import Arena, arena_of
+from planopt.pursuit.design import MAX_BITS
+from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag
+from planopt.pursuit.guarantees import Chase, Guarantee, Theorem, guarantees
+from planopt.pursuit.motion import Motion, StraightMotion, UnicycleMotion
+from planopt.pursuit.pursuers import DriveToReport, Policy
+from planopt.pursuit.receding import RecedingHorizon
+from planopt.pursuit.records import SnapshotRecords, draw_lost_rounds
+from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotService
+from planopt.pursuit.simulation import Evader, Pursuer, Scene
+from planopt.robots.unicycle import Unicycle
+from planopt.world.clearance import clearance_m
+from planopt.world.workspace import Obstacle, Workspace
+
+LOST_ROUNDS = 4096
+"""Rounds of each level whose loss is drawn; then they repeat."""
+
+START_TRIES = 1000
+"""Places tried for a start in free space."""
+
+PlannerName = Literal["drive", "retarget", "receding"]
+
+
+class HeadTable(Table):
+    """``[problem]``: what the problem is called and what it asks."""
+
+    schema_version: Literal[1] = Field(
+        alias="schema", description="Version of this schema; it is 1."
+    )
+    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
+    task: Literal["pursuit"] = Field(description="pursuit.")
+    description: str = Field(default="", description="One sentence for people.")
+
+
+class WorldTable(Table):
+    """``[world]``: where it takes place; left out: open space."""
+
+    bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
+    obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
+
+
+class ServiceTable(Table):
+    """``[network]``: the motes and their snapshot service."""
+
+    levels: int = Field(ge=1, le=MAX_LEVELS, description="L: there are 2^L by 2^L motes.")
+    mote_spacing_m: Metres = Field(gt=0, description="Metres between neighbours.")
+    frame_s: float = Field(gt=0, le=1e6, description="A TDMA frame: its slots times their width.")
+    bits_per_axis: int = Field(ge=1, le=MAX_BITS, description="Bits c of a reported position.")
+    hops_per_round: int = Field(
+        default=HOPS_PER_ROUND, ge=HOPS_PER_ROUND, le=1000, description="Frames of a level-0 round."
+    )
+    rate_divisor: int = Field(
+        default=1, ge=1, le=1000, description="r: rounds start every r rounds' lengths."
+    )
+    endless: bool = Field(
+        default=False, description="Whether motes go on beyond the grid; needed without [world]."
+    )
+    loss_probability: float = Field(
+        default=0.0, ge=0, lt=1, description="Of a round's report of the evader, each on its own."
+    )
+
+
+class RulesTable(Table):
+    """``[pursuit]``: when it ends, and what must be guaranteed."""
+
+    capture_radius_m: Metres = Field(gt=0, description="An evader so near is caught.")
+    step_s: float = Field(gt=0, le=1e4, description="Everybody decides every so many seconds.")
+    max_steps: int = Field(
+        default=5000, ge=1, le=100_000, description="It is given up after so many steps."
+    )
+    clearance_m: Metres = Field(
+        default=1.0, gt=0, description="How far everybody stays away from obstacles, in metres."
+    )
+    guarantee: Literal["any_instant", "snapshots"] | None = Field(
+        default=None,
+        description="A theorem that must promise capture, or there is no plan; left out: none.",
+    )
+
+
+class StaticTable(Table):
+    """It stays."""
+
+    kind: Literal["static"]
+
+    @property
+    def behaviour(self) -> Behaviour:
+        """How it decides."""
+        return Static()
+
+
+class WanderingTable(Table):
+    """It drives on a heading that turns at random."""
+
+    kind: Literal["wandering"]
+    turn_std_rad: float = Field(
+        default=Wandering().turn_std_rad, ge=0, le=100, description="Turn over a second, in rad."
+    )
+
+    @property
+    def behaviour(self) -> Behaviour:
+        """How it decides."""
+        return Wandering(self.turn_std_rad)
+
+
+class FleeingTable(Table):
+    """It flees, from where pursuers are or from where they drive to."""
+
+    kind: Literal["fleeing"]
+    from_aims: bool = Field(default=False, description="Whether it flees from where they drive to.")
+
+    @property
+    def behaviour(self) -> Behaviour:
+        """How it decides."""
+        return Fleeing(self.from_aims)
+
+
+class ZigzagTable(Table):
+    """It flees and turns to the other side ever so often."""
+
+    kind: Literal["zigzag"]
+    period_s: float = Field(gt=0, le=1e6, description="Seconds between turns.")
+    angle_rad: float = Field(
+        default=Zigzag(1.0).angle_rad, ge=0, le=math.pi, description="To either side, in rad."
+    )
+
+    @property
+    def behaviour(self) -> Behaviour:
+        """How it decides."""
+        return Zigzag(self.period_s, self.angle_rad)
+
+
+class ForesightedTable(Table):
+    """It plans ahead against pursuers that drive straight at it; open space only."""
+
+    kind: Literal["foresighted"]
+    horizon: int = Field(ge=1, le=100, description="Steps that it plans.")
+    plan_step_s: float = Field(gt=0, le=1e4, description="Length of one of them in seconds.")
+
+    @property
+    def behaviour(self) -> Behaviour:
+        """How it decides."""
+        return Foresighted(self.horizon, self.plan_step_s)
+
+
+BehaviourTable = Annotated[
+    StaticTable | WanderingTable | FleeingTable | ZigzagTable | ForesightedTable,
+    Field(discriminator="kind"),
+]
+
+
+class EvaderTable(Table):
+    """``[[evaders]]``: who is to be caught."""
+
+    name: Name = Field(default="evader", description="What outputs call it.")
+    start_m: Pair = Field(description="Start [x, y] in metres.")
+    start_radius_m: Metres = Field(
+        default=0.0, ge=0, description="The start is drawn within so many metres of start_m."
+    )
+    speed_max_m_s: float = Field(ge=0, le=1e4, description="Largest speed in m/s.")
+    behaviour: BehaviourTable = Field(description="How it moves: a table with kind.")
+
+
+class PursuerTable(Table):
+    """``[[pursuers]]``: who is to catch it."""
+
+    name: Name = Field(default="pursuer", description="What outputs call it.")
+    start_m: Pair = Field(description="Start [x, y] in metres.")
+    start_radius_m: Metres = Field(
+        default=0.0, ge=0, description="The start is drawn within so many metres of start_m."
+    )
+    speed_max_m_s: float = Field(gt=0, le=1e4, description="Largest speed in m/s.")
+    turn_rate_max_rad_s: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e3,
+        description="Of a unicycle, in rad/s; left out: turns at will. Open space only.",
+    )
+
+    @property
+    def motion(self) -> Motion:
+        """How it moves."""
+        if self.turn_rate_max_rad_s is None:
+            return StraightMotion(self.speed_max_m_s)
+        return UnicycleMotion(Unicycle(self.speed_max_m_s, self.turn_rate_max_rad_s))
+
+
+class PlannerTable(Table):
+    """``[planner]``: how pursuers decide."""
+
+    name: PlannerName = Field(
+        default="drive",
+        description="drive (to the reported place, then to the next), retarget (to every fresher "
+        "report at once) or receding (predict, and plan to meet the evader).",
+    )
+    horizon: int = Field(
+        default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Plan steps ahead, for receding."
+    )
+    plan_step_s: float = Field(
+        default=2.0, gt=0, le=1e4, description="Length of a plan step in seconds, for receding."
+    )
+    manoeuvre_s: float = Field(
+        default=60.0, gt=0, le=1e6, description="An evader forgets its velocity within it."
+    )
+
+    @property
+    def policy(self) -> Policy:
+        """How pursuers decide."""
+        if self.name == "receding":
+            return RecedingHorizon(self.horizon, self.plan_step_s, self.manoeuvre_s)
+        return DriveToReport(retarget=self.name == "retarget")
+
+
+class ReportTable(Table):
+    """``[report]``: what is drawn."""
+
+    figures: bool = Field(
+        default=ReportSettings().figures, description="Draw picture and animation (true or false)."
+    )
+
+
+class PursuitFile(Table):
+    """A planopt problem file (TOML) of the task pursuit."""
+
+    problem: HeadTable
+    world: WorldTable | None = None
+    network: ServiceTable
+    pursuit: RulesTable
+    pursuers: list[PursuerTable] = Field(min_length=1, max_length=50, description="Who pursues.")
+    evaders: list[EvaderTable] = Field(min_length=1, max_length=50, description="Who flees.")
+    planner: PlannerTable = Field(default_factory=PlannerTable)
+    report: ReportTable = Field(default_factory=ReportTable)
+
+
+@dataclass(frozen=True, eq=False)
+class PursuitProblem:
+    """A pursuit to simulate.
+
+    Attributes
+    ----------
+    given
+        Its tables.
+    service, arena, obstacles
+        The motes, free space, and what is in it.
+    """
+
+    given: PursuitFile
+    service: SnapshotService
+    arena: Arena
+    obstacles: tuple[Obstacle, ...]
+
+    def scene(self, planner: PlannerTable, generator: np.random.Generator) -> Scene:
+        """Return the scene of one run: starts and lost rounds are drawn.
+
+        Raises
+        ------
+        InputError
+            There is no free place for a start.
+        """
+        given, rules = self.given, self.given.pursuit
+        starts = [
+            self._start_m(f"{key}[{index}].start_m", each, generator)
+            for key, tables in (("pursuers", given.pursuers), ("evaders", given.evaders))
+            for index, each in enumerate(tables)
+        ]
+        lost, probability = None, given.network.loss_probability
+        if probability > 0.0:
+            lost = draw_lost_rounds(self.service, probability, LOST_ROUNDS, generator)
+        count = len(given.pursuers)
+        return Scene(
+            tuple(
+                Pursuer(start, each.motion, planner.policy)
+                for start, each in zip(starts[:count], given.pursuers, strict=True)
+            ),
+            tuple(
+                Evader(start, each.speed_max_m_s, each.behaviour.behaviour)
+                for start, each in zip(starts[count:], given.evaders, strict=True)
+            ),
+            SnapshotRecords(self.service, lost),
+            rules.capture_radius_m,
+            rules.step_s,
+            rules.max_steps,
+            self.arena,
+        )
+
+    def _start_m(
+        self, key: str, table: PursuerTable | EvaderTable, generator: np.random.Generator
+    ) -> NDArray[np.float64]:
+        for _ in range(START_TRIES if table.start_radius_m > 0.0 else 1):
+            away_m = table.start_radius_m * math.sqrt(generator.uniform())
+            turn = generator.uniform(0.0, 2.0 * math.pi)
+            place = np.array(table.start_m) + away_m * np.array([math.cos(turn), math.sin(turn)])
+            if self._is_free(place):
+                return place
+        raise InputError(
+            f"{table.name} has no free place to start at",
+            key=key,
+            remedy="keep it within world.bounds_m and pursuit.clearance_m away from obstacles",
+        )
+
+    def _is_free(self, place_m: NDArray[np.float64]) -> bool:
+        if not np.array_equal(self.arena.within(place_m), place_m):
+            return False
+        obstacles = self.arena.obstacles
+        return obstacles is None or bool(
+            clearance_m(obstacles, place_m[None])[0] > 1.01 * self.arena.clearance_m
+        )
+
+    def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:
+        """Return what each theorem says of one pursuer after one evader, in open space.
+
+        A stage takes a step longer than driving straight, and a unicycle's the turn.
+        """
+        motion = self.given.pursuers[pursuer].motion
+        speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
+        delay_s = self.given.pursuit.step_s + motion.turning_s
+        return guarantees(Chase(speed, motion.speed_max_m_s, delay_s), self.service.bounds)
+
+
+LEAST_SPEED_M_S = 1e-9
+"""Theorems divide by the evader's speed: who stands still creeps."""
+
+
+def build(given: PursuitFile, folder: Path) -> PursuitProblem:
+    """Return the problem in validated tables.
+
+    Raises
+    ------
+    InputError
+        Somebody starts outside free space, the pursuers are no faster than the evaders, or the
+        grid does not cover the world.
+    """
+    network = given.network
+    service = SnapshotService(
+        network.levels,
+        network.mote_spacing_m,
+        network.frame_s,
+        network.bits_per_axis,
+        network.hops_per_round,
+        network.rate_divisor,
+        network.endless,
+    )
+    obstacles: tuple[Obstacle, ...] = ()
+    arena = Arena()
+    if given.world is not None:
+        obstacles = tuple(
+            obstacle
+            for index, table in enumerate(given.world.obstacles)
+            for obstacle in obstacles_of(table, index, folder)
+        )
+        workspace = Workspace(given.world.bounds_m, obstacles)
+        arena = arena_of(workspace, given.pursuit.clearance_m)
+    _require_covered(given, service)
+    _require_speeds(given)
+    if obstacles:
+        _require_open(given)
+    problem = PursuitProblem(given, service, arena, obstacles)
+    problem.scene(given.planner, np.random.default_rng(0))
+    return problem
+
+
+def _require_covered(given: PursuitFile, service: SnapshotService) -> None:
+    if given.network.endless:
+        return
+    if given.world is None:
+        raise InputError(
+            "is false, and there is no world that keeps the evader on the grid",
+            key="network.endless",
+            remedy="set it to true, or give [world] bounds_m within the grid",
+        )
+    x_min, y_min, x_max, y_max = given.world.bounds_m
+    if min(x_min, y_min) < 0.0 or max(x_max, y_max) > service.side_m:
+        raise InputError(
+            f"goes beyond the grid of motes, the square from (0, 0) to {service.side_m:g} m",
+            key="world.bounds_m",
+            remedy="keep it within, or set network.endless to true",
+        )
+
+
+def _require_speeds(given: PursuitFile) -> None:
+    fastest = max(each.speed_max_m_s for each in given.evaders)
+    for index, each in enumerate(given.pursuers):
+        if each.speed_max_m_s <= fastest:
+            raise InputError(
+                f"evader's speed below the pursuer's: {fastest:g} < {each.speed_max_m_s:g} m/s "
+                f"fails by {fastest - each.speed_max_m_s:g} m/s",
+                key=f"pursuers[{index}].speed_max_m_s",
+                remedy="an evader as fast as its pursuer escapes from any service",
+            )
+
+
+def _require_open(given: PursuitFile) -> None:
+    """Among obstacles there are no arcs, and evaders that look ahead know none."""
+    for index, pursuer in enumerate(given.pursuers):
+        if pursuer.turn_rate_max_rad_s is not None:
+            raise InputError(
+                "is given, and arcs are not planned around obstacles",
+                key=f"pursuers[{index}].turn_rate_max_rad_s",
+                remedy="leave it out, or leave out world.obstacles",
+            )
+    for index, evader in enumerate(given.evaders):
+        if isinstance(evader.behaviour, ForesightedTable):
+            raise InputError(
+                "is foresighted, which does not plan around obstacles",
+                key=f"evaders[{index}].behaviour.kind",
+                remedy="choose another one, or leave out world.obstacles",
+            )

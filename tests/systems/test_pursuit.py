@@ -1,0 +1,286 @@
+"""The task pursuit: command, saved folder, what the check rejects, and bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import planopt
+from planopt.cli import main
+from planopt.errors import InputError, NoPlanError
+from planopt.problems.library import library_folder
+
+NAMES = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_several")
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    """Write a library problem without pictures and with some texts replaced."""
+
+    def write(name: str, *changes: tuple[str, str]) -> Path:
+        text = (library_folder() / f"{name}.toml").read_text() + "\n[report]\nfigures = false\n"
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        file = tmp_path / "problem.toml"
+        file.write_text(text)
+        return file
+
+    return write
+
+
+def run(capsys, *arguments: object) -> tuple[int, dict]:
+    """The exit code of a command and its JSON."""
+    code = main([*map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_library_problems(name, written, tmp_path, capsys):
+    """Everybody is caught, the folder agrees with itself, the same seed gives the same run."""
+    out = tmp_path / "out"
+    code, found = run(capsys, "simulate", written(name), "--seed", 3, "--out", out)
+    assert code == 0 and found["outcome"] == "captured" and found["faults"] == []
+    assert found["capture_time_s"] == max(each["capture_time_s"] for each in found["evaders"])
+    assert run(capsys, "check", out) == (0, run(capsys, "check", out)[1])
+    assert {path.name for path in out.iterdir()} == {"run.json", "steps.csv", "records.csv"}
+    again = planopt.load_system(written(name)).simulate(seed=3).data
+    assert again["capture_time_s"] == found["capture_time_s"]
+
+
+def test_guarantee_beside_what_happened(written):
+    """One pursuer and one evader: caught within the promised time, stages under their bounds."""
+    for seed in range(5):
+        found = planopt.load_system(written("pursuit_fleeing")).simulate(seed=seed).data
+        assert found["guarantee"]["applies"]
+        for each in found["guarantee"]["theorems"].values():
+            assert each["holds"] and each["capture"]["holds"]
+            assert found["capture_time_s"] <= each["capture_time_s"]
+            assert each["largest_share_of_bound"] is None or each["largest_share_of_bound"] <= 1.0
+
+
+def test_pictures(tmp_path, capsys):
+    """A picture and an animation are drawn beside the tables."""
+    assert run(capsys, "simulate", "pursuit_static", "--out", tmp_path)[0] == 0
+    assert (tmp_path / "run.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "run.gif").read_bytes()[:6] == b"GIF89a"
+
+
+def rows_of(path: Path) -> list[list[str]]:
+    """The cells of a table."""
+    return list(csv.reader(path.read_text().splitlines()))
+
+
+def write_rows(path: Path, rows: list[list[str]]) -> None:
+    """Write a table."""
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+
+
+def moved(robot: str, step: int, by_m: float):
+    """A change of a place in steps.csv."""
+
+    def change(folder: Path) -> None:
+        rows = rows_of(folder / "steps.csv")
+        row = next(row for row in rows if row[:2] == [robot, str(step)])
+        row[3] = repr(float(row[3]) + by_m)
+        write_rows(folder / "steps.csv", rows)
+
+    return change
+
+
+def cell(file: str, column: str, number: int, new: str):
+    """A change of a cell in a row of a table."""
+
+    def change(folder: Path) -> None:
+        rows = rows_of(folder / file)
+        rows[number][rows[0].index(column)] = new
+        write_rows(folder / file, rows)
+
+    return change
+
+
+def said(**values: object):
+    """A change of keys of run.json."""
+
+    def change(folder: Path) -> None:
+        data = json.loads((folder / "run.json").read_text())
+        (folder / "run.json").write_text(json.dumps({**data, **values}))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (moved("evader", 40, 0.9), "evader is too fast"),
+        (moved("pursuer", 40, 0.01), "does not drive to its aim"),
+        (cell("records.csv", "reported_x_m", 2, "300.0"), "no mote could have told"),
+        (cell("records.csv", "error_m", 1, "1.0"), "no mote could have told"),
+        (cell("records.csv", "sampled_s", 2, "-40.0"), "no mote could have told"),
+        (said(outcome="step_limit"), "key outcome"),
+        (said(capture_time_s=50.0), "key capture_time_s"),
+        (said(metrics={}), "key metrics"),
+        (said(faults=["none"]), "key faults"),
+        (said(invented=1), "no such key"),
+        (
+            said(
+                evaders=[
+                    {
+                        "name": "evader",
+                        "captured": True,
+                        "capture_time_s": 20.0,
+                        "captor": "pursuer",
+                    }
+                ]
+            ),
+            "away from its captor",
+        ),
+    ],
+)
+def test_false_folders_are_rejected(change, words, written, tmp_path, capsys):
+    """Each lie about a move, a record, a capture or a number is found."""
+    out = tmp_path / "out"
+    assert run(capsys, "simulate", written("pursuit_fleeing"), "--out", out)[0] == 0
+    change(out)
+    code, found = run(capsys, "check", out)
+    assert code == 3 and words in " ".join(found["reasons"])
+
+
+def test_late_capture_is_found(written, tmp_path, capsys):
+    """An evader that was within the radius and is said to have been caught later."""
+    out = tmp_path / "out"
+    assert run(capsys, "simulate", written("pursuit_static"), "--out", out)[0] == 0
+    data = json.loads((out / "run.json").read_text())
+    data["problem_file"]["pursuit"]["capture_radius_m"] = 20.0
+    (out / "run.json").write_text(json.dumps(data))
+    code, found = run(capsys, "check", out)
+    assert code == 3 and "without being caught" in " ".join(found["reasons"])
+
+
+def test_obstacles_are_judged(written, tmp_path, capsys):
+    """A path that is clear at 2 m is not at 4 m."""
+    out = tmp_path / "out"
+    assert run(capsys, "simulate", written("pursuit_obstacles"), "--out", out)[0] == 0
+    data = json.loads((out / "run.json").read_text())
+    data["problem_file"]["pursuit"]["clearance_m"] = 4.0
+    (out / "run.json").write_text(json.dumps(data))
+    code, found = run(capsys, "check", out)
+    assert code == 3 and "of an obstacle" in " ".join(found["reasons"])
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        ("steps.csv", lambda text: text[: len(text) // 2], "steps.csv"),
+        ("steps.csv", lambda text: text.replace("0.2,", "nan,", 1), "no finite number"),
+        ("steps.csv", lambda text: text.replace("x_m", "z_m", 1), "has not the columns"),
+        ("records.csv", lambda text: text.replace("evader,", "nobody,", 2), "records.csv"),
+        ("run.json", lambda text: text[:-20], "run.json"),
+    ],
+)
+def test_damaged_folders(file, change, words, written, tmp_path, capsys):
+    """They are bad input, with their file."""
+    out = tmp_path / "out"
+    assert run(capsys, "simulate", written("pursuit_fleeing"), "--out", out)[0] == 0
+    (out / file).write_text(change((out / file).read_text()))
+    code, found = run(capsys, "check", out)
+    assert code == 2 and words in found["error"]
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("pursuit_fleeing", ("speed_max_m_s = 5.0", "speed_max_m_s = 2.0"), "fails by 0 m/s"),
+        ("pursuit_fleeing", ("endless = true", "endless = false"), "network.endless"),
+        ("pursuit_static", ("640, 640]", "650, 640]"), "beyond the grid of motes"),
+        ("pursuit_static", ("[40, 60]", "[40, 700]"), "pursuers[0].start_m"),
+        ("pursuit_obstacles", ("start_m = [20, 20]", "start_m = [100, 100]"), "no free place"),
+        (
+            "pursuit_obstacles",
+            ('"wandering" }', '"foresighted", horizon = 3, plan_step_s = 1.0 }'),
+            "evaders[0].behaviour.kind",
+        ),
+        (
+            "pursuit_obstacles",
+            ("speed_max_m_s = 4.0", "speed_max_m_s = 4.0\nturn_rate_max_rad_s=1"),
+            "turn_rate_max_rad_s",
+        ),
+        ("pursuit_fleeing", ('kind = "fleeing"', 'kind = "flying"'), "evaders[0].behaviour.kind"),
+        ("pursuit_fleeing", ("frame_s = 0.1", "frame_s = inf"), "network.frame_s"),
+        ("pursuit_fleeing", ("step_s = 0.2", "stepp_s = 0.2"), "did you mean step_s"),
+    ],
+)
+def test_bad_input(name, change, words, written, capsys):
+    """One clear error with its key."""
+    code, found = run(capsys, "simulate", written(name, change))
+    assert code == 2 and words in found["error"]
+
+
+def test_radius_under_the_floor(written, capsys):
+    """Where a guarantee is asked for there is no plan; else it is said, and driven."""
+    small = ("capture_radius_m = 30.0", "capture_radius_m = 12.0")
+    file = written("pursuit_fleeing", small)
+    code, found = run(capsys, "simulate", file)
+    assert code == 4 and found["outcome"] == "no_plan"
+    assert (
+        "floor below the capture radius: " in found["reason"]
+        and "< 12 m fails by" in found["reason"]
+    )
+    with pytest.raises(NoPlanError, match="floor below"):
+        planopt.load_system(file).simulate()
+    free = planopt.load_system(written("pursuit_fleeing", small, ('guarantee = "snapshots"', "")))
+    assert not free.simulate().data["guarantee"]["theorems"]["snapshots"]["capture"]["holds"]
+
+
+def test_who_escapes(written, capsys):
+    """Given up: exit code 4, and how near it came."""
+    code, found = run(
+        capsys,
+        "simulate",
+        written("pursuit_fleeing", ("step_s = 0.2", "step_s = 0.2\nmax_steps = 9")),
+    )
+    assert code == 4 and found["outcome"] == "step_limit" and found["capture_time_s"] is None
+    assert "not caught in 9 steps, nearest" in found["reason"]
+
+
+def test_compare(written, tmp_path, capsys):
+    """Settings over the same seeds, paired with the first; the runs are those of simulate."""
+    file = written("pursuit_fleeing")
+    code, found = run(
+        capsys,
+        "compare",
+        file,
+        "--horizons",
+        "1,5",
+        "--planners",
+        "drive,receding",
+        "--seeds",
+        3,
+        "--first-seed",
+        7,
+        "--out",
+        tmp_path / "out",
+    )
+    assert code == 0 and found["faults"] == 0
+    assert [(row["planner"], row["horizon"]) for row in found["rows"]] == [
+        ("drive", 1),
+        ("receding", 1),
+        ("receding", 5),
+    ]
+    assert found["rows"][0]["paired_ratio"] == 1.0
+    times = {
+        (each["planner"], each["horizon"], each["seed"]): each["capture_time_s"]
+        for each in found["runs"]
+    }
+    for planner, horizon in (("drive", 1), ("receding", 5)):
+        again = planopt.load_system(file).simulate(planner=planner, horizon=horizon, seed=8).data
+        assert times[planner, horizon, 8] == again["capture_time_s"]
+    logs = [np.log(times["receding", 5, seed] / times["drive", 1, seed]) for seed in (7, 8, 9)]
+    assert found["rows"][2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
+    assert run(capsys, "compare", file, "--horizons", "1", "--planners", "nlp")[0] == 2
+    with pytest.raises(InputError, match="horizon"):
+        planopt.load_system(file).simulate(planner="receding", horizon=0)

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from planopt.planning.team.team_loop import simulate_team
 
 from planopt import load
 from planopt.channel.fields.truth import true_power_dbm
@@ -24,7 +25,6 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.objectives.mapping import path_information
 from planopt.planning.prepare import prepare
-from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.problem import Problem
 from planopt.studies.compare import mean_interval

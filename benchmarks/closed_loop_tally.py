@@ -15,12 +15,9 @@ import numpy as np
 from closed_loop_scenes import MAX_STEPS, random_problem
 
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.any_task import simulate
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_simulation
-from planopt.planning.files.team_saved import save_team_run
-from planopt.planning.loop.run import Run
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.files.saved import save_run
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.problems.problem import Problem
 
@@ -93,22 +90,10 @@ def _drive(problem: Problem, seed: int, folder: Path, tally: Tally) -> None:
     run = simulate(problem, seed=seed, on_step=lambda _: clock.append(process_time()))
     # The first step has the setting up in it.
     tally.slowest_s = max(np.diff(clock)[1:], default=0.0) / len(problem.robots)
-    plans: list[tuple[Plan, ...]]
-    logs: list[Run]
-    if isinstance(run, Simulation):
-        save_simulation(run, folder)
-        plans, logs = [run.plans], [run.run]
-        keys = [[f"plans[{step}]" for step in range(len(run.plans))]]
-    else:
-        save_team_run(run, folder)
-        plans, logs = list(run.plans), list(run.runs)
-        keys = [
-            [f"plans[{number}].released[{step}]" for step in range(len(made))]
-            for number, made in enumerate(plans)
-        ]
+    save_run(run, folder)
     said: dict[str, Plan] = {}
-    for made, names, log in zip(plans, keys, logs, strict=True):
-        said.update(zip(names, made, strict=True))
+    for number, (made, log) in enumerate(zip(run.plans, run.runs, strict=True)):
+        said |= {f"plans[{number}].released[{step}]": plan for step, plan in enumerate(made)}
         tally.outcomes[log.outcome.value] += 1
         tally.steps += len(made)
         tally.verdicts.update(plan.verdict.value for plan in made)

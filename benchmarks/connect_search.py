@@ -20,9 +20,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from planopt.planning.ground import Ground, build_ground
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.prepare import prepare
-from planopt.planning.team.team_loop import simulate_team
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
 
@@ -89,7 +89,7 @@ def searches(problem: Problem, horizons: Iterable[int], count: int, seed: int) -
         prepared = prepare(placed, seed + number)
         for horizon in horizons:
             clock = [time.process_time()]
-            run = simulate_team(
+            run = simulate(
                 placed,
                 horizon=horizon,
                 seed=seed + number,

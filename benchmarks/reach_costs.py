@@ -90,7 +90,7 @@ def drive(name: str, seed: int, horizon: int) -> Record:
         outcome=run.outcome.value,
         driven_m=run.metrics.path_m,
         clairvoyant_m=float(np.linalg.norm(np.diff(known, axis=0), axis=1).sum()),
-        cost_ratio=run.costs["cost_ratio"],
+        cost_ratio=simulation.costs["cost_ratio"],
         steps=len(below),
         verified_steps=round(run.verified_rate * len(below)),
         below_steps=int(below.sum()),

@@ -20,10 +20,10 @@ from planopt.channel.posterior import condition
 from planopt.channel.validation.calibration import reliability
 from planopt.errors import NoPlanError
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.run import Outcome
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.prepare import Prepared, prepare
+from planopt.planning.run import Run
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 from planopt.report.tables import reliability_lines
@@ -77,7 +77,7 @@ def report(words: str, runs: Sequence[Outcomes]) -> list[str]:
     ]
 
 
-def drive(problem: Problem, seed: int) -> Simulation:
+def drive(problem: Problem, seed: int) -> Run:
     """Drive from a start to a goal that are drawn for the seed."""
     prepared = prepare(problem, seed)
     generator = np.random.default_rng([seed, 33])
@@ -108,17 +108,16 @@ def _start_and_goal(
             return (ax, ay), (bx, by)
 
 
-def outcomes(driven: Simulation, ahead: int) -> Outcomes:
+def outcomes(driven: Run, ahead: int) -> Outcomes:
     """Return P(connected) of places `ahead` steps ahead of each plan, and whether they were."""
-    plans = [plan for plan in driven.plans if len(plan.connectivity) > ahead]
+    plans = [plan for plan in driven.plans[0] if len(plan.connectivity) > ahead]
     places = np.array([plan.positions_m[ahead] for plan in plans]).reshape(-1, 2)
-    truths = (driven.truth, *driven.further_truths)
-    power = true_serving_dbm(driven.problem, truths, places)
+    power = true_serving_dbm(driven.problem, driven.truths, places)
     predicted = np.array([plan.connectivity[ahead] for plan in plans])
     return predicted, power >= driven.problem.stations[0].threshold_dbm
 
 
-def normal_probabilities(driven: Simulation) -> NDArray[np.float64]:
+def normal_probabilities(driven: Run) -> NDArray[np.float64]:
     """Return what the normal law says of each driven step, from the measurements before it."""
     logs = [posterior.measurements for posterior in driven.belief.posteriors]
     known = driven.first_measurements

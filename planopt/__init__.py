@@ -6,7 +6,12 @@ Names are imported when they are first used, so that ``import planopt`` costs no
 
 from planopt.lazy_names import lazy_names
 
-FORMER_NAMES = {"TeamSolution": "Solution", "casadi_term": "planopt.objectives.casadi_term"}
+FORMER_NAMES = {
+    "Simulation": "Run",
+    "TeamRun": "Run",
+    "TeamSolution": "Solution",
+    "casadi_term": "planopt.objectives.casadi_term",
+}
 """Former public names, accepted for one version, and the names that replace them."""
 
 __getattr__, __dir__, __all__ = lazy_names(

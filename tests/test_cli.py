@@ -62,7 +62,7 @@ def test_solve_prints_one_json_object(field: Path, capsys: pytest.CaptureFixture
 def test_solve_prints_text(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without --json the verdict comes first, in words."""
     assert main(["solve", str(field), "--planner", "lattice", "--cost-to-go", "geodesic"]) == 0
-    assert capsys.readouterr().out.startswith("open_field: verified (plan, lattice_only)")
+    assert capsys.readouterr().out.startswith("open_field: verified, horizon 10, planner lattice")
 
 
 def test_solve_returns_3_if_not_verified(tmp_path: Path, field: Path, capsys) -> None:

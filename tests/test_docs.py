@@ -17,14 +17,23 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_first_plan_is_short() -> None:
-    """The README's only Python, a first plan, takes at most 15 lines."""
-    (code,) = re.findall(r"^```python\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
-    assert len(code.strip().splitlines()) <= 15
+def test_first_plan_and_own_loop_are_short() -> None:
+    """The README's Python: a first plan of at most 15 lines, then a loop of one's own of 10."""
+    codes = re.findall(r"^```python\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+    most = (15, 10)
+    assert 1 <= len(codes) <= len(most)
+    for code, lines in zip(codes, most, strict=False):
+        assert len(code.strip().splitlines()) <= lines
 
 
 @pytest.mark.parametrize(
-    "file", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda path: path.name
+    "file",
+    [
+        *(ROOT / name for name in ("README.md", "CHANGELOG.md")),
+        *sorted((ROOT / "docs").glob("*.md")),
+        *sorted((ROOT / "docs" / "theory").glob("*.md")),
+    ],
+    ids=lambda path: path.name,
 )
 def test_links(file: Path) -> None:
     """Files that a page links to are there."""
@@ -32,6 +41,17 @@ def test_links(file: Path) -> None:
     targets = re.findall(r"\]\(([^)#]+)\)", text) + re.findall(r"\{image\} (\S+)", text)
     for target in targets:
         assert target.startswith("https://") or (file.parent / target).exists(), target
+
+
+def test_animation_is_small() -> None:
+    """The README's animation loads quickly: GIF, more than one frame, below 2 MB."""
+    from PIL import Image
+
+    file = ROOT / "docs" / "pictures" / "munich_courier.gif"
+    assert f"({file.relative_to(ROOT)})" in README
+    assert file.stat().st_size < 2_000_000
+    with Image.open(file) as animation:
+        assert getattr(animation, "n_frames", 1) > 20
 
 
 def test_exit_codes_and_verdicts() -> None:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import planopt
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.run import Run
 from planopt.planning.solution import Solution
-from planopt.planning.team.team_run import TeamRun
 from planopt.short_repr import short_repr
 
 
@@ -102,8 +101,8 @@ def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any])
     alone = replace(team, plans=team.plans[:1])
     assert alone.plan is team.plans[0]
     run, teams = results["reached"], results["after 2 steps"]
-    assert isinstance(run, Simulation) and isinstance(teams, TeamRun)
-    assert run.runs == (run.run,) and run.metrics == run.run.all_metrics
+    assert isinstance(run, Run) and isinstance(teams, Run)
+    assert run.runs == (run.run,)
     assert run.verified_rate == run.run.verified_rate
     with pytest.raises(planopt.InputError, match="use runs"):
         _ = teams.run

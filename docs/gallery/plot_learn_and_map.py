@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt import load
-from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.loop.closed_loop import simulate
 from planopt.report.team_figure import draw_team_run
 
 
@@ -29,7 +29,7 @@ def shortened(name, steps):
 HORIZONS = (1, 5)
 SEEDS = (0, 1, 2)
 learn = shortened("indoor_learn", 20)
-learned = {h: [simulate_team(learn, horizon=h, seed=seed) for seed in SEEDS] for h in HORIZONS}
+learned = {h: [simulate(learn, horizon=h, seed=seed) for seed in SEEDS] for h in HORIZONS}
 learn_figure = draw_team_run(learned[5][0])
 
 # %%
@@ -47,7 +47,7 @@ for h, runs in learned.items():
 # shadowing is correlated over 10 m, so that the way keeps apart from itself and from what was
 # measured. Left what is predicted at the end, right how uncertain that is.
 mapping = shortened("outdoor_map", 25)
-mapped = {h: [simulate_team(mapping, horizon=h, seed=seed) for seed in SEEDS[:2]] for h in HORIZONS}
+mapped = {h: [simulate(mapping, horizon=h, seed=seed) for seed in SEEDS[:2]] for h in HORIZONS}
 map_figure = draw_team_run(mapped[5][0])
 
 # %%

@@ -15,13 +15,13 @@ target a robot sees well, near the station it is heard.
 from dataclasses import replace
 
 from planopt import load
-from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.loop.closed_loop import simulate
 from planopt.report.team_figure import draw_team_run
 
 problem = load("outdoor_track")
 problem = replace(problem, planner=replace(problem.planner, max_steps=50))
 SEEDS = (0, 1)
-runs = {h: [simulate_team(problem, horizon=h, seed=seed) for seed in SEEDS] for h in (1, 10)}
+runs = {h: [simulate(problem, horizon=h, seed=seed) for seed in SEEDS] for h in (1, 10)}
 
 # %%
 # Horizon 10. All robots go to the target and stay with it; dots on the curve of trace P say that

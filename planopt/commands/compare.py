@@ -145,7 +145,7 @@ def compare(
 
 def exit_code(comparison: Comparison) -> int:
     """0 all arrived and every released step verified, 3 some not verified, 4 some not arrived."""
-    from planopt.studies.compare import ARRIVED
+    from planopt.planning.run import ARRIVED
 
     if any(run.outcome not in ARRIVED for run in comparison.runs):
         return NO_PLAN
@@ -156,10 +156,8 @@ def comparison_json(
     problem: Problem, comparison: Comparison | None, message: str
 ) -> dict[str, Any]:
     """The JSON keys of ``compare``; no rows if there provably is no plan."""
-    from planopt.planning.files.run_json import reliability_json, run_summary
-    from planopt.planning.files.solution_json import finite
-    from planopt.planning.files.team_run_json import team_summary_json
-    from planopt.planning.loop.run import Run
+    from planopt.planning.files.record import finite
+    from planopt.planning.files.run_json import reliability_json, summary_json
     from planopt.studies.comparison import runs_by_setting, runs_reliability
 
     if comparison is None:
@@ -193,10 +191,7 @@ def comparison_json(
                 for runs in runs_by_setting(comparison.runs)
             ],
         },
-        "runs": [
-            run_summary(run) if isinstance(run, Run) else team_summary_json(run)
-            for run in comparison.runs
-        ],
+        "runs": [summary_json(run) for run in comparison.runs],
         "wall_s": finite(comparison.wall_s),
         "resumed": comparison.resumed,
         "message": message,

@@ -124,7 +124,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
     has no receivers, and an end that an interval does not have. ``intervals_95`` has what is hardly
     or not determined, ``other_modes`` what is nearly as likely.
     """
-    from planopt.planning.files.solution_json import finite
+    from planopt.planning.files.record import finite
 
     found, receivers = fitted.found, fitted.receivers
     parameters = found.parameters
@@ -165,7 +165,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
 
 def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
     """Of the station's x and y; null where it was given, each null where it is not determined."""
-    from planopt.planning.files.solution_json import finite
+    from planopt.planning.files.record import finite
 
     covariance = found.station_covariance_m2
     if covariance is None:

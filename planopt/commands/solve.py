@@ -1,4 +1,4 @@
-"""``planopt solve``: one plan from the start."""
+"""``planopt solve``: one plan for each robot from its start."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from planopt.commands.output import (
     shown_number,
 )
 from planopt.commands.planning import Asked, planning_command
-from planopt.commands.team import solve_asked
 
 if TYPE_CHECKING:
+    from planopt.planning.plan import Plan
     from planopt.planning.solution import Solution
+    from planopt.problems.problem import Problem
 
 
 @planning_command
@@ -32,15 +33,13 @@ def solve(asked: Asked) -> int:
     from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, save_no_plan, save_solution
     from planopt.planning.files.solution_json import no_plan_json, solution_json
     from planopt.planning.solution import exit_code
-    from planopt.planning.solve import solve as find_plan
+    from planopt.planning.solve import solve as find_plans
 
-    if asked.problem.task != "reach":
-        return solve_asked(asked)
     problem, seed = asked.problem, asked.seed
     with results_folder(asked.out) as folder:
         try:
             with progress("planning"):
-                solution = find_plan(problem, seed=seed)
+                solution = find_plans(problem, seed=seed)
         except NoPlanError as error:
             with progress("explaining"):
                 helpful = explain_no_plan(problem, seed)
@@ -65,24 +64,46 @@ def solve(asked: Asked) -> int:
 
 
 def _in_words(solution: Solution) -> str:
+    problem, plans = solution.problem, solution.plans
+    lines = [
+        f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon}, "
+        f"planner {problem.planner.name}, seed {solution.seed}"
+    ]
+    if len(plans) > 1:
+        total = sum(plan.objective for plan in plans)
+        lines.append(f"  {_value(problem, total)} of {len(plans)} plans")
+    for plan in plans:
+        lines += _plan_in_words(problem, plan)
+        own = [one for one in solution.explanation if one.robot == plan.robot]
+        lines += [f"  {line}" for line in explained(own)]
+    return "\n".join(lines)
+
+
+def _value(problem: Problem, objective: float) -> str:
+    """An objective value with its unit: a cost in seconds where there is a goal."""
+    if problem.task == "reach":
+        return f"cost {shown_number(objective, ' s')}"
+    return f"value {shown_number(objective)}"
+
+
+def _plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     from planopt.planning.holes import goal_in_words, holes_in_words
 
-    plan, certificate = solution.plan, solution.plan.certificate
+    proof = plan.certificate
     lines = [
-        f"{solution.problem.name}: {plan.verdict.value} ({plan.rung.value}, "
-        f"{plan.termination.value}), horizon {len(plan.t_s) - 1}, seed {solution.seed}",
-        f"  cost {shown_number(plan.objective, ' s')}, of the lattice path "
-        f"{shown_number(plan.lattice_objective, ' s')}; {plan.iterations} iterations, "
+        f"{plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
+        f"{_value(problem, plan.objective)}, of the lattice path "
+        f"{shown_number(plan.lattice_objective)}; {plan.iterations} iterations, "
         f"{shown_number(plan.wall_s, ' s', 2)}",
-        f"  {planned_in_words(certificate.min_clearance_m, certificate.min_connectivity)} "
-        f"({certificate.posterior})",
-        *apart_in_words(certificate.min_separation_m, certificate.min_moving_clearance_m),
+        f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)} ({proof.posterior})",
+        *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),
     ]
-    if certificate.rule is not None:
-        lines.append(f"  {certificate.rule.words}")
+    if proof.rule is not None:
+        lines.append(f"  {proof.rule.words}")
     if plan.message:
         lines.append(f"  {plan.message}")
-    words = goal_in_words(solution.problem, plan.holes)
-    words += holes_in_words(solution.problem, plan.holes, "the way to the goal crosses")
-    lines += [f"  {line}" for line in words]
-    return "\n".join([*lines, *explained(solution.explanation)])
+    if problem.task == "reach":
+        words = goal_in_words(problem, plan.holes)
+        words += holes_in_words(problem, plan.holes, "the way to the goal crosses")
+        lines += [f"  {line}" for line in words]
+    return [f"  {line}" for line in lines]

@@ -153,6 +153,18 @@ class Plan:
         return self.positions_m[1] if self.drive is None else self.drive.states[1]
 
     @property
+    def next_position_m(self) -> NDArray[np.float64]:
+        """``(2,)`` the robot's position after the first step."""
+        return self.positions_m[1]
+
+    @property
+    def next_input(self) -> NDArray[np.float64]:
+        """``(m,)`` the input during the first step; of a single integrator its velocity in m/s."""
+        if self.drive is None:
+            return (self.positions_m[1] - self.positions_m[0]) / (self.t_s[1] - self.t_s[0])
+        return self.drive.inputs[0]
+
+    @property
     def gain(self) -> float:
         """How much better than the lattice path the plan is, in the objective's unit."""
         saved = self.lattice_objective - self.objective

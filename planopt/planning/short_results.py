@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from planopt.errors import InputError
-from planopt.planning.loop.run import Run
+from planopt.planning.loop.log import RobotRun
 from planopt.planning.plan import Plan
 from planopt.problems.problem import Problem
 from planopt.short_repr import LINES, wrapped
@@ -34,10 +34,10 @@ def short_solution(problem: Problem, seed: int, plans: Sequence[Plan]) -> str:
 
 
 def short_run(
-    problem: Problem, seed: int, runs: Sequence[Run], metrics: Mapping[str, float]
+    problem: Problem, seed: int, runs: Sequence[RobotRun], metrics: Mapping[str, float]
 ) -> str:
     """Return a line for the problem, two for how robots ended, and two for the metrics at most."""
-    head = f"run of {problem.name}, horizon {runs[0].horizon}, seed {seed}"
+    head = f"run of {problem.name}, horizon {problem.planner.horizon}, seed {seed}"
     lines = [
         f"{run.robot}: {run.outcome.value} after {len(run.log.t_s) - 1} steps ({run.reason}), "
         f"{run.verified_rate:.1%} of the steps verified"

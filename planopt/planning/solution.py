@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from planopt.channel.belief import Belief
 from planopt.planning.explain.explanation import Relaxation
@@ -10,6 +13,9 @@ from planopt.planning.plan import Plan, Verdict
 from planopt.planning.short_results import only, short_solution
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +70,53 @@ class Solution:
     def verdict(self) -> Verdict:
         """The worst of the plans' verdicts."""
         return max((plan.verdict for plan in self.plans), key=list(Verdict).index)
+
+    def plot(self) -> Figure:
+        """Draw the plans on the map with their predictions; no window is opened.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Notebooks show it; ``figure.savefig("plan.png")`` writes it.
+        """
+        # Named, not imported: the drawing package is above this one.
+        return import_module("planopt.report.result_figures").draw_solution(self)
+
+    def save(self, folder: Path | str) -> None:
+        """Save the plans as a folder that ``planopt check`` and :func:`planopt.load_result` read.
+
+        Parameters
+        ----------
+        folder
+            Made if it is missing; a plan or run that it had is replaced.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written; what it had is still there.
+        InputError
+            The problem has parts from Python, which no file can hold.
+        """
+        from planopt.planning.files.saved import save_solution
+
+        save_solution(self, Path(folder))
+
+    def to_dataframe(self) -> Any:
+        """Return the plans as a pandas DataFrame: a row for each place of each robot.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns as in ``steps.csv``; those of the ground truth are empty.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        from planopt.planning.files.steps_file import joined_steps, steps_dataframe, steps_of_plan
+
+        return steps_dataframe(joined_steps([steps_of_plan(plan) for plan in self.plans]))
 
 
 def exit_code(solution: Solution) -> int:

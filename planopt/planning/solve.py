@@ -5,16 +5,12 @@ from __future__ import annotations
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.given import GivenMeasurements, with_measurements
-from planopt.planning.history import BEGINNING
-from planopt.planning.loop.target_watch import aim_of, watch_target
+from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
-from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.solution import Solution
-from planopt.planning.team.crew import build_crew
+from planopt.planning.stepping import Stepper, plan_step
 from planopt.planning.team.team_seeds import team_seeds
-from planopt.planning.team.team_step import TeamMoment, plan_together
-from planopt.planning.worth.aim import Aim
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 
@@ -87,18 +83,8 @@ def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = 
 
 
 def _solved(problem: Problem, belief: Belief, seed: int, scene: Scene | None) -> Solution:
-    if scene is not None:
-        plan = ReachPlanner(problem, scene).plan(belief, problem.robots[0].start_state)
-        return Solution(problem, seed, belief, (plan,), (Aim(),))
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
-    crew = build_crew(problem, seeds)
-    moment = TeamMoment(
-        beliefs=[belief for _ in crew],
-        states=[member.start for member in crew],
-        watched=[aim_of(watch, number, problem.planner.horizon) for number in range(len(crew))],
-        histories=[BEGINNING for _ in crew],
-        warm=[None for _ in crew],
-    )
-    plans, aims = plan_together(problem, crew, moment)
-    return Solution(problem, seed, belief, tuple(plans), tuple(aims))
+    robots = Stepper(problem, belief, plan_step(problem, scene, seeds), watch)
+    plans = robots.plan()
+    return Solution(problem, seed, belief, tuple(plans), tuple(aim for (aim,) in robots.aims))

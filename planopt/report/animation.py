@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.whole import write_whole
-from planopt.planning.loop.run import Run
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.loop.log import RobotRun, TargetLog
 from planopt.planning.plan import Plan
-from planopt.planning.team.team_run import TargetLog, TeamRun
+from planopt.planning.run import Run
 from planopt.problems.problem import Problem
 from planopt.report.driven_line import driven_line
 from planopt.report.maps import (
@@ -77,7 +76,7 @@ FRAME_MS, LAST_MS = 120, 2500
 LEGEND_COLUMNS = 4
 
 
-def save_animation(run: Simulation | TeamRun, path: Path) -> None:
+def save_animation(run: Run, path: Path) -> None:
     """Write a run as an animated GIF, whole or not at all.
 
     Parameters
@@ -143,13 +142,12 @@ def _with_palette(frames: Sequence[Image]) -> list[Image]:
     return found
 
 
-def animation_frames(run: Simulation | TeamRun) -> Iterator[Image]:
+def animation_frames(run: Run) -> Iterator[Image]:
     """Draw the frames of a run, the first at its start, the last at its end."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    plans = (run.plans,) if isinstance(run, Simulation) else run.plans
-    target = None if isinstance(run, Simulation) else run.target
+    plans, target = run.plans, run.target
     figure, panel = _ground(run, plans, target)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -186,7 +184,7 @@ class _Ground:
 
 
 def _ground(
-    run: Simulation | TeamRun, plans: Sequence[Sequence[Plan]], target: TargetLog | None
+    run: Run, plans: Sequence[Sequence[Plan]], target: TargetLog | None
 ) -> tuple[Figure, _Ground]:
     """Draw what does not change, and the last step for the legend."""
     from matplotlib.gridspec import GridSpec
@@ -222,7 +220,7 @@ def _ground(
     return figure, _Ground(axes, changing)
 
 
-def _words(run: Simulation | TeamRun, step: int) -> str:
+def _words(run: Run, step: int) -> str:
     """The time, and how the run ended once it has."""
     log = run.runs[0].log
     words = f"t = {log.t_s[step]:.0f} s"
@@ -234,7 +232,7 @@ def _words(run: Simulation | TeamRun, step: int) -> str:
 def _changing(
     axes: Panel,
     problem: Problem,
-    runs: Sequence[Run],
+    runs: Sequence[RobotRun],
     plans: Sequence[Sequence[Plan]],
     target: TargetLog | None,
     step: int,
@@ -259,7 +257,7 @@ def _changing(
 
 
 def _draw_robot(
-    axes: Panel, problem: Problem, run: Run, plans: Sequence[Plan], number: int, step: int
+    axes: Panel, problem: Problem, run: RobotRun, plans: Sequence[Plan], number: int, step: int
 ) -> list[Artist]:
     """Draw a robot, what it has driven, where it was out of contact, and its plan."""
     several = len(problem.robots) > 1

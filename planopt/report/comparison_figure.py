@@ -12,7 +12,7 @@ from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import dress, head, legend_below, plain_log_ticks
 from planopt.report.tables import interval_words
-from planopt.studies.comparison import Comparison, Row, metric_values
+from planopt.studies.comparison import Comparison, Row
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -73,7 +73,7 @@ def _draw_metric(
 ) -> None:
     """Draw a metric: single runs, mean and interval where there is one."""
     name = metric_name(metric)
-    values = [name.scale * metric_values(run).get(metric, math.nan) for run in comparison.runs]
+    values = [name.scale * run.metrics.get(metric, math.nan) for run in comparison.runs]
     for run, value in zip(comparison.runs, values, strict=True):
         look = looks[run.cost_to_go, run.planner]
         panel.plot(

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.loop.run import StepLog
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.loop.log import StepLog
 from planopt.planning.loop.true_serving import true_serving_dbm
-from planopt.planning.team.team_run import TeamRun
+from planopt.planning.run import Run
 from planopt.report.maps import LAYER_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
 from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw_run(simulation: Simulation) -> Figure:
+def draw_run(simulation: Run) -> Figure:
     """Draw a run over the true power [dBm]: first plan, driven path, relaxed steps, measurements.
 
     A step of the driven path looks as the place that it leads to is: connected in truth or not.
@@ -63,18 +62,19 @@ def draw_run(simulation: Simulation) -> Figure:
     legend_below(figure, entries, 4)
     head(
         figure,
-        f"{problem.name}: horizon {run.horizon}, {run.cost_to_go} cost to go, seed {run.seed}",
+        f"{problem.name}: horizon {problem.planner.horizon}, {problem.cost_to_go} cost to go, "
+        f"seed {simulation.seed}",
     )
     return figure
 
 
-def true_power(simulation: Simulation | TeamRun) -> Raster:
+def true_power(simulation: Run) -> Raster:
     """Return the true power, of several stations the serving one's, on the first one's cells."""
-    raster = simulation.truth.raster
-    if not simulation.further_truths:
+    truths = simulation.truths
+    raster = truths[0].raster
+    if len(truths) == 1:
         return raster
     cells = np.stack(np.meshgrid(raster.x_m, raster.y_m), axis=-1)
-    truths = (simulation.truth, *simulation.further_truths)
     power = true_serving_dbm(simulation.problem, truths, cells.reshape(-1, 2))
     return Raster(raster.x_m, raster.y_m, power.reshape(cells.shape[:2]))
 
@@ -124,11 +124,11 @@ def _pieces(log: StepLog, connected: bool) -> list[NDArray[np.float64]]:
     ]
 
 
-def _draw_first_plan(panel: Panel, simulation: Simulation) -> list[Artist]:
+def _draw_first_plan(panel: Panel, simulation: Run) -> list[Artist]:
     """Draw the plan at the start; nothing where no plan was released."""
     return [
         artist
-        for plan in simulation.plans[:1]
+        for plan in simulation.plans[0][:1]
         for artist in panel.plot(
             *plan.positions_m.T,
             color=BLACK,
@@ -161,7 +161,7 @@ def _draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
     ]
 
 
-def _draw_measurements(panel: Panel, simulation: Simulation) -> list[Artist]:
+def _draw_measurements(panel: Panel, simulation: Run) -> list[Artist]:
     """Mark where was measured before the run and on the way."""
     places = simulation.belief.posterior.measurements.positions_m
     first = simulation.first_measurements

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.loop.run import StepLog
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.loop.log import StepLog
 from planopt.planning.plan import Rung
+from planopt.planning.run import Run
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
     BAND_WORDS,
@@ -49,7 +49,7 @@ RUNG_LOOKS = {
 """Marker and colour of every rung of the failure ladder."""
 
 
-def draw_run_series(simulation: Simulation) -> Figure:
+def draw_run_series(simulation: Run) -> Figure:
     """Draw a run's power, true connection, predicted connectivity and step times over time."""
     from matplotlib.gridspec import GridSpec
 
@@ -66,7 +66,8 @@ def draw_run_series(simulation: Simulation) -> Figure:
         panel.set_xlim(float(run.log.t_s[0]) - half_step, float(run.log.t_s[-1]) + half_step)
     head(
         figure,
-        f"{problem.name}: horizon {run.horizon}, {run.cost_to_go} cost to go, seed {run.seed}, "
+        f"{problem.name}: horizon {problem.planner.horizon}, {problem.cost_to_go} cost to go, "
+        f"seed {simulation.seed}, "
         f"{spaced(run.outcome)}",
     )
     return figure

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.planning.plan import Plan
-from planopt.planning.team.team_run import TeamRun
+from planopt.planning.run import Run
 from planopt.problems.problem import Problem
 from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
@@ -35,7 +35,7 @@ COLUMNS = 5
 """Of the legend."""
 
 
-def draw_team_run(run: TeamRun) -> Figure:
+def draw_team_run(run: Run) -> Figure:
     """Draw where a team drove on what the first robot believed at the end, and its time series.
 
     Robots are told apart by colour and marker. Panels that a problem has nothing for are left out:
@@ -44,7 +44,7 @@ def draw_team_run(run: TeamRun) -> Figure:
     Parameters
     ----------
     run
-        From :func:`planopt.planning.team.team_loop.simulate_team`.
+        From :func:`planopt.simulate`.
     """
     problem = run.problem
     tracks = [one.log.positions_m for one in run.runs]

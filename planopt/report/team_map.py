@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.planning.loop.run import Run
+from planopt.planning.loop.log import RobotRun, TargetLog
 from planopt.planning.plan import Plan
-from planopt.planning.team.team_run import TargetLog
 from planopt.problems.problem import Problem
 from planopt.report.driven_line import driven_line
 from planopt.report.grid import Bounds, believed_rasters
@@ -151,7 +150,7 @@ def draw_measured(panel: Panel, places_m: NDArray[np.float64], label: str) -> li
     ]
 
 
-def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[Run]) -> list[Artist]:
+def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[RobotRun]) -> list[Artist]:
     """Draw the driven ways, every step marked."""
     artists: list[Artist] = []
     for number, (robot, run) in enumerate(zip(problem.robots, runs, strict=True)):

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planopt.planning.loop.run import Run
+from planopt.planning.loop.log import ChannelLog, RobotRun
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.run import Run
 from planopt.planning.team.least_distances import driven_motion
-from planopt.planning.team.team_run import TeamRun
 from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.panel import Panel
 from planopt.report.run_series import RUNG_LOOKS
@@ -24,7 +24,7 @@ from planopt.report.style import (
 )
 from planopt.report.team_looks import name_rows, robot_colour, robot_marker
 
-Drawer = Callable[[Panel, TeamRun], None]
+Drawer = Callable[[Panel, Run], None]
 
 TIME = "time [s]"
 
@@ -32,7 +32,7 @@ LEAST_SPAN_DB = 1.0
 """An axis of errors spans this at least: smaller changes are not to look like large ones."""
 
 
-def series_of(run: TeamRun) -> tuple[tuple[Drawer, float], ...]:
+def series_of(run: Run) -> tuple[tuple[Drawer, float], ...]:
     """The panels that a run has something to show in, each with its share of the height."""
     strip = 0.18 + 0.13 * len(run.runs)
     connection: tuple[tuple[Drawer, float], ...] = (
@@ -52,7 +52,7 @@ def series_of(run: TeamRun) -> tuple[tuple[Drawer, float], ...]:
     return (*knowledge, *bounded, *last)
 
 
-def _draw_apart(panel: Panel, run: TeamRun) -> None:
+def _draw_apart(panel: Panel, run: Run) -> None:
     """How far robots keep from each other and from what moves."""
     log = run.runs[0].log
     step_s = run.problem.planner.step_s
@@ -60,7 +60,7 @@ def _draw_apart(panel: Panel, run: TeamRun) -> None:
     draw_apart(panel, run.problem, motions, log.t_s)
 
 
-def _draw_target_variance(panel: Panel, run: TeamRun) -> None:
+def _draw_target_variance(panel: Panel, run: Run) -> None:
     """Trace of the station's covariance, marked where a packet arrived."""
     target = run.target
     if target is None:
@@ -89,26 +89,28 @@ def _draw_target_variance(panel: Panel, run: TeamRun) -> None:
     legend_above(panel)
 
 
-def _draw_theta_variance(panel: Panel, run: TeamRun) -> None:
-    panel.plot(
-        run.runs[0].log.t_s,
-        run.channel.theta_variance_db,
-        color=PREDICTED,
-        marker="o",
-        markersize=3.5,
-    )
+def _knowledge(run: Run) -> ChannelLog:
+    if run.channel is None:
+        raise AssertionError("nothing was logged of the channel")
+    return run.channel
+
+
+def _draw_theta_variance(panel: Panel, run: Run) -> None:
+    variance_db = _knowledge(run).theta_variance_db
+    panel.plot(run.runs[0].log.t_s, variance_db, color=PREDICTED, marker="o", markersize=3.5)
     dress(panel, "uncertainty of path loss", TIME, "trace M / |θ|² [dB]")
 
 
-def _draw_map_error(panel: Panel, run: TeamRun) -> None:
-    panel.plot(run.runs[0].log.t_s, run.channel.rms_db, color=PREDICTED, marker="o", markersize=3.5)
+def _draw_map_error(panel: Panel, run: Run) -> None:
+    rms_db = _knowledge(run).rms_db
+    panel.plot(run.runs[0].log.t_s, rms_db, color=PREDICTED, marker="o", markersize=3.5)
     dress(panel, "error of the predicted map", TIME, "RMS error [dB]")
-    low, high = float(run.channel.rms_db.min()), float(run.channel.rms_db.max())
+    low, high = float(rms_db.min()), float(rms_db.max())
     room = max(0.05 * (high - low), (LEAST_SPAN_DB - (high - low)) / 2.0)
     panel.set_ylim(low - room, high + room)
 
 
-def _draw_connectivity(panel: Panel, run: TeamRun) -> None:
+def _draw_connectivity(panel: Panel, run: Run) -> None:
     """Each robot's chance of a connection, predicted one step ahead, and the bound if there is."""
     for number, one in enumerate(run.runs):
         panel.plot(
@@ -130,7 +132,7 @@ def _draw_connectivity(panel: Panel, run: TeamRun) -> None:
     legend_above(panel)
 
 
-def _draw_connection(panel: Panel, run: TeamRun) -> None:
+def _draw_connection(panel: Panel, run: Run) -> None:
     """Draw a row for each robot: where it was connected in truth, its packets arrived."""
     for number, one in enumerate(run.runs):
         for selection, look in (
@@ -148,7 +150,7 @@ def _draw_connection(panel: Panel, run: TeamRun) -> None:
     name_rows(panel, run.problem)
 
 
-def _draw_rungs(panel: Panel, run: TeamRun) -> None:
+def _draw_rungs(panel: Panel, run: Run) -> None:
     """Draw a row for each robot: the rung of every released plan, ringed if it is not verified."""
     for rung, (marker, colour) in RUNG_LOOKS.items():
         rows = [_times(one, rung) for one in run.runs]
@@ -184,7 +186,7 @@ def _draw_rungs(panel: Panel, run: TeamRun) -> None:
         legend_above(panel, 3)
 
 
-def _times(run: Run, rung: Rung) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _times(run: RobotRun, rung: Rung) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """When plans of a rung were released."""
     chosen = np.array([found is rung for found in run.log.rung])
     chosen[0] = False  # the start was not planned

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,20 +16,16 @@ from planopt.channel.validation.calibration import FEWEST_GROUPS
 from planopt.errors import InputError
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.metrics import ANY, POSSIBLE
-from planopt.planning.loop.run import Outcome, Run
 from planopt.planning.prepare import Prepared, prepare
+from planopt.planning.run import ARRIVED, RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scene
-from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_summary import TeamSummary, team_summary
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
-from planopt.studies.comparison import Comparison, Driven, Row, metric_values
+from planopt.studies.comparison import Comparison, Row
 from planopt.studies.finished_runs import FinishedRuns, run_key
 from planopt.studies.study import Study, run_study
 
 CONFIDENCE = 0.95
-ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
-"""Outcomes of runs that did what the problem asks."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,7 @@ def compare_horizons(
     seeds: int | Iterable[int] = 30,
     workers: int = 1,
     backend: str = "loky",
-    on_run: Callable[[Driven], None] | None = None,
+    on_run: Callable[[RunSummary], None] | None = None,
     finished: Path | None = None,
 ) -> Comparison:
     """Run every setting on every seed and tabulate.
@@ -91,10 +87,10 @@ def compare_horizons(
     _check(horizons, planners, costs, chosen)
     settings = [Setting(n, p, c) for c in costs for p in planners for n in horizons]
     kept = None if finished is None else FinishedRuns(finished)
-    driven: dict[tuple[Setting, int], Driven] = {}
+    driven: dict[tuple[Setting, int], RunSummary] = {}
     asked = [_apply(problem, setting) for setting in settings]
-    study: Study[_Asked, Shared, Driven] = Study(
-        kind=Run if problem.task == "reach" else TeamSummary,
+    study: Study[_Asked, Shared, RunSummary] = Study(
+        kind=RunSummary,
         prepare=_shared,
         work=_drive,
         key=_key,
@@ -145,13 +141,15 @@ def _check(
         )
 
 
-def tabulate(setting: Setting, runs: Sequence[Driven], reference: Sequence[Driven]) -> list[Row]:
+def tabulate(
+    setting: Setting, runs: Sequence[RunSummary], reference: Sequence[RunSummary]
+) -> list[Row]:
     """Rows of one setting, one a metric; `reference` holds the same seeds in the same order."""
-    each = [_step_times(run) for run in runs]
+    each = [run.step_s for run in runs]
     steps = np.concatenate(each)
     verified = sum(run.verified_rate * len(times) for run, times in zip(runs, each, strict=True))
     rows: list[Row] = []
-    for metric in metric_values(runs[0]):
+    for metric in runs[0].metrics:
         values, others = _values(runs, metric), _values(reference, metric)
         there = values[np.isfinite(values)]
         low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
@@ -206,13 +204,8 @@ def paired_ratio(values: NDArray[np.float64], others: NDArray[np.float64]) -> fl
     return float(np.exp(np.log(values[both] / others[both]).mean()))
 
 
-def _values(runs: Sequence[Driven], metric: str) -> NDArray[np.float64]:
-    return np.array([metric_values(run)[metric] for run in runs], dtype=float)
-
-
-def _step_times(run: Driven) -> NDArray[np.float64]:
-    """Planning time of every released step."""
-    return run.log.step_s[1:] if isinstance(run, Run) else run.step_s
+def _values(runs: Sequence[RunSummary], metric: str) -> NDArray[np.float64]:
+    return np.array([run.metrics[metric] for run in runs], dtype=float)
 
 
 def _apply(problem: Problem, setting: Setting) -> Problem:
@@ -241,14 +234,8 @@ def _key(asked: _Asked) -> dict[str, Any]:
     return run_key(*asked)
 
 
-def _drive(asked: _Asked, shared: Shared) -> Driven:
-    return _driven(*asked, shared)
-
-
-def _driven(problem: Problem, seed: int, shared: Shared) -> Driven:
-    """A closed loop, without states and inputs, which no comparison looks at."""
+def _drive(asked: _Asked, shared: Shared) -> RunSummary:
+    """Drive a closed loop and summarise it."""
+    problem, seed = asked
     prepared, scene = shared
-    if scene is None:
-        return team_summary(simulate_team(problem, seed=seed, prepared=prepared))
-    run = simulate(problem, seed=seed, scene=scene, prepared=prepared).run
-    return replace(run, drive=None)
+    return summary_of(simulate(problem, seed=seed, scene=scene, prepared=prepared))

@@ -6,21 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
-from planopt.planning.loop.run import Run
-from planopt.planning.team.team_summary import TeamSummary
+from planopt.planning.run import RunSummary
 from planopt.problems.problem import Problem
 from planopt.short_repr import short_repr
-
-Driven = Run | TeamSummary
-"""A run as comparisons list it: to a goal, or of all robots of a sum of terms."""
-
-
-def metric_values(run: Driven) -> dict[str, float]:
-    """What a run is judged by, by name."""
-    return run.all_metrics if isinstance(run, Run) else run.metrics
 
 
 @dataclass(frozen=True)
@@ -93,7 +83,7 @@ class Comparison:
     """
 
     problem: Problem
-    runs: tuple[Driven, ...]
+    runs: tuple[RunSummary, ...]
     rows: tuple[Row, ...]
     wall_s: float
     resumed: int = 0
@@ -106,27 +96,22 @@ class Comparison:
         return runs_reliability(self.runs)
 
 
-def runs_reliability(runs: Sequence[Driven]) -> tuple[ReliabilityBin, ...]:
+def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
     """Tabulate predicted against true connection over the steps of runs.
 
     Runs of one seed share a channel and are one group, whatever their settings.
     """
-    predicted, connected, seeds = zip(*(_steps(run) for run in runs), strict=True)
-    return reliability(np.concatenate(predicted), np.concatenate(connected), np.concatenate(seeds))
+    seeds = [np.full(len(run.connectivity), run.seed, dtype=np.intp) for run in runs]
+    return reliability(
+        np.concatenate([run.connectivity for run in runs]),
+        np.concatenate([run.connected for run in runs]),
+        np.concatenate(seeds),
+    )
 
 
-def runs_by_setting(runs: Sequence[Driven]) -> list[list[Driven]]:
+def runs_by_setting(runs: Sequence[RunSummary]) -> list[list[RunSummary]]:
     """Divide runs by horizon, planner and cost to go, in the order in which these occur."""
-    found: dict[tuple[int, str, str | None], list[Driven]] = {}
+    found: dict[tuple[int, str, str | None], list[RunSummary]] = {}
     for run in runs:
         found.setdefault((run.horizon, run.planner, run.cost_to_go), []).append(run)
     return list(found.values())
-
-
-def _steps(run: Driven) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.intp]]:
-    """Predicted and true connection of each step of a run, and its seed."""
-    if isinstance(run, Run):
-        predicted, connected = run.log.connectivity[1:], run.log.connected[1:]
-    else:
-        predicted, connected = run.connectivity, run.connected
-    return predicted, connected, np.full(len(predicted), run.seed, dtype=np.intp)

@@ -19,9 +19,9 @@ def test_runs_fit_the_task() -> None:
     """Both count their steps."""
     steps: list[int] = []
     run = planopt.simulate(two_trackers(), planner="random", on_step=steps.append)
-    assert isinstance(run, planopt.TeamRun) and steps == [1, 2, 3]
+    assert isinstance(run, planopt.Run) and steps == [1, 2, 3]
     near = planopt.load("open_field")
-    assert isinstance(planopt.simulate(near, planner="lattice", horizon=1), planopt.Simulation)
+    assert isinstance(planopt.simulate(near, planner="lattice", horizon=1), planopt.Run)
 
 
 def test_there_is_no_cost_to_go_without_a_goal() -> None:

@@ -13,7 +13,7 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 import planopt.planning.start_polish as polish_module
 from planopt.errors import InputError
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_solution
+from planopt.planning.files.saved import save_solution
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.reach_planner import ReachPlanner
@@ -104,7 +104,7 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
 def test_saved_and_checked(tmp_path):
     """A plan without a polish is judged from disk as it is."""
     problem = with_budget(TERMS, NO_TIME)
-    save_team_solution(solve(problem, seed=1), tmp_path)
+    save_solution(solve(problem, seed=1), tmp_path)
     assert check(tmp_path).reasons == ()
 
 

@@ -19,10 +19,10 @@ from planopt import load
 from planopt.errors import InputError
 from planopt.planning.check import check_belief
 from planopt.planning.check.check import CheckResult, check
-from planopt.planning.files.saved import save_simulation, save_solution
+from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.learn import learn
-from planopt.planning.loop.run import Outcome
+from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.solve import solve
 
@@ -34,7 +34,11 @@ UNPROVEN = {
     "step_s.max": WALL_TIME,
     "iterations": SOLVER,
     "certificate.kkt_residual": SOLVER,
-    "plans[].kkt_residual": SOLVER,
+    "robots[].wall_s": WALL_TIME,
+    "robots[].solve_s": WALL_TIME,
+    "robots[].iterations": SOLVER,
+    "robots[].certificate.kkt_residual": SOLVER,
+    "plans[].released[].kkt_residual": SOLVER,
 }
 
 NAMED_BY = {
@@ -87,7 +91,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     deaf = replace(problem, stations=(replace(problem.stations[0], threshold_dbm=-48.0),))
     save_solution(solve(deaf, horizon=5, seed=1), made["relaxed"])
     short = replace(problem, planner=replace(problem.planner, max_steps=4))
-    save_simulation(simulate(short, horizon=3, seed=1), made["run"])
+    save_run(simulate(short, horizon=3, seed=1), made["run"])
     return made
 
 
@@ -300,7 +304,8 @@ def test_which_terminations_pass_for_one_another(folders: dict[str, Path]) -> No
     assert data["termination"] == "converged" and data["rung"] == "plan"
     passing: set[str] = set()
     for name in [*Termination, "proven"]:
-        file.write_text(json.dumps({**data, "termination": str(name)}))
+        data["termination"] = data["robots"][0]["termination"] = str(name)
+        file.write_text(json.dumps(data))
         result = check(folders["plan"])
         if result.verdict is Verdict.VERIFIED:
             passing.add(str(name))
@@ -324,7 +329,8 @@ def test_unknown_labels_are_named(folders: dict[str, Path], key: str, name: str)
         file = json_file(folders[kind])
         text = file.read_text()
         data = json.loads(text)
-        (data if kind == "plan" else data["plans"][1])[key] = name
+        plan = data["robots"][0] if kind == "plan" else data["plans"][0]["released"][1]
+        plan[key] = name
         file.write_text(json.dumps(data))
         result = check(folders[kind])
         file.write_text(text)

@@ -12,9 +12,9 @@ from scenes import WALL, bad_band, belief_of, good_everywhere, prepared_of, smal
 
 from planopt import load
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_simulation, save_solution
+from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.run import Outcome
+from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
@@ -117,7 +117,7 @@ def test_narrow_gap(dynamics: Dynamics, rest) -> None:
 def test_robot_can_always_stop() -> None:
     """The rest of every released plan, then braking, is clear: on any map of the channel."""
     problem = reach(WALL, dynamics=BOAT, horizon=5)
-    for plan in driven(problem).plans[:12]:
+    for plan in driven(problem).plans[0][:12]:
         drive = shifted_drive(problem, plan)
         index = build_scene(problem).index
         ways = drive.dynamics.ways(drive.states[:-1], drive.inputs, problem.planner.step_s)
@@ -193,7 +193,7 @@ def test_saved_plan_and_run_are_judged_again(dynamics, rest, tmp_path) -> None:
     problem = load("harbour_reach")
     problem = problem if dynamics is None else with_dynamics(problem, dynamics, *rest)
     problem = replace(problem, planner=replace(problem.planner, horizon=4, max_steps=6))
-    save_simulation(simulate(problem), tmp_path / "run")
+    save_run(simulate(problem), tmp_path / "run")
     assert check(tmp_path / "run").reasons == ()
     save_solution(solve(problem), tmp_path / "plan")
     assert check(tmp_path / "plan").reasons == ()

@@ -20,7 +20,7 @@ from scenes import (
 
 import planopt.planning.refine as refine_module
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.run import Outcome
+from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.nlp_point import NlpPoint
@@ -255,5 +255,5 @@ def test_closed_loop_through_failures(monkeypatch):
     assert done.run.outcome is Outcome.REACHED
     assert done.run.verified_rate == 1.0
     assert len(done.run.rungs) > 1
-    for plan in done.plans:
+    for plan in done.plans[0]:
         assert_safe(problem, plan)

@@ -12,9 +12,9 @@ from scenes import prepared_of, small_problem
 
 from planopt import load
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_simulation, save_solution
+from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.run import Outcome
+from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.problems.connectivity_rule import ConnectivityRule
@@ -57,9 +57,9 @@ def test_the_goal_is_reached_past_what_moves(moving, planner):
     """Every step verified, and the clearance kept at all times."""
     run, gaps = driven(*moving, planner=planner)
     assert run.run.outcome is Outcome.REACHED
-    assert all(plan.verdict is Verdict.VERIFIED for plan in run.plans)
+    assert all(plan.verdict is Verdict.VERIFIED for plan in run.plans[0])
     assert min(gaps) >= 0.5 - 1e-6
-    least = min(plan.certificate.min_moving_clearance_m for plan in run.plans)
+    least = min(plan.certificate.min_moving_clearance_m for plan in run.plans[0])
     assert 0.5 - 1e-6 <= least <= min(gaps) + 1e-6
 
 
@@ -77,8 +77,8 @@ def test_a_mirrored_scene_is_as_good():
     """It arrives as soon, with the same cost to the goal."""
     one, _ = driven(CROSSING)
     other, _ = driven(CROSSING, mirrored=True)
-    assert len(one.plans) == len(other.plans)
-    assert other.plans[0].objective == pytest.approx(one.plans[0].objective, rel=1e-3)
+    assert len(one.plans[0]) == len(other.plans[0])
+    assert other.plans[0][0].objective == pytest.approx(one.plans[0][0].objective, rel=1e-3)
 
 
 def test_a_far_cart_changes_nothing():
@@ -109,7 +109,7 @@ def test_saved_runs_and_plans_are_judged_beside_what_moves(tmp_path):
     )
     for name, save, made in (
         ("plan", save_solution, solve(problem)),
-        ("run", save_simulation, simulate(problem)),
+        ("run", save_run, simulate(problem)),
     ):
         folder = tmp_path / name
         folder.mkdir()
@@ -146,7 +146,7 @@ def test_one_that_drives_over_a_robot_in_a_dead_end_is_owned_up_to():
     run = simulate(problem, prepared=prepared_of(problem))
     assert any(
         "of the moving obstacle press" in reason
-        for plan in run.plans
+        for plan in run.plans[0]
         for reason in plan.certificate.reasons
     )
     assert run.run.verified_rate < 1.0
@@ -164,4 +164,4 @@ def test_the_goal_is_reached_past_what_moves_under_a_rule(form, planner):
     problem = replace(problem, constraints=constraints, workspace=workspace)
     run = simulate(problem, prepared=prepared_of(problem))
     assert run.run.outcome is Outcome.REACHED
-    assert all(plan.verdict is Verdict.VERIFIED for plan in run.plans)
+    assert all(plan.verdict is Verdict.VERIFIED for plan in run.plans[0])

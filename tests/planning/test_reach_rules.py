@@ -13,7 +13,7 @@ from planopt import load
 from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
 from planopt.planning.explain.blocked import explain_blocked
-from planopt.planning.files.saved import save_simulation
+from planopt.planning.files.saved import save_run
 from planopt.planning.ground import first_moves
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate
@@ -130,7 +130,7 @@ def test_check_agrees_with_a_run(rule, tmp_path: Path):
         constraints=replace(problem.constraints, p_min=p_min, rule=rule),
         planner=replace(problem.planner, max_steps=4, horizon=5),
     )
-    save_simulation(simulate(problem, seed=1), tmp_path)
+    save_run(simulate(problem, seed=1), tmp_path)
     found = check(tmp_path)
     assert found.reasons == ()
     assert found.certificate.rule.connectivity == rule.connectivity

@@ -12,12 +12,12 @@ import pytest
 from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
-from planopt.planning.files.saved import RUN_FILE, save_simulation
+from planopt.planning.files.saved import RUN_FILE, save_run
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.run import Run
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
 from planopt.problems.connectivity_rule import ConnectivityRule
@@ -108,13 +108,13 @@ def test_the_second_station_helps_where_both_are_weak(slack_max_db: float | None
 
 
 @pytest.fixture(scope="module")
-def driven() -> Iterator[Simulation]:
+def driven() -> Iterator[Run]:
     """A run from west to east."""
     problem = two_station_problem(horizon=4)
     yield simulate(problem, seed=1, prepared=prepared_in(problem, POWERS))
 
 
-def test_a_run_is_handed_over(driven: Simulation) -> None:
+def test_a_run_is_handed_over(driven: Run) -> None:
     """From one station to the next, connected all the way."""
     assert driven.run.outcome.value == "reached"
     assert driven.run.verified_rate == 1.0
@@ -138,7 +138,7 @@ def courier(tmp_path_factory: pytest.TempPathFactory) -> Path:
     problem = load("two_station_courier")
     problem = replace(problem, planner=replace(problem.planner, max_steps=6, horizon=4))
     folder = tmp_path_factory.mktemp("courier")
-    save_simulation(simulate(problem, seed=2), folder)
+    save_run(simulate(problem, seed=2), folder)
     return folder
 
 

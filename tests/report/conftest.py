@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -14,9 +16,9 @@ from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
-from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.run import Run, RunSummary, summary_of
 from planopt.planning.solution import Solution
 from planopt.planning.worth.aim import Aim
 from planopt.problems.base_station import BaseStation
@@ -163,20 +165,20 @@ def log() -> StepLog:
 
 
 @pytest.fixture(scope="session")
-def simulation(problem: Problem, belief: Belief, plan: Plan, log: StepLog) -> Simulation:
+def simulation(problem: Problem, belief: Belief, plan: Plan, log: StepLog) -> Run:
     """The log as a run that reached the goal."""
     metrics = Metrics(12.0, 13.4, 5 / 6, 2.2, 0.78, 0.01, 5)
-    run = Run("rover", 4, "auto", "connected", 5, Outcome.STEP_LIMIT, "six steps", log, metrics)
+    run = RobotRun("rover", Outcome.STEP_LIMIT, "six steps", log, metrics)
     x, y = np.arange(0.5, 100.0), np.arange(0.5, 80.0)
     values = -90.0 + 0.3 * x[None, :] + 0.1 * y[:, None]
     truth = Truth(Raster(x, y, values), -100.0, values)
-    return Simulation(problem, 5, belief, 24, run, (plan,), truth)
+    return Run(problem, 5, (truth,), (run,), ((plan,),), ((Aim(),),), (belief,), 24)
 
 
 @pytest.fixture(scope="session")
-def comparison(problem: Problem, simulation: Simulation) -> Comparison:
+def comparison(problem: Problem, simulation: Run) -> Comparison:
     """Two horizons under two costs to go and two planners, two runs each; one never arrives."""
-    runs: list[Run] = []
+    runs: list[RunSummary] = []
     rows: list[Row] = []
     for cost, planner in (("geodesic", "auto"), ("connected", "lattice")):
         for horizon in (10, 1):
@@ -192,19 +194,9 @@ def comparison(problem: Problem, simulation: Simulation) -> Comparison:
                     5,
                 )
                 outcome = Outcome.STALLED if lost else Outcome.REACHED
-                runs.append(
-                    Run(
-                        "rover",
-                        horizon,
-                        planner,
-                        cost,
-                        seed,
-                        outcome,
-                        "",
-                        simulation.run.log,
-                        metrics,
-                    )
-                )
+                run = replace(simulation.run, outcome=outcome, reason="", metrics=metrics)
+                summary = summary_of(replace(simulation, runs=(run,), seed=seed))
+                runs.append(replace(summary, horizon=horizon, planner=planner, cost_to_go=cost))
             shared = {"verified_rate": 0.875, "p50_step_s": 0.0125, "p95_step_s": 0.04}
             setting = (horizon, planner, cost, 2, 2 if lost else 0)
             mean = None if lost else 50.5 + horizon

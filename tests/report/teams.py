@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from planopt.planning.team.team_run import ChannelLog, TargetLog, TeamRun
+from planopt.planning.loop.log import ChannelLog, TargetLog
+from planopt.planning.run import Run
 from planopt.planning.worth.aim import Aim
 from planopt.problems.objective import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
 from planopt.problems.robot import Robot
@@ -35,7 +36,7 @@ def team_problem(problem: Any, task: str, robots: int, p_min: float) -> Any:
     )
 
 
-def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) -> TeamRun:
+def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) -> Run:
     """The log of the small run for every robot, each 6 m above the last."""
     problem = team_problem(simulation.problem, task, robots, p_min)
     log = simulation.run.log
@@ -52,7 +53,7 @@ def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) ->
     plans = tuple(
         tuple(
             replace(plan, robot=run.robot, positions_m=plan.positions_m + shift)
-            for plan in simulation.plans
+            for plan in simulation.plans[0]
         )
         for run, shift in zip(runs, shifts, strict=True)
     )
@@ -63,10 +64,10 @@ def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) ->
         station_variance_m2=2.0 / (1.0 + np.arange(count)),
         delivered=np.stack([log.connected[1:]] * robots, axis=1),
     )
-    return TeamRun(
+    return Run(
         problem=problem,
         seed=5,
-        truth=simulation.truth,
+        truths=simulation.truths,
         runs=runs,
         plans=plans,
         aims=tuple(tuple(Aim(None, None) for _ in released) for released in plans),

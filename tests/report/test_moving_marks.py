@@ -10,7 +10,7 @@ from apart_scene import apart_problem
 from artists import collection_of, drawn, legend_of, line_of, panel_of
 
 from planopt import load, solve
-from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.loop.closed_loop import simulate
 from planopt.report.plan_figure import draw_plan
 from planopt.report.team_figure import draw_team_plan, draw_team_run
 from planopt.world.closest_approach import closest_approach_m
@@ -22,7 +22,7 @@ LABEL, TITLE = "moving obstacle, paler later", "least distance"
 @pytest.fixture(scope="module")
 def run():
     """Two robots beside a cart, four steps."""
-    return simulate_team(apart_problem([(10, 15), (14, 15)], max_steps=4, horizon=3), seed=0)
+    return simulate(apart_problem([(10, 15), (14, 15)], max_steps=4, horizon=3), seed=0)
 
 
 def circles(panel, label):

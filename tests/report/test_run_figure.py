@@ -18,7 +18,7 @@ def test_units_and_title(simulation):
 def test_layer_is_the_truth(simulation):
     """The layer is the true raster, at its place."""
     (image,) = draw_run(simulation).axes[0].images
-    np.testing.assert_array_equal(image.get_array(), simulation.truth.raster.values)
+    np.testing.assert_array_equal(image.get_array(), simulation.truths[0].raster.values)
     assert tuple(image.get_extent()) == (0.0, 100.0, 0.0, 80.0)
 
 
@@ -52,7 +52,7 @@ def test_outages_show_without_colour(simulation):
 def test_no_outage_no_entry(simulation, log):
     """What a run does not have is not in its legend."""
     fine = replace(log, connected=np.ones_like(log.connected))
-    figure = drawn(draw_run(replace(simulation, run=replace(simulation.run, log=fine))))
+    figure = drawn(draw_run(replace(simulation, runs=(replace(simulation.run, log=fine),))))
     assert "driven, connected" in legend_of(figure)
     assert "driven, not connected" not in legend_of(figure)
 
@@ -76,7 +76,10 @@ def test_run_of_no_step(simulation, log):
         **{name: getattr(log, name)[:1] for name in log.__dataclass_fields__},
     )
     still = replace(
-        simulation, run=replace(simulation.run, log=start), plans=(), first_measurements=30
+        simulation,
+        runs=(replace(simulation.run, log=start),),
+        plans=((),),
+        first_measurements=30,
     )
     entries = legend_of(drawn(draw_run(still)))
     assert not {"first plan", "bound relaxed", "measured on the way"} & set(entries)

@@ -69,6 +69,6 @@ def test_every_rung_has_a_look():
 def test_run_of_no_step(simulation, log):
     """A run that ended where it began is drawn, with a word on it."""
     start = replace(log, **{name: getattr(log, name)[:1] for name in log.__dataclass_fields__})
-    still = replace(simulation, run=replace(simulation.run, log=start))
+    still = replace(simulation, runs=(replace(simulation.run, log=start),))
     axes = panel_of(drawn(draw_run_series(still)), "planning time")
     assert [text.get_text() for text in axes.texts] == ["no step was released"]

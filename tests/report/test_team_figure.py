@@ -7,8 +7,10 @@ import pytest
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 from teams import team_problem, team_run
 
-from planopt.commands.pictures import picture_team_plan, picture_team_run
+from planopt.commands.pictures import picture_run, picture_solution
 from planopt.planning.plan import Verdict
+from planopt.planning.solution import Solution
+from planopt.planning.worth.aim import Aim
 from planopt.report.team_figure import draw_team_plan, draw_team_run
 
 ALWAYS = {"x [m]", "y [m]", "RMS error [dB]", "time [s]"}
@@ -179,8 +181,8 @@ def test_plans_without_bound_or_target(simulation, belief, plan):
 def test_pictures_are_written(simulation, belief, plan, tmp_path):
     """A picture of a run and one of plans, under the names that single robots' have."""
     run = team_run(simulation, "map", 1)
-    picture_team_run(run, tmp_path)
-    picture_team_plan(run.problem, [plan], belief, None, tmp_path)
+    picture_run(run, tmp_path)
+    picture_solution(Solution(run.problem, 0, belief, (plan,), (Aim(),)), tmp_path)
     written = sorted(tmp_path.iterdir())
     assert [file.name for file in written] == ["plan.png", "run.png"]
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in written)

@@ -14,7 +14,8 @@ from planopt import load
 from planopt.errors import InputError
 from planopt.planning.loop.clairvoyant import COSTS as COST_METRICS
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.run import Metrics, Outcome, StepLog
+from planopt.planning.loop.log import Metrics, Outcome
+from planopt.planning.run import summary_of
 from planopt.studies.compare import compare_horizons, mean_interval, paired_ratio, tabulate
 from planopt.studies.comparison import Comparison, Row
 
@@ -82,10 +83,10 @@ def test_every_metric_of_every_setting(comparison, problem):
         assert row.seeds == SEEDS
         assert row.planner == "auto"
         assert row.stalled == sum(run.outcome is not Outcome.REACHED for run in runs)
-        released = sum(len(run.log.verdict) - 1 for run in runs)
-        verified = sum(v.value == "verified" for run in runs for v in run.log.verdict[1:])
+        released = sum(sum(run.rungs.values()) for run in runs)
+        verified = sum(run.verified_rate * len(run.step_s) for run in runs)
         assert row.verified_rate == pytest.approx(verified / released)
-        steps = np.concatenate([run.log.step_s[1:] for run in runs])
+        steps = np.concatenate([run.step_s for run in runs])
         assert row.p50_step_s == np.median(steps)
         assert row.p95_step_s == np.quantile(steps, 0.95)
 
@@ -95,7 +96,7 @@ def test_means_and_intervals_against_scipy(comparison):
     compared = 0
     for row in comparison.rows:
         runs = runs_of(comparison, row.horizon, row.cost_to_go)
-        values = np.array([run.all_metrics[row.metric] for run in runs])
+        values = np.array([run.metrics[row.metric] for run in runs])
         values = values[np.isfinite(values)]
         assert row.count == len(values)
         if len(values) == 0:
@@ -126,7 +127,7 @@ def test_ratios_are_paired_with_the_first_setting(comparison):
         ratios = []
         for run, other in zip(runs, reference, strict=True):
             assert run.seed == other.seed
-            mine, its = run.all_metrics[row.metric], other.all_metrics[row.metric]
+            mine, its = run.metrics[row.metric], other.metrics[row.metric]
             if mine > 0.0 and its > 0.0:
                 ratios.append(mine / its)
         if ratios:
@@ -144,7 +145,7 @@ def test_differences_are_paired_with_the_first_setting(comparison):
     setting = SimpleNamespace(horizon=1, planner="auto", cost_to_go=None)
 
     def with_paths(lengths):
-        metrics = [replace(run.metrics, path_m=v) for run, v in zip(runs, lengths, strict=True)]
+        metrics = [{**run.metrics, "path_m": v} for run, v in zip(runs, lengths, strict=True)]
         return [replace(run, metrics=m) for run, m in zip(runs, metrics, strict=True)]
 
     mine, its = rng.normal(50.0, 5.0, (2, 6))
@@ -161,22 +162,19 @@ def test_differences_are_paired_with_the_first_setting(comparison):
 def test_run_is_that_of_simulate(comparison, problem):
     """Sharing scene and first belief changes no bit."""
     [alone] = [r for r in runs_of(comparison, 6, "connected") if r.seed == 2]
-    run = simulate(problem, horizon=6, cost_to_go="connected", seed=2).run
-    assert_same_run(run, alone)
+    run = simulate(problem, horizon=6, cost_to_go="connected", seed=2)
+    assert_same_run(summary_of(run), alone)
 
 
 def assert_same_run(one, other):
     """But for measured times."""
-    for column in fields(StepLog):
-        if column.name != "step_s":
-            assert np.array_equal(
-                getattr(one.log, column.name),
-                getattr(other.log, column.name),
-                equal_nan=column.name not in ("rung", "verdict", "connected"),
-            )
-    same = {"log": other.log, "metrics": other.metrics, "costs": other.costs}
-    assert replace(one, **same) == other
-    assert repr(one.all_metrics) == repr(other.all_metrics)
+    for name in ("connectivity", "connected"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert len(one.step_s) == len(other.step_s)
+    assert repr(one.metrics) == repr(other.metrics)
+    for name in ("horizon", "planner", "cost_to_go", "seed", "outcome", "reason", "rungs"):
+        assert getattr(one, name) == getattr(other, name)
+    assert one.verified_rate == other.verified_rate
 
 
 def test_parallel_equals_serial(comparison, problem):
@@ -258,7 +256,7 @@ def test_ratio_of_what_does_not_exist():
 def test_runs_of_no_step(comparison, problem):
     """Runs that were at the goal from the start: nothing released, nothing unverified."""
     robot = replace(problem.robots[0], goal_m=problem.robots[0].start_m)
-    run = simulate(replace(problem, robots=(robot,)), seed=0).run
+    run = summary_of(simulate(replace(problem, robots=(robot,)), seed=0))
     from planopt.studies.compare import Setting
 
     rows = tabulate(Setting(10, "auto", "connected"), [run], [run])

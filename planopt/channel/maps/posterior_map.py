@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +125,41 @@ class PosteriorMap:
     posterior: str
 
     __repr__ = short_repr
+
+    def to_xarray(self) -> Any:
+        """Return the map as an ``xarray.Dataset`` with the coordinates ``y_m`` and ``x_m``.
+
+        The variables are ``mean_dbm``, ``deviation_db`` and ``connectivity``, with their units; the
+        threshold and the kind of posterior are attributes of the dataset.
+
+        Raises
+        ------
+        InputError
+            xarray is not installed.
+        """
+        try:
+            xarray = import_module("xarray")
+        except ImportError:
+            raise InputError(
+                "xarray is not installed", remedy="install it, or planopt[xarray]"
+            ) from None
+        axes = ("y_m", "x_m")
+        layers = {
+            "mean_dbm": (self.mean_db, "dBm", "predicted received power"),
+            "deviation_db": (self.deviation_db, "dB", "standard deviation of the prediction"),
+            "connectivity": (self.connectivity, "1", "probability of connection"),
+        }
+        return xarray.Dataset(
+            {
+                name: (axes, raster.values, {"units": units, "long_name": words})
+                for name, (raster, units, words) in layers.items()
+            },
+            coords={
+                "x_m": ("x_m", self.mean_db.x_m, {"units": "m"}),
+                "y_m": ("y_m", self.mean_db.y_m, {"units": "m"}),
+            },
+            attrs={"threshold_dbm": self.threshold_dbm, "posterior": self.posterior},
+        )
 
 
 @one_blas_thread()

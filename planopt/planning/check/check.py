@@ -22,14 +22,17 @@ from planopt.planning.check.check_explanation import no_way_faults
 from planopt.planning.check.check_labels import label_reasons
 from planopt.planning.check.check_plan import check_plan
 from planopt.planning.check.check_run import check_run
-from planopt.planning.check.check_team import check_team, not_judged
 from planopt.planning.check.library_remarks import library_remarks
-from planopt.planning.files.explanation_json import explanation_again
 from planopt.planning.files.read_saved import Saved, read_object, saved_from
-from planopt.planning.files.read_team import SavedTeam, is_team, read_team
-from planopt.planning.files.run_json import no_run_json
-from planopt.planning.files.saved import PLAN_FILE
-from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_plan_json
+from planopt.planning.files.run_json import RunRecord, no_run_json
+from planopt.planning.files.saved import FORMAT, PLAN_FILE
+from planopt.planning.files.solution_json import (
+    NoPlanRecord,
+    PlanRecord,
+    explanation_again,
+    no_plan_json,
+)
+from planopt.planning.given import Given
 from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
@@ -83,48 +86,46 @@ def check(path: Path | str) -> CheckResult:
     judged = judge_saved(file, data)
     if judged is not None:
         return CheckResult(Verdict.VIOLATED if judged else Verdict.VERIFIED, (), tuple(judged))
-    if is_team(data):
-        return _check_team(read_team(file, data))
     saved = saved_from(file, data)
     problem, record, name = saved.problem, saved.record, saved.file.name
     remarks = library_remarks(name, problem)
-    if isinstance(record, NoPlanRecord) or saved.steps is None or saved.belief is None:
+    if saved.former:
+        remarks.append(
+            f"{name} has the form of an earlier version, which the next version will not read"
+        )
+    if isinstance(record, NoPlanRecord):
         return CheckResult(Verdict.NONE, (), tuple(_no_plan_reasons(saved)), tuple(remarks))
     reasons = label_reasons(name, record)
     if reasons:
         return CheckResult(Verdict.VIOLATED, (), tuple(reasons), tuple(remarks))
     given, more = given_again(problem, record.seed)
-    remarks += more
+    remarks += [*more, *_not_judged(saved, given)]
     if isinstance(record, PlanRecord):
-        certificates, reasons = check_plan(
-            problem, saved.data, record, saved.steps, saved.belief, given, saved.file.parent
-        )
+        certificates, reasons = check_plan(saved, record, given)
     else:
-        certificates, reasons = check_run(
-            problem, saved.data, record, saved.steps, saved.belief, given, saved.file.parent
+        certificates, reasons = check_run(saved, record, given)
+    verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+    return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
+
+
+def _not_judged(saved: Saved, given: Given | None) -> list[str]:
+    """What nothing but planning again could tell, or what is not to be had without the truth."""
+    remarks: list[str] = []
+    problem = saved.problem
+    if any(term.steers for term in problem.terms):
+        remarks.append(
+            "the ways that a term steers along (steering_m, steering_turns_m) are taken as they "
+            "stand"
         )
-    verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-    return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
-
-
-def _check_team(saved: SavedTeam) -> CheckResult:
-    """Judge what was saved of a problem whose objective is a sum of terms."""
-    problem, name = saved.problem, saved.file.name
-    remarks = library_remarks(name, problem)
-    reasons = label_reasons(name, saved.record)
-    if reasons:
-        return CheckResult(Verdict.VIOLATED, (), tuple(reasons), tuple(remarks))
-    given, more = given_again(problem, saved.record.seed)
-    remarks += [*more, *not_judged(saved, given)]
-    certificates, reasons = check_team(saved, given)
-    verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-    return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
+    if given is None and isinstance(saved.record, RunRecord) and problem.task != "reach":
+        remarks.append("knowledge.csv is taken as it stands, because there is no truth")
+    return remarks
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
     """That there is nothing to judge, and what the file says besides that is not so."""
     message, seed = str(saved.data["message"]), saved.record.seed
-    found: dict[str, Any] = {"problem_file": saved.data["problem_file"]}
+    found: dict[str, Any] = {"format": FORMAT, "problem_file": saved.data["problem_file"]}
     faults: list[str] = []
     if saved.file.name == PLAN_FILE and isinstance(saved.record, NoPlanRecord):
         explanation = explanation_again(saved.record.explanation)

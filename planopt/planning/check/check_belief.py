@@ -110,9 +110,43 @@ def _nearest_m(places_m: list[NDArray[np.float64]], place_m: NDArray[np.float64]
     return float(np.linalg.norm(places_m - place_m, axis=1).min()) if places_m else np.inf
 
 
+def learnt_again(
+    problem: Problem, saved: Sequence[SavedBelief]
+) -> tuple[list[list[Belief]], list[str]]:
+    """Return what the first measurements of each belief tell of each station; or why they do not.
+
+    Parameters
+    ----------
+    problem
+        What was asked.
+    saved
+        Files of beliefs.
+    """
+    found: list[list[Belief]] = []
+    for belief in saved:
+        try:
+            found.append(
+                [
+                    learn(problem, own.measurements.take(slice(own.first)), station)
+                    for station, own in enumerate(belief.stations)
+                ]
+            )
+        except InputError as error:
+            reason = f"the first {belief.first} measurements cannot be fitted: {error}"
+            return [], [f"{belief.file.name}: {reason}"]
+    return found, []
+
+
+def belief_again(learnt: Sequence[Belief], posteriors: Sequence[ChannelPosterior]) -> Belief:
+    """Return a belief with the fits of :func:`learnt_again` and the last posteriors."""
+    each = [replace(own, posterior=last) for own, last in zip(learnt, posteriors, strict=True)]
+    return replace(each[0], further=tuple(each[1:]))
+
+
 def belief_reasons(
     problem: Problem,
     belief: SavedBelief,
+    learnt: Sequence[Belief],
     posteriors: Sequence[ChannelPosterior],
     given: Given | None,
     taken: Taken,
@@ -126,6 +160,8 @@ def belief_reasons(
         What was asked.
     belief
         The file.
+    learnt
+        From its first measurements of each station.
     posteriors
         Of each station, rebuilt from all its measurements.
     given
@@ -134,9 +170,10 @@ def belief_reasons(
         What was measured on the way.
     """
     reasons: list[str] = []
-    for station, (own, posterior) in enumerate(zip(belief.stations, posteriors, strict=True)):
+    each = zip(belief.stations, learnt, posteriors, strict=True)
+    for station, (own, first, posterior) in enumerate(each):
         drawn = None if given is None else given.stations[station]
-        reasons += _station_reasons(problem, station, own, posterior, drawn, taken, seed)
+        reasons += _station_reasons(problem, station, own, first, posterior, drawn, taken, seed)
     return reasons
 
 
@@ -144,6 +181,7 @@ def _station_reasons(
     problem: Problem,
     station: int,
     belief: SavedBelief,
+    learnt: Belief,
     posterior: ChannelPosterior,
     given: Given | None,
     taken: Taken,
@@ -152,10 +190,6 @@ def _station_reasons(
     """What in the file cannot be so of one station."""
     file, prefix = belief.file.name, station_prefix(station)
     first = belief.measurements.take(slice(belief.first))
-    try:
-        learnt = learn(problem, first, station)
-    except InputError as error:
-        return [f"{file}: the first {belief.first} measurements cannot be fitted: {error}"]
     start = first if given is None else given.measurements
     truth = None if given is None else given.truth
     alone = len(problem.stations) == 1

@@ -1,118 +1,186 @@
-"""Judge a saved plan: the verifier decides, and every field must follow from it and the files."""
+"""Judge saved plans: the verifier decides, and every field must follow from it and the files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.belief import Belief
 from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import EXACT, disagreements, in_words
-from planopt.planning.check.check_belief import NOTHING_TAKEN, belief_reasons
+from planopt.planning.check.check_belief import (
+    NOTHING_TAKEN,
+    belief_again,
+    belief_reasons,
+    learnt_again,
+)
 from planopt.planning.check.check_explanation import explanation_faults
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import UNSOLVED, provenance_faults
-from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
+from planopt.planning.check.rebuilt import Asked, Effort, Place, rebuilt_plan
 from planopt.planning.explain.case import Case
-from planopt.planning.files.belief_file import SavedBelief, first_posteriors, last_posteriors
-from planopt.planning.files.explanation_json import explanation_again
-from planopt.planning.files.read_drive import drive_of
-from planopt.planning.files.saved import PLAN_FILE
-from planopt.planning.files.solution_json import PlanRecord, plan_json
-from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_plan
+from planopt.planning.files.belief_file import first_posteriors, last_posteriors
+from planopt.planning.files.drive_table import drive_of
+from planopt.planning.files.read_saved import Saved
+from planopt.planning.files.saved import FORMAT, PLAN_FILE
+from planopt.planning.files.solution_json import (
+    PlanRecord,
+    RobotPlanRecord,
+    aim_again,
+    explanation_again,
+    solution_json,
+)
+from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_plan
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.holes import holes_on
+from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Termination
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.proof.verify import judge
 from planopt.planning.roads import build_roads
+from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.solution import Solution
+from planopt.planning.team.reservations import beside, others_of
+from planopt.planning.team.team_certificate import worst_of_robots
+from planopt.planning.team.team_seeds import team_seeds
 from planopt.problems.problem import Problem
-from planopt.world.clearance import index_obstacles
+from planopt.robots.braked_motion import braked_motion
 
 
 def check_plan(
-    problem: Problem,
-    data: Mapping[str, Any],
-    record: PlanRecord,
-    steps: Steps,
-    belief: SavedBelief,
-    given: Given | None,
-    folder: Path,
+    saved: Saved, record: PlanRecord, given: Given | None
 ) -> tuple[list[Certificate], list[str]]:
-    """The plan's certificate, computed again, and every reason to reject.
+    """Return the worst of the plans' certificates, computed again, and every reason to reject.
 
     Parameters
     ----------
-    problem, data, record
-        From ``plan.json``: its problem, all of it, and what is taken from it.
-    steps, belief
-        The files beside it.
+    saved, record
+        What was read.
     given
         What problem and seed give, if it is to be had.
-    folder
-        Where they are, for messages.
 
     Raises
     ------
     InputError
         States or inputs of a robot that has some are missing.
     """
-    path = steps.positions_m
-    if len(path) != problem.planner.horizon + 1:
-        return [], [
-            f"{STEPS_FILE}: {len(path) - 1} steps are planned, planner.horizon is "
-            f"{problem.planner.horizon}"
-        ]
-    index = index_obstacles(problem.workspace)
-    posteriors = last_posteriors(belief, first_posteriors(belief))
-    robot = problem.robots[0]
-    table = folder / STEPS_FILE
-    drive = drive_of(robot.dynamics, path, steps.motion, table, f"robot {robot.name}")
-    circumstances = circumstances_of(problem, posteriors)
-    residual = record.certificate.kkt_residual
-    judgement = judge(
-        problem, index, posteriors[0], robot.start_state, path, residual, circumstances, drive
-    )
-    plan = rebuilt_reach_plan(
-        problem,
-        path,
-        judgement,
-        record,
-        Effort(record.wall_s, record.solve_s, record.iterations),
-        drive,
-    )
-    plan = replace(plan, **_on_the_way(problem, record, plan, posteriors, circumstances))
-    explanation = explanation_again(record.explanation)
-    case = Case(problem, 0, posteriors, plan, circumstances.moving)
+    problem, belief = saved.problem, saved.beliefs[0]
+    learnt, unfitted = learnt_again(problem, saved.beliefs)
+    if faults := length_faults(saved) or unfitted:
+        return [], faults
+    solution, reasons = rebuilt_solution(saved, record, learnt[0])
     found = {
-        **plan_json(problem, record.seed, plan, explanation),
+        "format": FORMAT,
+        **solution_json(solution),
         # What was asked is not judged: library_remarks says what there is to say.
-        "problem_file": data["problem_file"],
+        "problem_file": saved.data["problem_file"],
     }
-    reasons = obstacles_met(problem, index, path) if drive is None else []
-    reasons += judgement.certificate.reasons
-    reasons += in_words(PLAN_FILE, disagreements(data, found))
-    reasons += [
-        f"{PLAN_FILE}, key {key}: {fault}" for key, fault in provenance_faults(problem, plan, None)
+    reasons += in_words(PLAN_FILE, disagreements(saved.data, found))
+    again = joined_steps([steps_of_plan(plan) for plan in solution.plans])
+    reasons += steps_reasons(joined_steps(saved.steps), again)
+    reasons += belief_reasons(
+        problem,
+        belief,
+        learnt[0],
+        solution.belief.posteriors,
+        given,
+        NOTHING_TAKEN,
+        record.seed,
+    )
+    return [worst_of_robots({plan.robot: plan.certificate for plan in solution.plans})], reasons
+
+
+def length_faults(saved: Saved) -> list[str]:
+    """Return what is wrong with the lengths of plans: they have those that the problem asks."""
+    horizon = saved.problem.planner.horizon
+    return [
+        f"{STEPS_FILE}: {len(steps.steps) - 1} steps of {robot.name} are planned, "
+        f"planner.horizon is {horizon}"
+        for robot, steps in zip(saved.problem.robots, saved.steps, strict=True)
+        if len(steps.steps) != horizon + 1
     ]
-    reasons += effort_faults(plan, "")
-    reasons += [f"{PLAN_FILE}, key {fault}" for fault in explanation_faults(case, explanation)]
-    reasons += steps_reasons(steps, steps_of_plan(plan))
-    reasons += belief_reasons(problem, belief, posteriors, given, NOTHING_TAKEN, record.seed)
-    return [judgement.certificate], reasons
+
+
+def rebuilt_solution(
+    saved: Saved, record: PlanRecord, learnt: Sequence[Belief]
+) -> tuple[Solution, list[str]]:
+    """Return the plans as they must be, and every reason to reject what they are said to be.
+
+    Parameters
+    ----------
+    saved, record
+        What was read.
+    learnt
+        From the first measurements of each station.
+    """
+    problem = saved.problem
+    posteriors = last_posteriors(saved.beliefs[0], first_posteriors(saved.beliefs[0]))
+    place, alone = Place.of(problem), circumstances_of(problem, posteriors)
+    watch = watch_target(problem, team_seeds(problem, record.seed).target)
+    explanation = explanation_again(record.explanation)
+    names = {robot.name for robot in problem.robots}
+    reasons = [
+        f"{PLAN_FILE}, key explanation: there is no robot {one.robot}"
+        for one in explanation
+        if one.robot not in names
+    ]
+    table = saved.file.parent / STEPS_FILE
+    drives = [
+        drive_of(robot.dynamics, steps.positions_m, steps.motion, table, f"robot {robot.name}")
+        for robot, steps in zip(problem.robots, saved.steps, strict=True)
+    ]
+    motions = [
+        braked_motion(steps.positions_m, drive, problem.planner.step_s)
+        for steps, drive in zip(saved.steps, drives, strict=True)
+    ]
+    plans: list[Plan] = []
+    aims = [
+        aim_again(robot.aim, aim_of(watch, number, problem.planner.horizon))
+        for number, robot in enumerate(record.robots)
+    ]
+    for number, (robot, steps) in enumerate(zip(record.robots, saved.steps, strict=True)):
+        own, path, drive = problem_of_robot(problem, number), steps.positions_m, drives[number]
+        moving = beside(problem, 0, others_of(motions, number))
+        under = replace(alone, moving=moving)
+        asked = Asked(own, place, posteriors, own.robots[0].start_state, aims[number], under)
+        effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
+        plan = rebuilt_plan(asked, path, drive, robot, robot.certificate.kkt_residual, effort)
+        if problem.task == "reach":
+            plan = replace(plan, **_on_the_way(problem, robot, plan, posteriors, under))
+        where = f"robots[{number}]."
+        objections = obstacles_met(own, place.index, path) if drive is None else []
+        objections += plan.certificate.reasons
+        reasons += of_robot(problem, plan.robot, objections)
+        reasons += [
+            f"{PLAN_FILE}, key {where}{key}: {fault}"
+            for key, fault in provenance_faults(own, plan, None)
+        ]
+        reasons += _effort_faults(plan, where)
+        case = Case(problem, number, posteriors, plan, moving)
+        own_explanation = [one for one in explanation if one.robot == plan.robot]
+        reasons += [
+            f"{PLAN_FILE}, key {fault}" for fault in explanation_faults(case, own_explanation)
+        ]
+        plans.append(plan)
+    belief = belief_again(learnt, posteriors)
+    return Solution(problem, record.seed, belief, tuple(plans), tuple(aims), explanation), reasons
+
+
+def of_robot(problem: Problem, robot: str, objections: Sequence[str]) -> list[str]:
+    """Return objections with the name of the robot that they concern, if there are several."""
+    return [f"{robot}: {text}" if len(problem.robots) > 1 else text for text in objections]
 
 
 def _on_the_way(
     problem: Problem,
-    record: PlanRecord,
+    record: RobotPlanRecord,
     plan: Plan,
     posteriors: Sequence[ChannelPosterior],
     under: Circumstances,
@@ -138,7 +206,7 @@ def _leads_to_goal(problem: Problem, route_m: NDArray[np.float64]) -> bool:
     return bool(away.max() <= EXACT and joined.all() and at_goal <= EXACT)
 
 
-def effort_faults(plan: Plan, where: str) -> list[str]:
+def _effort_faults(plan: Plan, where: str) -> list[str]:
     """Wall times cannot be computed again, but solving is part of planning and takes time.
 
     Parameters

@@ -1,152 +1,330 @@
-"""Judge a saved run: every released plan on what was believed at its time, and all that follows."""
+"""Judge a saved run: every released plan on what its robot knew then, and all that follows."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.belief import Belief
+from planopt.channel.fields.truth import Truth
+from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import EXACT, disagreements, in_words
-from planopt.planning.check.check_belief import Taken, belief_reasons, taken_on_the_way
+from planopt.planning.check.check_belief import (
+    Taken,
+    belief_again,
+    belief_reasons,
+    learnt_again,
+    taken_on_the_way,
+)
+from planopt.planning.check.check_plan import of_robot
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import provenance_faults
-from planopt.planning.check.rebuilt import Effort, rebuilt_reach_plan
-from planopt.planning.files.belief_file import (
-    SavedBelief,
-    first_posteriors,
-    last_posteriors,
-    posteriors_at,
-)
-from planopt.planning.files.read_drive import drive_of
+from planopt.planning.check.rebuilt import Asked, Effort, Place, rebuilt_plan
+from planopt.planning.files.belief_file import first_posteriors, last_posteriors, posteriors_at
+from planopt.planning.files.drive_table import drive_of
+from planopt.planning.files.read_saved import Saved
 from planopt.planning.files.run_json import (
     RunRecord,
     StepTimesRecord,
     released_plans_json,
     run_json,
 )
-from planopt.planning.files.saved import RUN_FILE
-from planopt.planning.files.steps_file import STEPS_FILE, Steps, steps_of_run
+from planopt.planning.files.run_tables import KNOWLEDGE_FILE, run_tables
+from planopt.planning.files.saved import FORMAT, RUN_FILE
+from planopt.planning.files.solution_json import aim_again
+from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
+from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.clairvoyant import COSTS, run_costs
-from planopt.planning.loop.ending import ending
-from planopt.planning.loop.metrics import metrics_of
-from planopt.planning.loop.rule_metrics import rule_metrics
-from planopt.planning.loop.run import Outcome, Run
-from planopt.planning.loop.step_log import step_log
+from planopt.planning.loop.ending import Progress, run_ending
+from planopt.planning.loop.log import ChannelLog, Outcome
+from planopt.planning.loop.robot_run import robot_run
+from planopt.planning.loop.target_log import target_log, watched
+from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.proof.circumstances import circumstances_of
-from planopt.planning.proof.verify import judge
 from planopt.planning.roads import build_roads
+from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.run import Run
+from planopt.planning.team.reservations import beside, others_of
+from planopt.planning.team.team_certificate import worst_of_robots
+from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, index_obstacles
+from planopt.robots.braked_motion import braked_motion
+from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex
+from planopt.world.timed_motion import TimedMotion
+
+
+@dataclass(frozen=True, eq=False)
+class _Driven:
+    """What is found again of one robot: states, plans, aims, beliefs before and after each.
+
+    And the objections to it.
+    """
+
+    states: NDArray[np.float64]
+    plans: list[Plan]
+    aims: list[Aim]
+    posteriors: list[tuple[ChannelPosterior, ...]]
+    reasons: list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rebuilt:
+    """A run as it must be, what each robot measured on the way, and objections to its plans."""
+
+    run: Run
+    taken: list[Taken]
+    reasons: list[str]
 
 
 def check_run(
-    problem: Problem,
-    data: Mapping[str, Any],
-    record: RunRecord,
-    steps: Steps,
-    belief: SavedBelief,
-    given: Given | None,
-    folder: Path,
+    saved: Saved, record: RunRecord, given: Given | None
 ) -> tuple[list[Certificate], list[str]]:
-    """A certificate for each released plan, computed again, and every reason to reject.
+    """Return the worst certificate of each step over the robots, and every reason to reject.
 
     Parameters
     ----------
-    problem, data, record
-        From ``run.json``: its problem, all of it, and what is taken from it.
-    steps, belief
-        The files beside it.
+    saved, record
+        What was read.
     given
         What problem and seed give, if it is to be had.
-    folder
-        Where they are, for messages.
 
     Raises
     ------
     InputError
         States or inputs of a robot that has some are missing.
     """
-    index = index_obstacles(problem.workspace)
-    track = steps.positions_m
-    robot, table = problem.robots[0], folder / STEPS_FILE
-    driven = drive_of(robot.dynamics, track, steps.motion, table, f"robot {robot.name}")
-    states = track if driven is None else driven.states
-    reasons = obstacles_met(problem, index, track) if driven is None else []
-    if np.abs(states[0] - robot.start_state).max() > EXACT:
-        reasons.append(f"{STEPS_FILE}: the run does not start at robots[0].start_m")
-    truths = () if given is None else given.truths
-    roads = build_roads(problem, np.asarray(problem.goal_m))
-    true = true_serving_dbm(problem, truths, track) if truths else steps.numbers["true_db"]
-    connected = true[1:] >= problem.stations[0].threshold_dbm
-    plans: list[Plan] = []
-    posteriors = first_posteriors(belief)
-    for step, released in enumerate(record.plans, start=1):
-        posteriors = posteriors_at(belief, posteriors, step)
-        path = np.stack([released.x_m, released.y_m], axis=1)
-        proofs = [plan.certificate for plan in plans]
-        history = history_of(problem, track[:step], connected[: step - 1], proofs)
-        circumstances = circumstances_of(problem, posteriors, history)
-        place = f"plans[{step - 1}].drive"
-        drive = drive_of(robot.dynamics, path, released.drive, folder / RUN_FILE, place)
-        here, residual = states[step - 1], released.kkt_residual
-        judgement = judge(problem, index, posteriors[0], here, path, residual, circumstances, drive)
-        plan = rebuilt_reach_plan(problem, path, judgement, released, Effort(), drive)
-        where = f"{RUN_FILE}, key plans[{step - 1}]"
-        reasons += plan_reasons(problem, index, where, step, plan, plans[-1] if plans else None)
-        ahead = path if drive is None else drive.states
-        if np.abs(ahead[:2] - states[step - 1 : step + 1]).max() > EXACT:
-            reasons.append(
-                f"step {step} of {STEPS_FILE} is not the first step of its plan, {RUN_FILE}, key "
-                f"plans[{step - 1}]"
-            )
-        plans.append(plan)
-    posteriors = last_posteriors(belief, posteriors)
-    log = step_log(problem, track, true, plans)
-    taken = taken_on_the_way(problem, belief, track, true)
-    outcome, reason, faults = _ended(problem, states, taken, plans)
-    # Without a truth these can only be taken as they stand.
-    said: Mapping[str, float] = data.get("metrics", {})
-    said = {key: said[key] for key in COSTS if key in said}
-    costs = run_costs(problem, roads, index, truths, track, outcome) if truths else said
-    run = Run(
-        robot=problem.robots[0].name,
-        horizon=problem.planner.horizon,
-        planner=problem.planner.name,
-        cost_to_go=problem.cost_to_go,
-        seed=record.seed,
-        outcome=outcome,
-        reason=reason,
-        log=log,
-        metrics=metrics_of(log, plans, outcome, taken.learnt),
-        rule=rule_metrics(problem, [log]),
-        drive=driven,
-        costs=costs,
-    )
-    found = {
-        **run_json(problem, run),
-        "plans": released_plans_json(plans),
+    problem = saved.problem
+    learnt, unfitted = learnt_again(problem, saved.beliefs)
+    if faults := length_faults(saved, record) or unfitted:
+        return [], faults
+    rebuilt = rebuilt_run(saved, record, learnt, () if given is None else given.truths)
+    run, reasons = rebuilt.run, rebuilt.reasons
+    said = saved.data.get("metrics")
+    found: dict[str, Any] = {
+        "format": FORMAT,
+        **run_json(run),
+        "plans": released_plans_json(run),
         "step_s": record.step_s.model_dump(),
         # What was asked is not judged: library_remarks says what there is to say.
-        "problem_file": data["problem_file"],
+        "problem_file": saved.data["problem_file"],
     }
-    reasons += faults
-    reasons += in_words(RUN_FILE, disagreements(data, found))
-    reasons += step_time_faults(record.step_s, len(plans))
-    reasons += steps_reasons(steps, steps_of_run(run.robot, log, run.drive))
-    reasons += belief_reasons(problem, belief, posteriors, given, taken, record.seed)
-    return [plan.certificate for plan in plans], reasons
+    if saved.former and isinstance(said, Mapping):
+        # Former versions knew fewer metrics.
+        found["metrics"] = {key: found["metrics"][key] for key in found["metrics"] if key in said}
+    reasons += in_words(RUN_FILE, disagreements(saved.data, found))
+    reasons += _step_time_faults(record.step_s, sum(len(made) for made in run.plans))
+    again = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
+    reasons += steps_reasons(joined_steps(saved.steps), again)
+    for name, table in run_tables(run).items():
+        reasons += in_words(
+            name,
+            disagreements(
+                {column: values.tolist() for column, values in saved.tables[name].items()},
+                {column: np.asarray(values).tolist() for column, values in table.items()},
+            ),
+        )
+    for file, first, belief, taken in zip(
+        saved.beliefs, learnt, run.beliefs, rebuilt.taken, strict=True
+    ):
+        known = belief.posteriors
+        reasons += belief_reasons(problem, file, first, known, given, taken, record.seed)
+    return [
+        worst_of_robots({plan.robot: plan.certificate for plan in made})
+        for made in zip(*run.plans, strict=True)
+    ], reasons
 
 
-def plan_reasons(
+def rebuilt_run(
+    saved: Saved, record: RunRecord, learnt: Sequence[Sequence[Belief]], truths: Sequence[Truth]
+) -> _Rebuilt:
+    """Return the run as it must be, with every objection to its plans and its end.
+
+    Parameters
+    ----------
+    saved, record
+        What was read; its lengths fit.
+    learnt
+        From the first measurements of each robot's belief, by station.
+    truths
+        Of each station; without them, true powers and what follows from the whole ground truth
+        are taken as they stand.
+    """
+    problem, numbers = saved.problem, range(len(saved.problem.robots))
+    place = Place.of(problem)
+    tracks = np.array([steps.positions_m for steps in saved.steps])
+    true = np.array(
+        [
+            true_serving_dbm(problem, truths, track) if truths else steps.numbers["true_db"]
+            for steps, track in zip(saved.steps, tracks, strict=True)
+        ]
+    )
+    connected = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
+    seeds = team_seeds(problem, record.seed)
+    watches = watched(watch_target(problem, seeds.target), tracks, connected, seeds.target)
+    released = [_released(saved, record, number) for number in numbers]
+    driven = [
+        _driven(saved, record, number, place, watches, released, connected[:, number])
+        for number in numbers
+    ]
+    taken = [
+        taken_on_the_way(problem, belief, track, true_dbm)
+        for belief, track, true_dbm in zip(saved.beliefs, tracks, true, strict=True)
+    ]
+    ended, reasons = _ended(problem, connected, driven, [one.learnt for one in taken])
+    run = Run(
+        problem=problem,
+        seed=record.seed,
+        truths=tuple(truths),
+        runs=tuple(
+            robot_run(
+                problem_of_robot(problem, number),
+                tracks[number],
+                true[number],
+                one.plans,
+                taken[number].learnt,
+                ended,
+            )
+            for number, one in enumerate(driven)
+        ),
+        plans=tuple(tuple(one.plans) for one in driven),
+        aims=tuple(tuple(one.aims) for one in driven),
+        beliefs=tuple(
+            belief_again(first, one.posteriors[-1])
+            for first, one in zip(learnt, driven, strict=True)
+        ),
+        first_measurements=saved.beliefs[0].first,
+        target=target_log(watches, connected),
+        channel=_channel(saved, place, truths, driven[0].posteriors),
+        costs=_costs(saved, place.index, truths, tracks[0], ended[0]),
+    )
+    reasons += [reason for one in driven for reason in one.reasons]
+    return _Rebuilt(run, taken, reasons)
+
+
+def _channel(
+    saved: Saved,
+    place: Place,
+    truths: Sequence[Truth],
+    posteriors: Sequence[Sequence[ChannelPosterior]],
+) -> ChannelLog | None:
+    """Return how well the first robot knew the channel; as it is said where there is no truth."""
+    if place.region is None:
+        return None
+    if truths:
+        return channel_log([channel_row(p, truths, place.region.grid_m) for p in posteriors])
+    table = saved.tables[KNOWLEDGE_FILE]
+    return ChannelLog(table["rms_db"], table["anmse_db"], table["trace_m_db"], table["log_det_m"])
+
+
+def _costs(
+    saved: Saved,
+    index: ObstacleIndex,
+    truths: Sequence[Truth],
+    track_m: NDArray[np.float64],
+    outcome: Outcome,
+) -> dict[str, float]:
+    """Return what a run to a goal cost; as it is said where there is no truth."""
+    problem = saved.problem
+    if problem.task != "reach":
+        return {}
+    if truths:
+        roads = build_roads(problem, np.asarray(problem.goal_m))
+        return run_costs(problem, roads, index, truths, track_m, outcome)
+    said: Mapping[str, float] = saved.data.get("metrics", {})
+    return {key: said[key] for key in COSTS if key in said}
+
+
+@dataclass(frozen=True, eq=False)
+class _Released:
+    """A released plan as it was saved: places (N + 1, 2), how they are driven, and when."""
+
+    path_m: NDArray[np.float64]
+    drive: Drive | None
+    motion: TimedMotion
+
+
+def _released(saved: Saved, record: RunRecord, number: int) -> list[_Released]:
+    """Every plan of robot number `number`."""
+    dynamics, step_s = saved.problem.robots[number].dynamics, saved.problem.planner.step_s
+    found: list[_Released] = []
+    for step, plan in enumerate(record.plans[number].released):
+        path = np.stack([plan.x_m, plan.y_m], axis=1)
+        key = f"plans[{number}].released[{step}].drive"
+        drive = drive_of(dynamics, path, plan.drive, saved.file, key)
+        found.append(_Released(path, drive, braked_motion(path, drive, step_s)))
+    return found
+
+
+def _driven(
+    saved: Saved,
+    record: RunRecord,
+    number: int,
+    place: Place,
+    watches: Sequence[TargetWatch | None],
+    released_by: Sequence[Sequence[_Released]],
+    connected: NDArray[np.bool_],
+) -> _Driven:
+    """Every plan of robot number `number` on what it knew, beside all that were released."""
+    own = problem_of_robot(saved.problem, number)
+    robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
+    key = f"{RUN_FILE}, key plans[{number}].released"
+    table, dynamics = saved.file.parent / STEPS_FILE, robot.dynamics
+    driven = drive_of(dynamics, track, saved.steps[number].motion, table, f"robot {robot.name}")
+    states = track if driven is None else driven.states
+    reasons: list[str] = []
+    if driven is None:
+        met = obstacles_met(own, place.index, track)
+        reasons += of_robot(saved.problem, robot.name, met)
+    if np.abs(states[0] - robot.start_state).max() > EXACT:
+        reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
+    posteriors = [first_posteriors(belief)]
+    plans: list[Plan] = []
+    aims: list[Aim] = []
+    for step, said in enumerate(record.plans[number].released, start=1):
+        known = posteriors[-1] = posteriors_at(belief, posteriors[-1], step)
+        released = released_by[number][step - 1]
+        proofs = [plan.certificate for plan in plans]
+        history = history_of(own, track[:step], connected[: step - 1], proofs)
+        others = others_of([made[step - 1].motion for made in released_by], number)
+        moving = beside(saved.problem, history.steps, others)
+        aim = aim_again(said.aim, aim_of(watches[step - 1], number, own.planner.horizon))
+        under = circumstances_of(own, known, history, moving)
+        asked = Asked(own, place, known, states[step - 1], aim, under)
+        plan = rebuilt_plan(
+            asked, released.path_m, released.drive, said, said.kkt_residual, Effort()
+        )
+        where = f"{key}[{step - 1}]"
+        reasons += _plan_reasons(own, place.index, where, step, plan, plans[-1] if plans else None)
+        ahead = released.path_m if released.drive is None else released.drive.states
+        if _leads_elsewhere(ahead, states, step):
+            reasons.append(
+                f"step {step} of {robot.name} in {STEPS_FILE} is not the first step of its plan, "
+                f"{where}"
+            )
+        plans.append(plan)
+        aims.append(aim)
+        posteriors.append(known)
+    posteriors[-1] = last_posteriors(belief, posteriors[-1])
+    return _Driven(states, plans, aims, posteriors, reasons)
+
+
+def _leads_elsewhere(planned: NDArray[np.float64], states: NDArray[np.float64], step: int) -> bool:
+    return bool(np.abs(planned[:2] - states[step - 1 : step + 1]).max() > EXACT)
+
+
+def _plan_reasons(
     problem: Problem,
     index: ObstacleIndex,
     where: str,
@@ -170,9 +348,6 @@ def plan_reasons(
     objections = list(plan.certificate.reasons)
     if objections and plan.drive is None:
         objections[:0] = obstacles_met(problem, index, plan.positions_m)
-    steps = len(plan.positions_m) - 1
-    if steps != problem.planner.horizon:
-        objections.append(f"has {steps} steps, planner.horizon is {problem.planner.horizon}")
     return [
         *(f"{where}, the plan for step {step}: {objection}" for objection in objections),
         *(f"{where}.{key}: {fault}" for key, fault in provenance_faults(problem, plan, previous)),
@@ -180,30 +355,59 @@ def plan_reasons(
 
 
 def _ended(
-    problem: Problem, states: NDArray[np.float64], taken: Taken, plans: Sequence[Plan]
-) -> tuple[Outcome, str, list[str]]:
+    problem: Problem,
+    connected: NDArray[np.bool_],
+    driven: Sequence[_Driven],
+    learnt: Sequence[list[bool]],
+) -> tuple[tuple[Outcome, str], list[str]]:
     """How the run ended and why in words, and what is wrong with where it did."""
-    learnt, track = taken.learnt, list(states)
-    for step in range(len(plans)):
-        led_here = plans[step - 1] if step else None
-        ended = ending(problem, track[: step + 1], learnt[:step], led_here)
+    steps = len(connected)
+    for step in range(steps + 1):
+        robots = [
+            Progress(
+                problem_of_robot(problem, number),
+                list(one.states[: step + 1]),
+                measured[:step],
+                one.plans[:step],
+                one.posteriors[step],
+            )
+            for number, (one, measured) in enumerate(zip(driven, learnt, strict=True))
+        ]
+        ended = run_ending(problem, connected[:step], robots)
         if ended is not None:
-            outcome, reason = ended
-            return outcome, reason, [f"{STEPS_FILE}: the run goes on after step {step}, {reason}"]
-    ended = ending(problem, track, learnt, plans[-1] if plans else None)
-    if ended is None:
-        return (
-            Outcome.STEP_LIMIT,
-            "",
-            [
-                f"{STEPS_FILE}: the run ends after step {len(plans)}, short of the goal, of a "
-                f"standstill and of planner.max_steps {problem.planner.max_steps}"
-            ],
+            late = f"{STEPS_FILE}: the run goes on after step {step}, {ended[1]}"
+            return ended, [late] if step < steps else []
+    short = (
+        f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
+        f"{problem.planner.max_steps}, and neither its task nor a standstill ended it"
+    )
+    return (Outcome.STEP_LIMIT, ""), [short]
+
+
+def length_faults(saved: Saved, record: RunRecord) -> list[str]:
+    """Return what is wrong with the lengths of a run and of its plans.
+
+    No run is longer than the problem says, and its plans are as long; nothing can be judged where
+    they are not.
+    """
+    planner, steps = saved.problem.planner, len(saved.steps[0].steps) - 1
+    faults: list[str] = []
+    if steps > planner.max_steps:
+        faults.append(
+            f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
+            f"{planner.max_steps}"
         )
-    return *ended, []
+    for number, robot in enumerate(record.plans):
+        for step, released in enumerate(robot.released):
+            if len(released.x_m) != planner.horizon + 1:
+                faults.append(
+                    f"{RUN_FILE}, key plans[{number}].released[{step}]: has "
+                    f"{len(released.x_m) - 1} steps, planner.horizon is {planner.horizon}"
+                )
+    return faults
 
 
-def step_time_faults(times: StepTimesRecord, steps: int) -> list[str]:
+def _step_time_faults(times: StepTimesRecord, steps: int) -> list[str]:
     """Quantiles of wall times cannot be computed again, but they have an order."""
     given = [value for value in (times.p50, times.p95, times.max) if value is not None]
     if len(given) != (3 if steps else 0):

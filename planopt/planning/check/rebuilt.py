@@ -2,23 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.files.run_json import PlannedRecord, ReleasedRecord
-from planopt.planning.files.solution_json import PlanRecord
-from planopt.planning.files.team_solution_json import RobotPlanRecord
+from planopt.objectives.mapping import Region
+from planopt.planning.files.run_json import ReleasedRecord
+from planopt.planning.files.solution_json import RobotPlanRecord
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Pivot, Plan, Rung, Termination
-from planopt.planning.proof.verify import Judgement
+from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.verify import judge
+from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.reach_cost import ReachCost
+from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex, index_obstacles
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Geometry that all plans of a problem share.
+
+    Attributes
+    ----------
+    index
+        The obstacles.
+    region
+        Where the map is wanted; None on the way to a goal.
+    """
+
+    index: ObstacleIndex
+    region: Region | None
+
+    @classmethod
+    def of(cls, problem: Problem) -> Place:
+        """Return the geometry of a problem."""
+        region = None if problem.task == "reach" else workspace_region(problem)
+        return cls(index_obstacles(problem.workspace), region)
 
 
 @dataclass(frozen=True)
@@ -36,80 +66,79 @@ class Effort:
     iterations: int = 0
 
 
-def rebuilt_reach_plan(
-    problem: Problem,
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Context of one plan of one robot.
+
+    Attributes
+    ----------
+    problem
+        With this robot alone.
+    place
+        Its geometry.
+    posteriors
+        Channel estimate of each station when the plan was made.
+    state
+        ``(s,)`` of the robot then.
+    aim
+        External inputs of the objective.
+    circumstances
+        What else was known then.
+    """
+
+    problem: Problem
+    place: Place
+    posteriors: Sequence[ChannelPosterior]
+    state: NDArray[np.float64]
+    aim: Aim
+    circumstances: Circumstances
+
+
+def rebuilt_plan(
+    asked: Asked,
     path_m: NDArray[np.float64],
-    judgement: Judgement,
-    record: PlanRecord | ReleasedRecord,
+    drive: Drive | None,
+    record: RobotPlanRecord | ReleasedRecord,
+    residual: float | None,
     effort: Effort,
-    drive: Drive | None = None,
 ) -> Plan:
-    """The plan to a goal, by a path (N + 1, 2) with the robot's own place first.
+    """Return the plan of a path (N + 1, 2) with the robot's own place first.
 
     Parameters
     ----------
-    problem
-        What was asked.
-    path_m
-        The path, from the file.
-    judgement
-        What the verifier says of it.
+    asked
+        Its context.
+    path_m, drive
+        The path from the file, and how the robot drives along it; None for the single integrator.
     record
         Rung, termination, lattice objective and pivot are taken from it.
+    residual
+        KKT residual of the path, if a solver found it.
     effort
         Taken as it is.
-    drive
-        How the robot drives along the path; None for the single integrator.
     """
+    problem = asked.problem
+    judgement = judge(
+        problem,
+        asked.place.index,
+        asked.posteriors[0],
+        asked.state,
+        path_m,
+        residual,
+        asked.circumstances,
+        drive,
+    )
+    power = judgement.power
+    if power is None:
+        raise AssertionError("places in files are finite")
     pivot = None
     if record.pivot is not None:
         place = np.array([record.pivot.x_m, record.pivot.y_m])
         pivot = Pivot(place, record.pivot.cost_m, record.pivot.metre_cost)
-    ahead = None if pivot is None else partial(_pivot_itself, pivot)
-    priced = record.rung != Rung.DIRECT.value
-    cost = ReachCost(problem, path_m[0], _certified(judgement), ahead, priced)
-    cost_s = cost(path_m[1:], drive)
-    return rebuilt_plan(problem, path_m, judgement, record, effort, cost_s, pivot, drive)
-
-
-def _certified(judgement: Judgement) -> Callable[[NDArray[np.float64]], Prediction]:
-    """The power along the judged path."""
-    power = judgement.power
-    if power is None:
-        raise AssertionError("places in files are finite")
-    return lambda _: power
-
-
-def _pivot_itself(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
-    return pivot
-
-
-def rebuilt_plan(
-    problem: Problem,
-    path_m: NDArray[np.float64],
-    judgement: Judgement,
-    record: PlanRecord | PlannedRecord | RobotPlanRecord,
-    effort: Effort,
-    objective: float,
-    pivot: Pivot | None = None,
-    drive: Drive | None = None,
-) -> Plan:
-    """The plan of any task; parameters as in :func:`rebuilt_reach_plan`.
-
-    Parameters
-    ----------
-    problem, path_m, judgement, record, effort
-        As there; the problem has one robot.
-    objective
-        What the path is worth.
-    pivot
-        The way beyond the horizon that this charges.
-    drive
-        How the robot drives along the path; None for the single integrator.
-    """
-    power = judgement.power
-    if power is None:
-        raise AssertionError("places in files are finite")
+    if problem.task == "reach":
+        objective = _reach_cost(problem, path_m, drive, power, pivot, record.rung)
+    else:
+        objective = _worth(asked, path_m)
     return Plan(
         robot=problem.robots[0].name,
         t_s=problem.planner.step_s * np.arange(len(path_m), dtype=np.float64),
@@ -133,3 +162,46 @@ def rebuilt_plan(
         sense=problem.sense,
         drive=drive,
     )
+
+
+def _reach_cost(
+    problem: Problem,
+    path_m: NDArray[np.float64],
+    drive: Drive | None,
+    power: Prediction,
+    pivot: Pivot | None,
+    rung: str,
+) -> float:
+    """Return the cost of a path to a goal, at the power that the verifier predicted."""
+
+    def certified(_: NDArray[np.float64]) -> Prediction:
+        return power
+
+    ahead = None if pivot is None else partial(_pivot_itself, pivot)
+    priced = rung != Rung.DIRECT.value
+    return ReachCost(problem, path_m[0], certified, ahead, priced)(path_m[1:], drive)
+
+
+def _pivot_itself(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
+    return pivot
+
+
+def _worth(asked: Asked, path_m: NDArray[np.float64]) -> float:
+    """Return the weighted sum of the terms of a path."""
+    problem, turns, region = asked.problem, asked.aim.steering_turns_m, asked.place.region
+    if region is None:
+        raise AssertionError("terms have a region")
+    steering = None
+    if turns is not None:
+        steering = SteeringWay(turns, asked.place.index, problem.constraints.clearance_m)
+    at = Situation(
+        problem,
+        asked.posteriors[0],
+        path_m[0],
+        asked.aim.target_m,
+        region,
+        steering,
+        asked.aim.information,
+        circumstances=asked.circumstances,
+    )
+    return PathWorth(at)(path_m[1:])

@@ -11,7 +11,7 @@ import numpy as np
 
 from planopt.errors import InputError
 from planopt.files.regular import read_text
-from planopt.planning.files.solution_json import LARGEST, REMEDY
+from planopt.planning.files.record import LARGEST, REMEDY
 
 
 def read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.npz import read_npz
-from planopt.planning.files.solution_json import LARGEST, REMEDY
+from planopt.planning.files.record import LARGEST, REMEDY
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
@@ -25,9 +28,18 @@ from planopt.planning.files.belief_file import (
     station_prefix,
 )
 from planopt.planning.files.drive_table import drive_columns
-from planopt.planning.files.run_json import PlannedRecord, RunRecord
-from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
-from planopt.planning.files.solution_json import REMEDY, NoPlanRecord, PlanRecord, RobotRecord
+from planopt.planning.files.former_format import without_former_forms
+from planopt.planning.files.record import REMEDY
+from planopt.planning.files.run_json import ReleasedRecord, RunRecord
+from planopt.planning.files.run_tables import (
+    KNOWLEDGE_COLUMNS,
+    KNOWLEDGE_FILE,
+    TARGET_FILE,
+    read_table,
+    target_columns,
+)
+from planopt.planning.files.saved import FORMAT, PLAN_FILE, PLAN_OR_RUN, RUN_FILE, belief_files
+from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, RobotRecord
 from planopt.planning.files.steps_file import STEPS_FILE, Steps, read_steps
 from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem
@@ -45,24 +57,32 @@ class Saved:
 
     Attributes
     ----------
-    file
-        Its JSON file.
-    data
-        What that says, in full.
+    file, data
+        Its JSON file, and what that says, in full; in today's form if the file has a former one.
     record
         The same, typed, as far as judging needs it.
     problem
         Rebuilt from it.
-    steps, belief
-        From the files beside it; None where the record is of no plan at all.
+    steps
+        The rows of each robot; none where the record is of no plan at all.
+    beliefs
+        The one that plans rest on; of each robot after a run; none where there is no plan.
+    tables
+        By file name: further tables of a run.
+    former
+        Whether the file has the form of an earlier version.
     """
 
     file: Path
     data: Mapping[str, Any]
     record: PlanRecord | RunRecord | NoPlanRecord
     problem: Problem
-    steps: Steps | None
-    belief: SavedBelief | None
+    steps: tuple[Steps, ...] = ()
+    beliefs: tuple[SavedBelief, ...] = ()
+    tables: Mapping[str, dict[str, NDArray[np.float64]]] = field(
+        default_factory=dict[str, dict[str, NDArray[np.float64]]]
+    )
+    former: bool = False
 
 
 def read_saved(path: Path) -> Saved:
@@ -94,23 +114,38 @@ def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
     return file, _read_json(file)
 
 
-def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
+def saved_from(file: Path, said: Mapping[str, Any]) -> Saved:
     """As :func:`read_saved`, of a JSON file that has been read."""
+    data, former = without_former_forms(file, said)
+    if data.get("format") != FORMAT:
+        message = f"{data.get('format')!r} is not known, this version reads up to {FORMAT}"
+        raise damaged(file, "format", message)
     if data.get("robots") == []:
-        record = record_of(file, data, NoPlanRecord)
+        record = _record(file, data, NoPlanRecord)
     else:
-        record = record_of(file, data, PlanRecord if file.name == PLAN_FILE else RunRecord)
+        record = _record(file, data, PlanRecord if file.name == PLAN_FILE else RunRecord)
     problem = problem_from_dict(record.problem_file, file=file)
     if isinstance(record, NoPlanRecord):
-        return Saved(file, data, record, problem, None, None)
-    require_even(file, record.robots)
-    steps = read_steps(file.parent / STEPS_FILE, drive_columns(problem))
-    require_rows(file, steps, record.robots)
-    belief = read_belief(file.parent / BELIEF_FILE, len(problem.stations))
-    if isinstance(record, RunRecord):
-        steps_driven = len(record.robots[0].t_s) - 1
-        require_complete_robot(file, "plans", steps_driven, record.plans, belief)
-    return Saved(file, data, record, problem, steps, belief)
+        return Saved(file, data, record, problem, former=former)
+    if len(record.robots) != len(problem.robots):
+        raise damaged(
+            file, "robots", f"{len(record.robots)} robots, the problem has {len(problem.robots)}"
+        )
+    _require_even(file, record.robots)
+    table = read_steps(file.parent / STEPS_FILE, drive_columns(problem))
+    _require_rows(file, table, record.robots)
+    ends = np.cumsum([0, *(len(robot.t_s) for robot in record.robots)]).tolist()
+    steps = tuple(table.take(slice(begin, end)) for begin, end in pairwise(ends))
+    is_run = isinstance(record, RunRecord)
+    beliefs = tuple(
+        read_belief(file.parent / name, len(problem.stations))
+        for name in (belief_files(problem) if is_run else (BELIEF_FILE,))
+    )
+    if not is_run:
+        return Saved(file, data, record, problem, steps, beliefs, former=former)
+    _require_complete_run(file, problem, record, beliefs)
+    tables = _read_tables(file, problem, len(steps[0].steps))
+    return Saved(file, data, record, problem, steps, beliefs, tables, former)
 
 
 def _json_file(path: Path) -> Path:
@@ -161,7 +196,7 @@ def _read_json(file: Path) -> Mapping[str, Any]:
     return cast("Mapping[str, Any]", data)
 
 
-def record_of(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _AnyRecord:
+def _record(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _AnyRecord:
     """What `file` says, typed.
 
     Raises
@@ -175,7 +210,7 @@ def record_of(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _
         raise input_error(error, model, file=file) from None
 
 
-def require_even(file: Path, robots: Sequence[RobotRecord]) -> None:
+def _require_even(file: Path, robots: Sequence[RobotRecord]) -> None:
     """Every robot's columns are of one length."""
     for number, robot in enumerate(robots):
         if not len(robot.t_s) == len(robot.x_m) == len(robot.y_m) == len(robot.connectivity):
@@ -184,7 +219,7 @@ def require_even(file: Path, robots: Sequence[RobotRecord]) -> None:
             )
 
 
-def require_rows(file: Path, steps: Steps, robots: Sequence[RobotRecord]) -> None:
+def _require_rows(file: Path, steps: Steps, robots: Sequence[RobotRecord]) -> None:
     """The table has a row for every place."""
     rows, wanted = len(steps.positions_m), sum(len(robot.t_s) for robot in robots)
     if rows != wanted:
@@ -195,12 +230,29 @@ def require_rows(file: Path, steps: Steps, robots: Sequence[RobotRecord]) -> Non
         )
 
 
-def require_complete_robot(
-    file: Path,
-    key: str,
-    steps: int,
-    plans: Sequence[PlannedRecord],
-    belief: SavedBelief,
+def _require_complete_run(
+    file: Path, problem: Problem, record: RunRecord, beliefs: Sequence[SavedBelief]
+) -> None:
+    """Every robot was driven as long as the others, and each of its steps has plan and belief."""
+    if len(record.plans) != len(record.robots):
+        raise damaged(
+            file, "plans", f"of {len(record.plans)} robots where there are {len(record.robots)}"
+        )
+    counts = [len(robot.t_s) for robot in record.robots]
+    # A run to a goal may be at its end where it starts.
+    least = 1 if problem.task == "reach" else 2
+    if min(counts) < max(counts) or counts[0] < least:
+        raise damaged(
+            file, "robots", f"{counts} places, should be as many of each and at least {least}"
+        )
+    for number, (robot, belief) in enumerate(zip(record.plans, beliefs, strict=True)):
+        _require_complete_robot(
+            file, f"plans[{number}].released", counts[0] - 1, robot.released, belief
+        )
+
+
+def _require_complete_robot(
+    file: Path, key: str, steps: int, plans: Sequence[ReleasedRecord], belief: SavedBelief
 ) -> None:
     """Every step of a robot has its plan, at `key` of the file, and its belief."""
     if len(plans) != steps:
@@ -215,6 +267,26 @@ def require_complete_robot(
     for number, plan in enumerate(plans):
         if len(plan.x_m) != len(plan.y_m):
             raise damaged(file, f"{key}[{number}]", "x_m and y_m differ in length")
+
+
+def _read_tables(
+    file: Path, problem: Problem, rows: int
+) -> dict[str, dict[str, NDArray[np.float64]]]:
+    columns: dict[str, tuple[str, ...]] = {}
+    if problem.task != "reach":
+        columns[KNOWLEDGE_FILE] = KNOWLEDGE_COLUMNS
+    if problem.targets and any(term.sensor is not None for term in problem.terms):
+        columns[TARGET_FILE] = target_columns(problem)
+    tables = {name: read_table(file.parent / name, wanted) for name, wanted in columns.items()}
+    for name, table in tables.items():
+        found = len(table["t_s"])
+        if found != rows:
+            raise InputError(
+                f"has {found} rows where {file.name} has {rows} places of each robot",
+                file=file.parent / name,
+                remedy=REMEDY,
+            )
+    return tables
 
 
 def damaged(file: Path, key: str, message: str) -> InputError:

@@ -1,7 +1,7 @@
 """A closed loop as the JSON object that ``planopt simulate --json`` prints and ``run.json`` holds.
 
-The saved object also holds every released plan, so that each can be judged again on what was
-believed when it was made.
+The saved object also holds every released plan, robot by robot, so that each can be judged again on
+what was believed when it was made.
 """
 
 from __future__ import annotations
@@ -16,26 +16,25 @@ from pydantic import Field
 
 from planopt.channel.validation.calibration import ReliabilityBin
 from planopt.planning.files.drive_table import drive_json
+from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
 from planopt.planning.files.solution_json import (
-    NotNegative,
-    Number,
+    AimRecord,
     PivotRecord,
-    Record,
     RobotRecord,
-    finite,
-    finite_list,
+    aim_json,
     holes_json,
     pivot_json,
 )
 from planopt.planning.loop.clairvoyant import COSTS
+from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import run_holes, run_reliability
-from planopt.planning.loop.run import Metrics, Outcome, Run
-from planopt.planning.loop.simulation import Simulation
 from planopt.planning.plan import Plan
+from planopt.planning.run import Run, RunSummary, summary_of
+from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 
 
-class PlannedRecord(Record):
+class ReleasedRecord(Record):
     """A plan of a run: its places, now included, and what only the planner knows."""
 
     x_m: list[Number] = Field(min_length=2)
@@ -45,13 +44,16 @@ class PlannedRecord(Record):
     rung: str
     lattice_objective: float
     kkt_residual: NotNegative | None
+    aim: AimRecord
     drive: dict[str, list[Number | None]] | None = None
+    pivot: PivotRecord | None = None
 
 
-class ReleasedRecord(PlannedRecord):
-    """One released plan of a run to a goal."""
+class RobotPlansRecord(Record):
+    """The released plans of one robot."""
 
-    pivot: PivotRecord | None
+    robot: str
+    released: list[ReleasedRecord]
 
 
 class StepTimesRecord(Record):
@@ -68,24 +70,18 @@ class RunRecord(Record):
     seed: int = Field(ge=0)
     outcome: str
     step_s: StepTimesRecord
-    robots: list[RobotRecord] = Field(min_length=1, max_length=1)
-    plans: list[ReleasedRecord]
+    robots: list[RobotRecord] = Field(min_length=1)
+    plans: list[RobotPlansRecord]
     problem_file: dict[str, Any]
 
 
-def simulation_json(simulation: Simulation) -> dict[str, Any]:
-    """The JSON keys of ``simulate``."""
-    return run_json(simulation.problem, simulation.run)
-
-
-def run_json(problem: Problem, run: Run) -> dict[str, Any]:
-    """As :func:`simulation_json`, of a run and its problem."""
+def run_json(run: Run) -> dict[str, Any]:
+    """Return the JSON keys of ``simulate``."""
     return {
-        "problem": problem.name,
-        **run_summary(run),
-        "reliability": reliability_json(run_reliability([run])),
-        "holes": holes_json(run_holes(run)),
-        "robots": [robot_json(run)],
+        "problem": run.problem.name,
+        **summary_json(summary_of(run)),
+        "reliability": reliability_json(run_reliability(run.runs)),
+        "robots": [_robot(run.problem, one) for one in run.runs],
     }
 
 
@@ -106,37 +102,32 @@ def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
     ]
 
 
-def run_summary(run: Run) -> dict[str, Any]:
+def summary_json(summary: RunSummary) -> dict[str, Any]:
     """A run without its steps, as comparisons list it."""
     return {
-        "horizon": run.horizon,
-        "planner": run.planner,
-        "cost_to_go": run.cost_to_go,
-        "seed": run.seed,
-        "outcome": run.outcome.value,
-        "message": run.reason,
-        "metrics": {name: finite(value) for name, value in run.all_metrics.items()},
-        "rungs": run.rungs,
-        "verified_rate": finite(run.verified_rate),
-        "step_s": step_times_json(run.log.step_s[1:]),
+        "horizon": summary.horizon,
+        "planner": summary.planner,
+        "cost_to_go": summary.cost_to_go,
+        "seed": summary.seed,
+        "outcome": summary.outcome.value,
+        "message": summary.reason,
+        "metrics": {name: finite(value) for name, value in summary.metrics.items()},
+        "rungs": summary.rungs,
+        "verified_rate": finite(summary.verified_rate),
+        "step_s": step_times_json(summary.step_s),
     }
 
 
-def released_plans_json(plans: Iterable[Plan]) -> list[dict[str, Any]]:
-    """Released plans in order, with what judging them again needs, and what they were excused.
-
-    Steps of a plan to a goal that miss the bound are excused by what it costs and what the cheapest
-    path costs that the verifier found.
-    """
+def released_plans_json(run: Run) -> list[dict[str, Any]]:
+    """Return released plans by robot, in order, with what judging them again needs."""
     return [
         {
-            **released_plan_json(plan),
-            "pivot": pivot_json(plan.pivot),
-            "relaxed_steps": list(plan.certificate.relaxed_steps),
-            "path_cost_m": finite(plan.certificate.path_cost_m),
-            "best_cost_m": finite(plan.certificate.best_cost_m),
+            "robot": one.robot,
+            "released": [
+                _released(run.problem, plan, aim) for plan, aim in zip(made, known, strict=True)
+            ],
         }
-        for plan in plans
+        for one, made, known in zip(run.runs, run.plans, run.aims, strict=True)
     ]
 
 
@@ -155,7 +146,6 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
         "verified_rate": None,
         "step_s": step_times_json(np.zeros(0)),
         "reliability": [],
-        "holes": [],
         "robots": [],
     }
 
@@ -168,9 +158,10 @@ def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:
     return {"p50": finite(p50), "p95": finite(p95), "max": finite(largest)}
 
 
-def robot_json(run: Run) -> dict[str, Any]:
-    """A robot's way."""
-    log = run.log
+def _robot(problem: Problem, run: RobotRun) -> dict[str, Any]:
+    """One robot's trajectory and metrics, and coverage holes crossed on the way to a goal."""
+    log, metrics = run.log, run.metrics
+    holes = {"holes": holes_json(run_holes(run))}
     return {
         "name": run.robot,
         "t_s": finite_list(log.t_s),
@@ -178,11 +169,29 @@ def robot_json(run: Run) -> dict[str, Any]:
         "y_m": finite_list(log.positions_m[:, 1]),
         "connectivity": finite_list(log.connectivity),
         **drive_json(run.drive),
+        "path_m": finite(metrics.path_m),
+        "true_connected_share": finite(metrics.true_connected_share),
+        "longest_outage_m": finite(metrics.longest_outage_m),
+        "measured_steps": metrics.measured_steps,
+        "rungs": run.rungs,
+        "verified_rate": finite(run.verified_rate),
+        **(holes if problem.task == "reach" else {}),
     }
 
 
-def released_plan_json(plan: Plan) -> dict[str, Any]:
-    """A released plan, but for what its objective charges beyond the horizon."""
+def _released(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
+    """One released plan.
+
+    Steps of a plan to a goal that miss the bound are excused by its cost and that of the cheapest
+    path that the verifier found.
+    """
+    proof = plan.certificate
+    to_goal = {
+        "pivot": pivot_json(plan.pivot),
+        "relaxed_steps": list(proof.relaxed_steps),
+        "path_cost_m": finite(proof.path_cost_m),
+        "best_cost_m": finite(proof.best_cost_m),
+    }
     return {
         "x_m": finite_list(plan.positions_m[:, 0]),
         "y_m": finite_list(plan.positions_m[:, 1]),
@@ -191,6 +200,8 @@ def released_plan_json(plan: Plan) -> dict[str, Any]:
         "termination": plan.termination.value,
         "verdict": plan.verdict.value,
         "rung": plan.rung.value,
-        "kkt_residual": finite(plan.certificate.kkt_residual),
+        "kkt_residual": finite(proof.kkt_residual),
         **drive_json(plan.drive),
+        "aim": aim_json(aim),
+        **(to_goal if problem.task == "reach" else {}),
     }

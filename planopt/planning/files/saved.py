@@ -15,12 +15,18 @@ from planopt.channel.belief import Belief
 from planopt.files.result_folder import ResultFiles, replaced_results
 from planopt.files.whole import strict_text, write_text
 from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
-from planopt.planning.files.run_json import released_plans_json, simulation_json
+from planopt.planning.files.run_json import released_plans_json, run_json
+from planopt.planning.files.run_tables import KNOWLEDGE_FILE, TARGET_FILE, run_tables, table_text
 from planopt.planning.files.solution_json import solution_json
-from planopt.planning.files.steps_file import STEPS_FILE, steps_of_plan, steps_of_run, steps_text
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.files.steps_file import (
+    STEPS_FILE,
+    joined_steps,
+    steps_of_plan,
+    steps_of_run,
+    steps_text,
+)
+from planopt.planning.run import Run
 from planopt.planning.solution import Solution
-from planopt.planning.team.team_tables import KNOWLEDGE_FILE, TARGET_FILE
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_to_dict
 
@@ -35,16 +41,26 @@ PLAN_OR_RUN = ResultFiles(
 )
 """The files of a plan or run with its pictures: a folder has one of either."""
 
+FORMAT = 2
+"""Of ``plan.json`` and ``run.json``; files without the key ``format`` are of format 1."""
+
+
+def belief_files(problem: Problem) -> tuple[str, ...]:
+    """Return the names of the files that a run's beliefs are saved as, by robot."""
+    if len(problem.robots) == 1:
+        return (BELIEF_FILE,)
+    return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
+
 
 def save_solution(solution: Solution, folder: Path, *, pictures_follow: bool = False) -> None:
-    """Save a plan so that it can be judged from its files alone.
+    """Save plans so that they can be judged from their files alone.
 
-    It replaces the plan or run that the folder had, with its pictures.
+    They replace the plan or run that the folder had, with its pictures.
 
     Parameters
     ----------
     solution
-        The plan.
+        The plans, which rest on one belief.
     folder
         Made if it is missing.
     pictures_follow
@@ -55,28 +71,28 @@ def save_solution(solution: Solution, folder: Path, *, pictures_follow: bool = F
     OutputError
         The folder cannot be written; what it had is still there.
     """
+    steps = joined_steps([steps_of_plan(plan) for plan in solution.plans])
     with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
-        write_text(new / STEPS_FILE, steps_text(steps_of_plan(solution.plan)))
+        write_text(new / STEPS_FILE, steps_text(steps))
         write_belief_of_plan(new / BELIEF_FILE, solution.belief)
-        write_record(solution_json(solution), solution.problem, new / PLAN_FILE)
+        write_result(solution_json(solution), solution.problem, new / PLAN_FILE)
 
 
-def save_simulation(simulation: Simulation, folder: Path, *, pictures_follow: bool = False) -> None:
+def save_run(run: Run, folder: Path, *, pictures_follow: bool = False) -> None:
     """Save a run so that every released plan can be judged from its files alone.
 
-    Parameters and errors are those of :func:`save_solution`.
+    Parameters and errors are those of :func:`save_solution`. Each robot has a belief of its own.
     """
-    run = simulation.run
-    data = {**simulation_json(simulation), "plans": released_plans_json(simulation.plans)}
+    problem = run.problem
+    steps = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
+    data = {**run_json(run), "plans": released_plans_json(run)}
     with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
-        write_text(new / STEPS_FILE, steps_text(steps_of_run(run.robot, run.log, run.drive)))
-        write_belief_of_run(
-            new / BELIEF_FILE,
-            simulation.belief,
-            simulation.first_measurements,
-            run.log.positions_m,
-        )
-        write_record(data, simulation.problem, new / RUN_FILE)
+        write_text(new / STEPS_FILE, steps_text(steps))
+        for name, belief, one in zip(belief_files(problem), run.beliefs, run.runs, strict=True):
+            write_belief_of_run(new / name, belief, run.first_measurements, one.log.positions_m)
+        for name, table in run_tables(run).items():
+            write_text(new / name, table_text(table))
+        write_result(data, problem, new / RUN_FILE)
 
 
 def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:
@@ -88,7 +104,12 @@ def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str
         The folder cannot be written.
     """
     with replaced_results(folder, PLAN_OR_RUN) as new:
-        write_record(data, problem, new / name)
+        write_result(data, problem, new / name)
+
+
+def write_result(data: dict[str, Any], problem: Problem, path: Path) -> None:
+    """Write the JSON object of a plan or run with its format and the problem in full."""
+    write_record({"format": FORMAT, **data}, problem, path)
 
 
 def write_record(data: dict[str, Any], problem: Problem, path: Path) -> None:

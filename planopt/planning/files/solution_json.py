@@ -1,45 +1,37 @@
-"""A solved problem as the JSON object that ``planopt solve --json`` prints and ``plan.json`` holds.
+"""Solved problems as the JSON object that ``planopt solve --json`` prints and ``plan.json`` holds.
 
-What is read back for judging is described beside what is written. Strict JSON has no NaN and no
-infinity: a number that does not exist is null.
+Keys of the whole are sums over the robots, the worst, or one text of all; each robot has its own
+besides. What is read back for judging is described beside what is written.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
-from dataclasses import asdict
-from typing import Annotated, Any
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from enum import Enum
+from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from planopt.planning.certificate import Certificate
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.files.drive_table import drive_json
-from planopt.planning.files.explanation_json import RelaxationRecord, explanation_json
+from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
 from planopt.planning.holes import Hole
 from planopt.planning.plan import Pivot, Plan, Termination, Verdict
 from planopt.planning.solution import Solution
+from planopt.planning.team.team_certificate import worst_of_robots
+from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 
-LARGEST = 1e9
-"""Positions, times, powers and parameters beyond this in a saved file are a fault."""
+_AnyLabel = TypeVar("_AnyLabel", bound=Enum)
 
-REMEDY = "save the plan or run again"
-"""What to do about a saved file that cannot be read."""
-
-Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
-NotNegative = Annotated[float, Field(ge=0)]
-
-
-class Record(BaseModel):
-    """Part of a saved JSON object: what judging starts from. The rest is computed again."""
-
-    model_config = ConfigDict(strict=True, allow_inf_nan=False, frozen=True)
+Place = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
 class RobotRecord(Record):
-    """One robot's way: places after each step, with the probability of connection."""
+    """One robot's trajectory: places after each step, with the probability of connection."""
 
     name: str
     t_s: list[Number] = Field(min_length=1)
@@ -70,10 +62,37 @@ class RouteRecord(Record):
     y_m: list[Number] = Field(default=[], max_length=10**6)
 
 
-class PlanRecord(Record):
-    """What judging ``plan.json`` starts from."""
+class AimRecord(Record):
+    """External inputs of an objective: expected target and steering path, if any.
 
-    seed: int = Field(ge=0)
+    `steering_turns_m` is the way there, its start and its end included.
+    """
+
+    target_x_m: list[Number] | None
+    target_y_m: list[Number] | None
+    steering_m: Place | None
+    steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
+
+
+class RelaxationRecord(BaseModel):
+    """One change by which there would be a verified plan."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False, frozen=True, extra="forbid")
+
+    constraint: str
+    unit: str
+    value: float | None
+    stages: list[int]
+    shortfall: float | None = Field(ge=0)
+    shortfall_unit: str
+    relaxed_value: float | None
+    verified: bool
+    robot: str
+
+
+class RobotPlanRecord(RobotRecord):
+    """One robot's plan: its trajectory, and what only its planner knows."""
+
     termination: str
     verdict: str
     rung: str
@@ -81,11 +100,18 @@ class PlanRecord(Record):
     solve_s: NotNegative
     iterations: int = Field(ge=0, le=10**9)
     lattice_objective: float
-    pivot: PivotRecord | None
-    route: RouteRecord = RouteRecord()
     certificate: CertificateRecord
+    aim: AimRecord
+    pivot: PivotRecord | None = None
+    route: RouteRecord = RouteRecord()
+
+
+class PlanRecord(Record):
+    """What judging ``plan.json`` starts from."""
+
+    seed: int = Field(ge=0)
     explanation: list[RelaxationRecord]
-    robots: list[RobotRecord] = Field(min_length=1, max_length=1)
+    robots: list[RobotPlanRecord] = Field(min_length=1)
     problem_file: dict[str, Any]
 
 
@@ -94,54 +120,44 @@ class NoPlanRecord(Record):
 
     seed: int = Field(ge=0)
     message: str
-    explanation: list[RelaxationRecord] = []
+    explanation: list[RelaxationRecord] = Field(default_factory=list[RelaxationRecord])
     robots: list[RobotRecord] = Field(max_length=0)
     problem_file: dict[str, Any]
 
 
-def finite(value: float | None) -> float | None:
-    """`value`, or None where it is missing or not finite."""
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
-def finite_list(values: Iterable[float]) -> list[float | None]:
-    """Every number of `values` by :func:`finite`."""
-    return [finite(value) for value in values]
-
-
 def solution_json(solution: Solution) -> dict[str, Any]:
-    """The JSON keys of ``solve``.
+    """Return the JSON keys of ``solve``.
 
-    ``bound`` and ``gap`` are null: no lower bound is proven.
+    ``bound`` and ``gap`` are null: no bound on the objective is proven.
     """
-    return plan_json(solution.problem, solution.seed, solution.plan, solution.explanation)
-
-
-def plan_json(
-    problem: Problem, seed: int, plan: Plan, explanation: Iterable[Relaxation] = ()
-) -> dict[str, Any]:
-    """As :func:`solution_json`, of a plan and what it was asked for."""
+    problem, plans = solution.problem, solution.plans
+    only = plans[0] if len(plans) == 1 else None
+    lattice = sum(plan.lattice_objective for plan in plans)
+    gain = sum(plan.gain for plan in plans)
     return {
-        **_question(problem, seed),
-        "termination": plan.termination.value,
-        "verdict": plan.verdict.value,
+        **_question(problem, solution.seed),
+        "termination": _worst([plan.termination for plan in plans]).value,
+        "verdict": solution.verdict.value,
         "sense": problem.sense,
-        "objective": finite(plan.objective),
+        "objective": finite(sum(plan.objective for plan in plans)),
         "bound": None,
         "gap": None,
-        "wall_s": finite(plan.wall_s),
-        "solve_s": finite(plan.solve_s),
-        "iterations": plan.iterations,
-        "certificate": certificate_json(plan.certificate),
-        "robots": [_robot(plan)],
-        "rung": plan.rung.value,
-        "lattice_objective": finite(plan.lattice_objective),
-        "polish_gain": finite(plan.polish_gain),
-        "pivot": pivot_json(plan.pivot),
-        "route": {"x_m": finite_list(plan.route_m[:, 0]), "y_m": finite_list(plan.route_m[:, 1])},
-        "holes": holes_json(plan.holes),
-        "message": plan.message,
-        "explanation": explanation_json(explanation),
+        "wall_s": finite(sum(plan.wall_s for plan in plans)),
+        "solve_s": finite(sum(plan.solve_s for plan in plans)),
+        "iterations": sum(plan.iterations for plan in plans),
+        "certificate": certificate_json(
+            worst_of_robots({plan.robot: plan.certificate for plan in plans})
+        ),
+        "robots": [
+            _robot(problem, plan, aim) for plan, aim in zip(plans, solution.aims, strict=True)
+        ],
+        "rung": _worst([plan.rung for plan in plans]).value,
+        "lattice_objective": finite(lattice),
+        "polish_gain": finite(gain / abs(lattice) if lattice else 0.0),
+        "message": only.message
+        if only is not None
+        else "; ".join(f"{plan.robot}: {plan.message}" for plan in plans if plan.message),
+        "explanation": explanation_json(solution.explanation),
     }
 
 
@@ -157,8 +173,7 @@ def no_plan_json(
         **dict.fromkeys(("objective", "bound", "gap", "wall_s", "solve_s", "iterations")),
         "certificate": no_certificate_json((message,)),
         "robots": [],
-        **dict.fromkeys(("rung", "lattice_objective", "polish_gain", "pivot", "route")),
-        "holes": [],
+        **dict.fromkeys(("rung", "lattice_objective", "polish_gain")),
         "message": message,
         "explanation": explanation_json(explanation),
     }
@@ -245,7 +260,67 @@ def _question(problem: Problem, seed: int) -> dict[str, Any]:
     }
 
 
-def _robot(plan: Plan) -> dict[str, Any]:
+def explanation_json(relaxations: Iterable[Relaxation]) -> list[dict[str, Any]]:
+    """Every change as a table."""
+    return [
+        {
+            "robot": one.robot,
+            "constraint": one.constraint,
+            "unit": one.unit,
+            "value": one.value,
+            "stages": list(one.stages),
+            "shortfall": one.shortfall,
+            "shortfall_unit": one.shortfall_unit,
+            "relaxed_value": one.relaxed_value,
+            "verified": one.verified,
+        }
+        for one in relaxations
+    ]
+
+
+def explanation_again(records: Iterable[RelaxationRecord]) -> tuple[Relaxation, ...]:
+    """What :func:`explanation_json` wrote."""
+    return tuple(
+        Relaxation(
+            one.constraint,
+            one.unit,
+            one.value,
+            tuple(one.stages),
+            one.shortfall,
+            one.shortfall_unit,
+            one.relaxed_value,
+            one.verified,
+            one.robot,
+        )
+        for one in records
+    )
+
+
+def aim_json(aim: Aim) -> dict[str, Any]:
+    """The aim of one plan; null where there is none."""
+    x, y = (None, None) if aim.target_m is None else aim.target_m.T
+    turns = aim.steering_turns_m
+    return {
+        "target_x_m": None if x is None else finite_list(x),
+        "target_y_m": None if y is None else finite_list(y),
+        "steering_m": None if turns is None else finite_list(turns[-1]),
+        "steering_turns_m": None if turns is None else [finite_list(turn) for turn in turns],
+    }
+
+
+def aim_again(record: AimRecord, watched: Aim) -> Aim:
+    """The aim as it must be: what is `watched` as found again, the steering as it stands."""
+    turns = record.steering_turns_m
+    return replace(watched, steering_turns_m=None if turns is None else np.array(turns))
+
+
+def _robot(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
+    """One robot's plan; the way on from it where there is a goal."""
+    on_the_way = {
+        "pivot": pivot_json(plan.pivot),
+        "route": {"x_m": finite_list(plan.route_m[:, 0]), "y_m": finite_list(plan.route_m[:, 1])},
+        "holes": holes_json(plan.holes),
+    }
     return {
         "name": plan.robot,
         "t_s": finite_list(plan.t_s),
@@ -253,4 +328,22 @@ def _robot(plan: Plan) -> dict[str, Any]:
         "y_m": finite_list(plan.positions_m[:, 1]),
         "connectivity": finite_list(plan.connectivity),
         **drive_json(plan.drive),
+        "termination": plan.termination.value,
+        "verdict": plan.verdict.value,
+        "objective": finite(plan.objective),
+        "wall_s": finite(plan.wall_s),
+        "solve_s": finite(plan.solve_s),
+        "iterations": plan.iterations,
+        "certificate": certificate_json(plan.certificate),
+        "rung": plan.rung.value,
+        "lattice_objective": finite(plan.lattice_objective),
+        "polish_gain": finite(plan.polish_gain),
+        "message": plan.message,
+        "aim": aim_json(aim),
+        **(on_the_way if problem.task == "reach" else {}),
     }
+
+
+def _worst(labels: Sequence[_AnyLabel]) -> _AnyLabel:
+    """The worst: every kind of label names its members from good to bad."""
+    return max(labels, key=list(type(labels[0])).index)

@@ -6,7 +6,9 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +16,8 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.planning.files.csv_rows import read_number, read_rows
 from planopt.planning.files.drive_table import drive_table
-from planopt.planning.files.solution_json import REMEDY, finite_list
-from planopt.planning.loop.run import StepLog
+from planopt.planning.files.record import REMEDY, finite_list
+from planopt.planning.loop.log import StepLog
 from planopt.planning.plan import Plan
 from planopt.robots.drive import Drive
 
@@ -154,6 +156,30 @@ def steps_text(steps: Steps) -> str:
         cells = ("" if cell is None else cell for cell in row)
         writer.writerow([robot, step, *cells])
     return text.getvalue()
+
+
+def steps_dataframe(steps: Steps) -> Any:
+    """Return the table as a pandas DataFrame; `connected` is a nullable boolean.
+
+    Raises
+    ------
+    InputError
+        pandas is not installed.
+    """
+    try:
+        pandas = import_module("pandas")
+    except ImportError:
+        raise InputError("pandas is not installed", remedy="pip install pandas") from None
+    connected = [{"1": True, "0": False}.get(cell) for cell in steps.labels["connected"]]
+    columns = {
+        "robot": steps.robots,
+        "step": steps.steps,
+        **steps.numbers,
+        **steps.labels,
+        "connected": pandas.array(connected, dtype="boolean"),
+        **steps.motion,
+    }
+    return pandas.DataFrame({name: columns[name] for name in steps.columns})
 
 
 def read_steps(path: Path, motion_columns: Sequence[str] = ()) -> Steps:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.fields.truth import Truth, true_power_dbm
 from planopt.channel.posterior import ChannelPosterior
+from planopt.planning.loop.log import ChannelLog
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.team.team_run import ChannelLog
 
 
 def channel_errors_db(

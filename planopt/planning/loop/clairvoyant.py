@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import Truth, mean_power_dbm
-from planopt.planning.loop.run import Outcome
+from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.roads import node_at, nodes_in_reach
 from planopt.problems.problem import Problem

@@ -1,30 +1,39 @@
-"""The closed loop: move, measure, update the belief, plan again, until the goal or a standstill."""
+"""The closed loop: plan, move, measure, update the belief, plan again, until the task has ended.
+
+Robots plan one after the other, each on its own belief, and keep apart as
+:mod:`planopt.planning.team.team_step` says. The seed fixes everything that happens: the ground
+truth, the first measurements, the target's path and the sensors' noise.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.history import history_of
+from planopt.planning.given import GivenMeasurements, with_measurements
+from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.clairvoyant import run_costs
-from planopt.planning.loop.driven import driven
-from planopt.planning.loop.ending import ending
-from planopt.planning.loop.learning import learn_here
-from planopt.planning.loop.metrics import metrics_of
-from planopt.planning.loop.rule_metrics import rule_metrics
-from planopt.planning.loop.run import Outcome, Run
-from planopt.planning.loop.simulation import Simulation
-from planopt.planning.loop.step_log import step_log
+from planopt.planning.loop.ending import Progress, run_ending
+from planopt.planning.loop.log import Outcome
+from planopt.planning.loop.robot_run import robot_run
+from planopt.planning.loop.target_log import target_log
+from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
-from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.run import Run
 from planopt.planning.scene import Scene, build_scene
+from planopt.planning.stepping import Stepper, plan_step
+from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.worth.region import workspace_region
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
+from planopt.targets.sensor import sense
 
 
 @one_blas_thread()
@@ -35,80 +44,127 @@ def simulate(
     planner: str | None = None,
     cost_to_go: str | None = None,
     seed: int = 0,
+    measurements: GivenMeasurements | None = None,
     scene: Scene | None = None,
     prepared: Prepared | None = None,
     on_start: Callable[[Plan], None] | None = None,
     on_step: Callable[[int], None] | None = None,
-) -> Simulation:
-    """Drive a problem's robot in the true channel.
+) -> Run:
+    """Drive a problem's robots in the true channel.
+
+    The run ends as :func:`planopt.planning.loop.ending.run_ending` says.
 
     Parameters
     ----------
     problem
-        The problem; it must have a truth.
+        The problem; it must have a ground truth.
     horizon, planner, cost_to_go
-        Override the problem's planner settings.
+        Override the problem's planner settings; a cost-to-go only where there is a goal.
     seed
-        Of the truth's fading and of the first measurements.
+        Of everything that happens.
+    measurements
+        First measurements in place of those that the problem names: :class:`planopt.Measurements`
+        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
+        stations a sequence with one for each.
     scene, prepared
-        Geometry, truth and first belief if they are there already, for many runs of one seed.
+        Geometry of a way to a goal, ground truth and first belief if they are there already, for
+        many runs of one seed.
     on_start
-        Called with the first plan, before the first step.
+        Called with the first robot's first plan, before the first step.
     on_step
         Called after every step with its number, for progress display.
+
+    Raises
+    ------
+    InputError
+        An override or a file that the problem names cannot be used, or there is no ground truth.
+    NoPlanError
+        Obstacles cut the goal off.
     """
+    problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    prepared = prepared if prepared is not None else prepare(problem, seed)
-    if not prepared.truths:
+    prepared = prepared if prepared is not None else prepare(problem, seed, given)
+    truths = prepared.truths
+    if not truths:
         raise InputError(
             "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
         )
-    scene = scene if scene is not None else build_scene(problem)
-    planning = ReachPlanner(problem, scene)
-    belief, truths = prepared.belief, prepared.truths
-    state = problem.robots[0].start_state
-    track = [state]
-    plans: list[Plan] = []
-    learnt: list[bool] = []
-    ended = ending(problem, track, learnt, None)
+    reaches = problem.task == "reach"
+    if reaches and scene is None:
+        scene = build_scene(problem)
+    seeds = team_seeds(problem, seed)
+    robots = Stepper(
+        problem,
+        prepared.belief,
+        plan_step(problem, scene if reaches else None, seeds),
+        watch_target(problem, seeds.target),
+    )
+    # The error over the whole workspace is dear, and tells little of a way to a goal.
+    known_at = None if reaches else workspace_region(problem).grid_m
+    rows = [] if known_at is None else [channel_row(robots.beliefs[0].posteriors, truths, known_at)]
+    ended = _ending(robots)
     while ended is None:
-        places = np.array(track)[:, :2]
-        here = true_serving_dbm(problem, truths, places[1:])
-        connected = here >= problem.stations[0].threshold_dbm
-        proofs = [plan.certificate for plan in plans]
-        history = history_of(problem, places, connected, proofs)
         try:
-            plan = planning.plan(belief, state, plans[-1] if plans else None, history)
+            step_plans = robots.plan()
         except NoPlanError as error:
             ended = Outcome.NO_PLAN, str(error)
             break
-        if not plans and on_start is not None:
-            on_start(plan)
-        plans.append(plan)
-        state = plan.next_state
-        track.append(state)
-        before = len(belief.posterior.measurements)
-        belief = learn_here(problem, truths, belief, state[:2])
-        learnt.append(len(belief.posterior.measurements) > before)
+        step, watch = len(robots.connected) + 1, robots.watches[-1]
+        if step == 1 and on_start is not None:
+            on_start(step_plans[0])
+        states = [plan.next_state for plan in step_plans]
+        here = np.array([state[:2] for state in states])
+        robots.observe(
+            states,
+            [[measure(truth, place[None]) for truth in truths] for place in here],
+            true_serving_dbm(problem, truths, here) >= problem.stations[0].threshold_dbm,
+            None if watch is None else sense(watch.sensor, here, watch.true_m[step], seeds.target),
+        )
+        if known_at is not None:
+            rows.append(channel_row(robots.beliefs[0].posteriors, truths, known_at))
         if on_step is not None:
-            on_step(len(plans))
-        ended = ending(problem, track, learnt, plan)
-    outcome, reason = ended
-    places = np.array(track)[:, :2]
-    log = step_log(problem, places, true_serving_dbm(problem, truths, places), plans)
-    run = Run(
-        robot=problem.robots[0].name,
-        horizon=problem.planner.horizon,
-        planner=problem.planner.name,
-        cost_to_go=problem.cost_to_go,
+            on_step(step)
+        ended = _ending(robots)
+    tracks = [np.array(driven)[:, :2] for driven in robots.states]
+    return Run(
+        problem=problem,
         seed=seed,
-        outcome=outcome,
-        reason=reason,
-        log=log,
-        metrics=metrics_of(log, plans, outcome, learnt),
-        rule=rule_metrics(problem, [log]),
-        drive=driven(problem.robots[0], plans),
-        costs=run_costs(problem, scene.road_map, scene.index, truths, places, outcome),
+        truths=truths,
+        runs=tuple(
+            robot_run(own, track, true_serving_dbm(problem, truths, track), made, measured, ended)
+            for own, track, made, measured in zip(
+                robots.owns, tracks, robots.plans, robots.learnt, strict=True
+            )
+        ),
+        plans=tuple(tuple(made) for made in robots.plans),
+        aims=tuple(tuple(known) for known in robots.aims),
+        beliefs=tuple(robots.beliefs),
+        first_measurements=len(prepared.belief.posterior.measurements),
+        target=target_log(robots.watches, robots.connected),
+        channel=channel_log(rows) if rows else None,
+        costs=_costs(problem, scene, prepared, tracks[0], ended[0]) if reaches else {},
     )
-    first = len(prepared.belief.posterior.measurements)
-    return Simulation(problem, seed, belief, first, run, tuple(plans), truths[0], truths[1:])
+
+
+def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
+    """Return how a run ends where its robots are now; None if it goes on."""
+    progress = [
+        Progress(own, driven, measured, made, belief.posteriors)
+        for own, driven, measured, made, belief in zip(
+            robots.owns, robots.states, robots.learnt, robots.plans, robots.beliefs, strict=True
+        )
+    ]
+    return run_ending(robots.problem, robots.connected, progress)
+
+
+def _costs(
+    problem: Problem,
+    scene: Scene | None,
+    prepared: Prepared,
+    track_m: NDArray[np.float64],
+    outcome: Outcome,
+) -> dict[str, float]:
+    """Return what a run to a goal cost."""
+    if scene is None:
+        return {}
+    return run_costs(problem, scene.road_map, scene.index, prepared.truths, track_m, outcome)

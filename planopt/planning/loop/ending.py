@@ -1,24 +1,75 @@
-"""When a closed loop ends: at the goal, at a standstill, or after the steps that it may take."""
+"""When a closed loop ends: when its task is done, at a standstill, or after the steps allowed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.arrival import is_at_goal, stands
-from planopt.planning.loop.run import Outcome
-from planopt.planning.plan import Plan, Rung
-from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.loop.log import Outcome
+from planopt.planning.plan import Plan, Rung, Verdict
+from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
+from planopt.planning.worth.left_to_learn import learns, left_to_learn
 from planopt.problems.problem import Problem
+from planopt.world.clearance import index_obstacles
+from planopt.world.lattice import build_lattice
 
 STALL_STEPS = 30
 """A robot that learns nothing new for this many steps and stays within two longest steps of one
 place has stalled."""
 
 
-def ending(
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """How far one robot has come.
+
+    Attributes
+    ----------
+    problem
+        With this robot alone.
+    states
+        ``(s,)`` each, its place first: at the start and after each step.
+    learnt
+        Whether something was measured after each step.
+    plans
+        The plan that each step was the first of.
+    posteriors
+        What it believes of each station's channel now.
+    """
+
+    problem: Problem
+    states: Sequence[NDArray[np.float64]]
+    learnt: Sequence[bool]
+    plans: Sequence[Plan]
+    posteriors: Sequence[ChannelPosterior]
+
+
+def run_ending(
+    problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
+) -> tuple[Outcome, str] | None:
+    """Return how a run ends after its last step so far, and why in words; None if it goes on.
+
+    Parameters
+    ----------
+    problem
+        With all robots.
+    connected
+        ``(steps, robots)`` who was connected, in truth, after each step so far.
+    robots
+        All of them.
+    """
+    if problem.task == "reach":
+        robot = robots[0]
+        last = robot.plans[-1] if robot.plans else None
+        return goal_ending(problem, robot.states, robot.learnt, last)
+    return terms_ending(problem, connected, robots) if len(connected) else None
+
+
+def goal_ending(
     problem: Problem,
     track: Sequence[NDArray[np.float64]],
     learnt: Sequence[bool],
@@ -66,7 +117,7 @@ def standstill(
     Parameters
     ----------
     problem, track, learnt
-        As in :func:`ending`; at least one step was driven.
+        As in :func:`goal_ending`; at least one step was driven.
     plan
         The plan whose first step was the last one.
     alone
@@ -100,3 +151,85 @@ def _circling(track: Sequence[NDArray[np.float64]], step_length_m: float) -> boo
 
 def _detail(plan: Plan) -> str:
     return f": {plan.message}" if plan.message else ""
+
+
+def terms_ending(
+    problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
+) -> tuple[Outcome, str] | None:
+    """How a run ends after its last step so far, and why in words; None if it goes on.
+
+    It ends once all robots are connected, if that is asked; once no robot will ever do anything
+    again, which is a failure unless nothing is left to learn; and after `planner.max_steps`. A run
+    whose robots do not all go on by then has stalled too.
+
+    Parameters
+    ----------
+    problem
+        What is run.
+    connected
+        ``(steps, robots)`` who was connected, in truth, after each step so far; at least one step.
+    robots
+        All of them.
+    """
+    steps = len(connected)
+    if problem.task == "connect" and bool(connected[-1].all()):
+        return Outcome.COMPLETED, f"connected after step {steps}"
+    last = steps >= problem.planner.max_steps
+    stuck = [
+        (robot, why)
+        for number, robot in enumerate(robots)
+        if (why := _stuck(problem, connected[:, number], robot)) is not None
+    ]
+    if stuck and (last or len(stuck) == len(robots)):
+        if learns(problem):
+            stuck = [(robot, why) for robot, why in stuck if _has_left(robot)]
+        if stuck:
+            return Outcome.STALLED, _in_words(problem, stuck)
+        if not last:
+            return Outcome.COMPLETED, f"nothing left to learn after step {steps}"
+    if not last:
+        return None
+    if problem.task == "connect":
+        return Outcome.STEP_LIMIT, f"not connected after planner.max_steps {steps}"
+    return Outcome.COMPLETED, f"all {steps} steps driven"
+
+
+def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:
+    """Why a robot will do nothing more for its task, in words; None if it may.
+
+    What a plan for tracking rests on changes while a robot stands; it does its task as long as
+    packets arrive. For other terms standing still may be the best, if plans are verified.
+    """
+    recent = slice(-STALL_STEPS, None)
+    if problem.task == "track" and connected[recent].any():
+        return None
+    if problem.task == "custom" and not learns(problem):
+        verdicts = [plan.verdict for plan in robot.plans[recent]]
+        if any(verdict is Verdict.VERIFIED for verdict in verdicts):
+            return None
+    apart = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
+    alone = not apart and problem.task != "track" and problem.planner.name != "random"
+    return standstill(robot.problem, robot.states, robot.learnt, robot.plans[-1], alone=alone)
+
+
+def _has_left(robot: Progress) -> bool:
+    """Whether a robot could still learn something somewhere."""
+    problem, states = robot.problem, robot.states
+    lattice = build_lattice(
+        problem.workspace,
+        states[0][:2],
+        problem.step_length_m - STEP_PAD_M,
+        problem.constraints.clearance_m + CLEARANCE_PAD_M,
+    )
+    index = index_obstacles(problem.workspace)
+    return len(left_to_learn(problem, index, lattice, states[-1][:2], robot.posteriors)) > 0
+
+
+def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
+    """Who stands or circles, and why."""
+    unmeasured = "; places are left to measure" if learns(problem) else ""
+    whys = [
+        f"{robot.problem.robots[0].name}: {why}" if len(problem.robots) > 1 else why
+        for robot, why in stuck
+    ]
+    return "; ".join(whys) + unmeasured

@@ -1,16 +1,30 @@
-"""What a run is judged by, from its log."""
+"""Metrics of a run: of each robot from its log, and of all robots together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
+from planopt.planning.history import data_of_steps_mbit
 from planopt.planning.holes import Hole, holes_along
-from planopt.planning.loop.run import Metrics, Outcome, Run, StepLog
+from planopt.planning.loop.log import (
+    ChannelLog,
+    Metrics,
+    Outcome,
+    RobotRun,
+    StepLog,
+    TargetLog,
+)
 from planopt.planning.plan import Plan
+from planopt.planning.team.least_distances import (
+    driven_motion,
+    least_moving_clearances_m,
+    least_separations_m,
+)
+from planopt.problems.problem import Problem
 
 POSSIBLE = {
     "goal_time_s": (0.0, np.inf),
@@ -58,7 +72,83 @@ def metrics_of(
     )
 
 
-def run_reliability(runs: Sequence[Run]) -> tuple[ReliabilityBin, ...]:
+def run_metrics(
+    problem: Problem,
+    runs: Sequence[RobotRun],
+    target: TargetLog | None,
+    channel: ChannelLog | None,
+    costs: Mapping[str, float],
+) -> dict[str, float]:
+    """Return the metrics of all robots together, by name.
+
+    Parameters
+    ----------
+    problem
+        What was run.
+    runs
+        One a robot.
+    target, channel, costs
+        As in :class:`planopt.planning.run.Run`; what is not there has no metrics.
+    """
+    found: dict[str, float] = {}
+    each = [run.metrics for run in runs]
+    if problem.task == "reach":
+        found["goal_time_s"] = float(max(m.goal_time_s for m in each))
+    if target is not None:
+        found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
+        found["final_trace_p"] = float(target.station_variance_m2[-1])
+        found["delivered"] = float(target.delivered.mean())
+    if channel is not None:
+        found["rms_db"] = float(channel.rms_db[-1])
+        found["anmse_db"] = float(channel.anmse_db[-1])
+        found["trace_m_db"] = float(channel.theta_variance_db[-1])
+        found["log_det_m"] = float(channel.log_det_m[-1])
+    found["path_m"] = float(sum(m.path_m for m in each))
+    found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
+    found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
+    found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
+    found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
+    found["measured_steps"] = float(sum(m.measured_steps for m in each))
+    found |= rule_metrics(problem, [run.log for run in runs])
+    step_s = problem.planner.step_s
+    motions = [driven_motion(run.log.positions_m, run.drive, step_s) for run in runs]
+    if len(motions) > 1 and problem.constraints.separation_m > 0.0:
+        found["min_separation_m"] = float(least_separations_m(motions).min())
+    if problem.workspace.moving and len(runs[0].log.t_s) > 1:
+        clearances = least_moving_clearances_m(problem, motions)
+        found["min_moving_clearance_m"] = float(clearances.min())
+    return found | dict(costs)
+
+
+def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
+    """The metric of the problem's rule by name, of the worst robot; empty where it has none.
+
+    ``stated_times_connected``: share of the stated times driven through that were connected (one
+    where there are none). ``least_connected_share``: of the steps, for the average.
+    ``longest_outage_s``. ``data_mbit``: delivered by the deadline.
+    """
+    rule, step_s = problem.constraints.rule, problem.planner.step_s
+    connected = [log.connected[1:] for log in logs]
+    match rule.connectivity:
+        case "stated_times":
+            stated = np.unique(np.rint(np.array(rule.connected_times_s) / step_s)).astype(np.intp)
+            kept = [now[stated[stated <= len(now)] - 1] for now in connected]
+            least = min(float(now.mean()) if now.size else 1.0 for now in kept)
+            return {"stated_times_connected": least}
+        case "average":
+            least = min(float(now.mean()) if now.size else 1.0 for now in connected)
+            return {"least_connected_share": least}
+        case "outage":
+            longest = max(longest_outage_m(np.full(len(now), step_s), now) for now in connected)
+            return {"longest_outage_s": longest}
+        case "data":
+            delivered = [float(data_of_steps_mbit(problem, 0, len(now)) @ now) for now in connected]
+            return {"data_mbit": min(delivered)}
+        case _:
+            return {}
+
+
+def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
     """Tabulate predicted against true connection over the steps of all robots of a closed loop.
 
     Its steps belong together, so that there is no interval.
@@ -68,7 +158,7 @@ def run_reliability(runs: Sequence[Run]) -> tuple[ReliabilityBin, ...]:
     return reliability(predicted, connected, np.zeros(len(predicted), dtype=np.intp))
 
 
-def run_holes(run: Run) -> tuple[Hole, ...]:
+def run_holes(run: RobotRun) -> tuple[Hole, ...]:
     """Stretches of a driven path whose steps missed the bound when they were planned."""
     log = run.log
     return holes_along(log.positions_m, log.connectivity, log.relaxation_db > 0.0)

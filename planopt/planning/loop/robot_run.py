@@ -1,4 +1,4 @@
-"""The run of one robot of several, from its track and the plans that led along it."""
+"""Each robot's part of a run, from the plans that were driven and the ground truth."""
 
 from __future__ import annotations
 
@@ -7,29 +7,95 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.loop.driven import driven
+from planopt.planning.loop.log import Outcome, RobotRun, StepLog
 from planopt.planning.loop.metrics import metrics_of
-from planopt.planning.loop.run import Outcome, Run
-from planopt.planning.loop.step_log import step_log
-from planopt.planning.plan import Plan
+from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.problems.problem import Problem
+from planopt.problems.robot import Robot
+from planopt.robots.drive import Drive
 
 
-def completed_run(
+def step_log(
     problem: Problem,
-    seed: int,
+    track_m: NDArray[np.float64],
+    true_dbm: NDArray[np.float64],
+    plans: Sequence[Plan],
+) -> StepLog:
+    """Tabulate a run; row 0 is the start, as the first plan saw it.
+
+    Parameters
+    ----------
+    problem
+        What was run.
+    track_m
+        ``(steps + 1, 2)`` where the robot was, the start first.
+    true_dbm
+        ``(steps + 1,)`` the true power there.
+    plans
+        The plan that each step was the first of.
+    """
+    first = plans[:1]
+
+    def column(at_start: float, values: list[float]) -> NDArray[np.float64]:
+        return np.array([at_start, *values], dtype=float)
+
+    relaxation = [
+        dict(zip(p.certificate.relaxed_steps, p.certificate.relaxation_db, strict=True)).get(1, 0.0)
+        for p in plans
+    ]
+    return StepLog(
+        t_s=problem.planner.step_s * np.arange(len(track_m), dtype=np.float64),
+        positions_m=track_m,
+        predicted_dbm=column(
+            first[0].mean_dbm[0] if first else np.nan, [p.mean_dbm[1] for p in plans]
+        ),
+        deviation_db=column(
+            first[0].deviation_db[0] if first else np.nan, [p.deviation_db[1] for p in plans]
+        ),
+        connectivity=column(
+            first[0].connectivity[0] if first else np.nan, [p.connectivity[1] for p in plans]
+        ),
+        true_dbm=true_dbm,
+        connected=true_dbm >= problem.stations[0].threshold_dbm,
+        step_s=column(0.0, [p.wall_s for p in plans]),
+        polish_gain_s=column(0.0, [p.gain for p in plans]),
+        relaxation_db=column(0.0, relaxation),
+        rung=(Rung.PLAN, *(p.rung for p in plans)),
+        verdict=(Verdict.VERIFIED, *(p.verdict for p in plans)),
+    )
+
+
+def driven(robot: Robot, plans: Sequence[Plan]) -> Drive | None:
+    """States and inputs of a run, the first step of each plan; None for the single integrator.
+
+    A run of no step has the state that it starts in.
+    """
+    dynamics = robot.dynamics
+    if dynamics is None:
+        return None
+    if not plans:
+        return Drive(dynamics, robot.start_state[None], np.zeros((0, len(dynamics.input_names))))
+    drives = [plan.drive for plan in plans if plan.drive is not None]
+    if len(drives) < len(plans):
+        return None
+    states = [drives[0].states[0], *(drive.states[1] for drive in drives)]
+    return Drive(drives[0].dynamics, np.array(states), np.array([d.inputs[0] for d in drives]))
+
+
+def robot_run(
+    problem: Problem,
     track_m: NDArray[np.float64],
     true_dbm: NDArray[np.float64],
     plans: Sequence[Plan],
     learnt: Sequence[bool],
     ended: tuple[Outcome, str],
-) -> Run:
-    """The run of a problem with one robot.
+) -> RobotRun:
+    """Return one robot's part of a run, from its track and the plans that led along it.
 
     Parameters
     ----------
-    problem, seed
-        What was run.
+    problem
+        With this robot alone.
     track_m, true_dbm
         ``(steps + 1, 2)`` where the robot was, and ``(steps + 1,)`` the true power there.
     plans, learnt
@@ -38,12 +104,8 @@ def completed_run(
         The outcome, and why.
     """
     log = step_log(problem, track_m, true_dbm, plans)
-    return Run(
+    return RobotRun(
         robot=problem.robots[0].name,
-        horizon=problem.planner.horizon,
-        planner=problem.planner.name,
-        cost_to_go=None,
-        seed=seed,
         outcome=ended[0],
         reason=ended[1],
         log=log,

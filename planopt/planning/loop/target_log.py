@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.loop.log import TargetLog
 from planopt.planning.loop.target_watch import TargetWatch, observed
-from planopt.planning.team.team_run import TargetLog
 
 
 def target_log(

@@ -64,19 +64,40 @@ class TargetWatch:
 
 
 def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatch | None:
-    """Draw the target's way and the first estimate of it; None for a problem without target."""
-    sensors = [term.sensor for term in problem.terms if term.sensor is not None]
-    if not sensors or not problem.targets:
+    """Draw the target's path and the first estimate of it; None for a problem without target."""
+    if _sensor(problem) is None or not problem.targets:
         return None
-    target, sensor = problem.targets[0], sensors[0]
-    model = target_model(problem)
+    target = problem.targets[0]
     start = np.array([*target.start_m, *target.velocity_m_s])
-    way = simulate_target(model, start, problem.planner.max_steps, generator)
+    steps = problem.planner.max_steps
+    path_m = simulate_target(target_model(problem), start, steps, generator)[:, :2]
+    return _first_watch(problem, path_m, generator.standard_normal(4))
+
+
+def expected_target(problem: Problem) -> TargetWatch | None:
+    """Return the target as its table estimates it, with nothing drawn; None without target."""
+    return _first_watch(problem, np.zeros((0, 2)), np.zeros(4))
+
+
+def _sensor(problem: Problem) -> Sensor | None:
+    """Return the sensor that the target is tracked by; None without one."""
+    sensors = [term.sensor for term in problem.terms if term.sensor is not None]
+    return sensors[0] if sensors else None
+
+
+def _first_watch(
+    problem: Problem, true_m: NDArray[np.float64], error: NDArray[np.float64]
+) -> TargetWatch | None:
+    """Return a target's first estimate, off by `error` (4,) in standard deviations."""
+    sensor = _sensor(problem)
+    if sensor is None or not problem.targets:
+        return None
+    target = problem.targets[0]
     deviation = np.repeat([target.position_std_m, target.velocity_std_m_s], 2)
-    first = information_state(
-        start + deviation * generator.standard_normal(4), np.diag(deviation**2)
-    )
-    return TargetWatch(model, sensor, way[:, :2], (first,) * len(problem.robots), first)
+    start = np.array([*target.start_m, *target.velocity_m_s])
+    first = information_state(start + deviation * error, np.diag(deviation**2))
+    robots = (first,) * len(problem.robots)
+    return TargetWatch(target_model(problem), sensor, true_m, robots, first)
 
 
 def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
@@ -109,11 +130,35 @@ def observed(
         Source of the sensors' noise.
     """
     measured = sense(watch.sensor, positions_m, watch.true_m[step], generator)
+    return counted(watch, measured, positions_m, delivered)
+
+
+def counted(
+    watch: TargetWatch,
+    measured_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],
+    delivered: NDArray[np.bool_],
+) -> TargetWatch:
+    """All filters a step later, after measurements of the target.
+
+    Parameters
+    ----------
+    watch
+        Filters before.
+    measured_m
+        ``(n, 2)`` where each robot measured the target, NaN where it did not.
+    positions_m
+        ``(n, 2)`` where the robots are.
+    delivered
+        ``(n,)`` whose packet arrives at the station.
+    """
+    seen = np.asarray(np.isfinite(measured_m).all(axis=1), dtype=np.bool_)
+    measured = np.where(seen[:, None], measured_m, positions_m)
     robots = tuple(
-        _counted(watch, state, measured[i : i + 1], positions_m[i : i + 1], np.ones(1, dtype=bool))
+        _counted(watch, state, measured[i : i + 1], positions_m[i : i + 1], seen[i : i + 1])
         for i, state in enumerate(watch.robots)
     )
-    station = _counted(watch, watch.station, measured, positions_m, delivered)
+    station = _counted(watch, watch.station, measured, positions_m, delivered & seen)
     return replace(watch, robots=robots, station=station)
 
 

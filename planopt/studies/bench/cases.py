@@ -9,7 +9,7 @@ from planopt.errors import InputError
 from planopt.problems.library import list_problems
 from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
-from planopt.problems.planner_kinds import planner_names
+from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem
 from planopt.problems.systems import SYSTEMS
 
@@ -164,4 +164,5 @@ def _allows(problem: Problem, planner: str) -> bool:
         with_overrides(problem, planner=planner)
     except InputError:
         return False
-    return True
+    single = all(robot.dynamics is None for robot in problem.robots)
+    return single or planner_kind(planner).has_dynamics

@@ -18,22 +18,19 @@ from numpy.typing import NDArray
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_simulation, save_solution
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.solve import solve_on
-from planopt.planning.team.team_loop import simulate_team
-from planopt.planning.team.team_run import TeamRun
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.studies.bench.cases import RUN, Case, Question, problem_of
 from planopt.studies.finished_runs import run_key
 
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
-"""Outcomes of single plans; runs have those of :class:`planopt.planning.loop.run.Outcome`."""
+"""Outcomes of single plans; runs have those of :class:`planopt.planning.loop.log.Outcome`."""
 
 RUN_OBJECTIVES = {
     "reach": "goal_time_s",
@@ -202,8 +199,7 @@ def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
     cpu_s = process_time() - begun
     plans = solution.plans
     with tempfile.TemporaryDirectory() as folder:
-        save = save_solution if problem.task == "reach" else save_team_solution
-        save(solution, Path(folder))
+        save_solution(solution, Path(folder))
         accepted, reasons = _judged(Path(folder))
     residuals = [c.kkt_residual for c in _certificates(plans) if c.kkt_residual is not None]
     return replace(
@@ -225,25 +221,18 @@ def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
 
 def _run_row(problem: Problem, nothing: Row, start: Start) -> Row:
     begun = process_time()
-    if problem.task == "reach":
-        run = simulate(problem, seed=nothing.seed, scene=start.scene, prepared=start.prepared)
-        plans = run.plans
-    else:
-        run = simulate_team(problem, seed=nothing.seed, prepared=start.prepared)
-        plans = tuple(plan for each in run.plans for plan in each)
+    run = simulate(problem, seed=nothing.seed, scene=start.scene, prepared=start.prepared)
+    plans = tuple(plan for each in run.plans for plan in each)
     cpu_s = process_time() - begun
     with tempfile.TemporaryDirectory() as folder:
-        if isinstance(run, TeamRun):
-            save_team_run(run, Path(folder))
-        else:
-            save_simulation(run, Path(folder))
+        save_run(run, Path(folder))
         accepted, reasons = _judged(Path(folder))
     return replace(
         nothing,
         **_totals(plans),
         objective=_finite(run.metrics.get(RUN_OBJECTIVES.get(problem.task, ""), math.nan)),
         verdict=_worst(Verdict, (plan.verdict.value for plan in plans)),
-        outcome=run.runs[0].outcome.value,
+        outcome=run.outcome.value,
         accepted=accepted,
         reasons=reasons,
         cpu_s=cpu_s,

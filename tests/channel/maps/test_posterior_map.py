@@ -1,5 +1,7 @@
 """Maps of the posterior agree with predictions place by place."""
 
+import sys
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -79,3 +81,27 @@ def test_a_threshold_that_is_no_power(threshold: float) -> None:
     """No map of NaN."""
     with pytest.raises(InputError, match="key threshold"):
         posterior_map(condition(PARAMETERS, measured(3)), (0.0, 0.0, 5.0, 5.0), 1.0, threshold)
+
+
+def test_as_xarray() -> None:
+    """Values by coordinates, units, and what they are of."""
+    pytest.importorskip("xarray")
+    maps = posterior_map(condition(PARAMETERS, measured(40)), (0.0, 10.0, 100.0, 45.0), 10.0, -72.0)
+    dataset = maps.to_xarray()
+    assert dict(dataset.sizes) == {"y_m": 4, "x_m": 10}
+    for name, raster in (
+        ("mean_dbm", maps.mean_db),
+        ("deviation_db", maps.deviation_db),
+        ("connectivity", maps.connectivity),
+    ):
+        assert float(dataset[name].sel(x_m=75.0, y_m=35.0)) == raster.values[2, 7]
+    assert dataset["mean_dbm"].attrs["units"] == "dBm"
+    assert dataset.attrs == {"threshold_dbm": -72.0, "posterior": "exact"}
+
+
+def test_without_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error says what to install."""
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    maps = posterior_map(condition(PARAMETERS, measured(9)), (0.0, 0.0, 20.0, 20.0), 10.0, -72.0)
+    with pytest.raises(InputError, match=r"install it, or planopt\[xarray\]"):
+        maps.to_xarray()

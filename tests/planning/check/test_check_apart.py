@@ -8,10 +8,10 @@ import pytest
 from apart_scene import apart_problem
 
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +21,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     problem = apart_problem([(10, 15), (14, 15), (10, 22)], max_steps=4, horizon=3)
     for name in ("plan", "run"):
         (folder / name).mkdir()
-    save_team_solution(solve(problem, seed=1), folder / "plan")
-    save_team_run(simulate_team(problem, seed=1), folder / "run")
+    save_solution(solve(problem, seed=1), folder / "plan")
+    save_run(simulate(problem, seed=1), folder / "run")
     return folder
 
 

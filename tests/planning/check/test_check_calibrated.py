@@ -10,7 +10,7 @@ import pytest
 
 from planopt import load
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_simulation, save_solution
+from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
@@ -37,7 +37,7 @@ def simulation(problem):
 @pytest.fixture
 def run(simulation, tmp_path: Path) -> Path:
     """The run, saved."""
-    save_simulation(simulation, tmp_path / "run")
+    save_run(simulation, tmp_path / "run")
     return tmp_path / "run"
 
 
@@ -89,7 +89,7 @@ def test_a_law_that_nobody_asked_for_is_rejected(simulation, tmp_path):
     """Saved beside a problem that asks for none."""
     plain = replace(simulation.problem.channel, calibration="none")
     run = simulate(replace(simulation.problem, channel=plain), seed=3)
-    save_simulation(run, tmp_path)
+    save_run(run, tmp_path)
     assert check(tmp_path).verdict is Verdict.VERIFIED
     edit(tmp_path, calibrated_at_dbm=np.array(-60.0), connection_law=np.array([0.0, 2.0]))
     result = check(tmp_path)

@@ -15,7 +15,6 @@ from planopt.planning.check.check import check
 from planopt.planning.explain.explain import explain, explain_no_plan
 from planopt.planning.files.saved import save_solution, write_record
 from planopt.planning.files.solution_json import no_plan_json
-from planopt.planning.files.team_saved import save_team_solution
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.problems.load import load
@@ -30,7 +29,7 @@ def saved(tmp_path_factory):
     solution = solve(replace(problem, stations=(high,)), seed=2)
     assert solution.verdict is Verdict.VIOLATED
     folder = tmp_path_factory.mktemp("violated")
-    save_team_solution(replace(solution, explanation=explain(solution)), folder)
+    save_solution(replace(solution, explanation=explain(solution)), folder)
     return folder, json.loads((folder / "plan.json").read_text())
 
 
@@ -87,7 +86,7 @@ def test_rules_are_judged_again(form, tmp_path):
     problem = replace(problem, stations=(radio,), planner=planner)
     solution = solve(problem, seed=3)
     assert solution.verdict is Verdict.VIOLATED
-    save_team_solution(replace(solution, explanation=explain(solution)), tmp_path)
+    save_solution(replace(solution, explanation=explain(solution)), tmp_path)
     data = json.loads((tmp_path / "plan.json").read_text())
     assert len(data["explanation"]) > 2 and blamed(tmp_path, data) == []
     for number, entry in enumerate(data["explanation"]):
@@ -108,7 +107,7 @@ def test_more_than_is_within_reach_is_no_help(tmp_path):
     radio = replace(problem.stations[0], threshold_dbm=-25.0)
     planner = replace(problem.planner, name="lattice", horizon=3)
     solution = solve(replace(problem, stations=(radio,), planner=planner), seed=3)
-    save_team_solution(replace(solution, explanation=explain(solution)), tmp_path)
+    save_solution(replace(solution, explanation=explain(solution)), tmp_path)
     data = json.loads((tmp_path / "plan.json").read_text())
     assert blamed(tmp_path, data) == []
     entry = next(e for e in data["explanation"] if e["constraint"] == "constraints.p_min")
@@ -125,7 +124,7 @@ def _outage(keys):
 
 def test_a_verified_plan_needs_no_explanation(tmp_path, saved):
     """One that has one is rejected."""
-    save_team_solution(solve(terms_problem(TRACKING, horizon=2), seed=2), tmp_path)
+    save_solution(solve(terms_problem(TRACKING, horizon=2), seed=2), tmp_path)
     data = json.loads((tmp_path / "plan.json").read_text())
     assert data["explanation"] == [] and check(tmp_path).reasons == ()
     assert blamed(tmp_path, {**data, "explanation": saved[1]["explanation"][:1]})

@@ -11,10 +11,10 @@ from terms_scene import CONNECT, ENERGY, LEARNING, SENDING, TRACKING, own_term, 
 
 from planopt.errors import InputError
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 STEERED = {
     "kind": "mapping",
@@ -30,8 +30,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     for name in ("plan", "run"):
         (folder / name).mkdir()
-    save_team_solution(solve(two_trackers(), seed=1), folder / "plan")
-    save_team_run(simulate_team(two_trackers(), seed=1), folder / "run")
+    save_solution(solve(two_trackers(), seed=1), folder / "plan")
+    save_run(simulate(two_trackers(), seed=1), folder / "run")
     return folder
 
 
@@ -85,7 +85,7 @@ def test_what_was_saved_is_verified(plan: Path, run: Path) -> None:
 def test_every_task_is_judged(terms: tuple[dict, ...], planner: str, tmp_path: Path) -> None:
     """What steers is said to be taken as it stands, and only there."""
     problem = terms_problem(*terms, name=planner, horizon=2, max_steps=3, p_min=0.5)
-    save_team_run(simulate_team(problem, seed=2), tmp_path)
+    save_run(simulate(problem, seed=2), tmp_path)
     result = check(tmp_path)
     assert result.verdict is Verdict.VERIFIED, result.reasons
     assert any("steering_m" in remark for remark in result.remarks) == (terms == (STEERED,))
@@ -96,7 +96,7 @@ def test_every_task_is_judged(terms: tuple[dict, ...], planner: str, tmp_path: P
 def test_what_the_station_knew_is_found_again(form: str, tmp_path: Path) -> None:
     """The worth of a plan that follows the station's filter, at every step."""
     problem = terms_problem({**TRACKING, "form": form}, horizon=2, max_steps=3)
-    save_team_run(simulate_team(problem, seed=2), tmp_path)
+    save_run(simulate(problem, seed=2), tmp_path)
     assert check(tmp_path).reasons == ()
 
 
@@ -110,7 +110,7 @@ def test_plans_that_find_connection_are_judged(
 ) -> None:
     """The problem in the file, the worth of every plan, everything."""
     problem = terms_problem(*terms, horizon=2, max_steps=3, name=planner)
-    save_team_run(simulate_team(problem, seed=2), tmp_path)
+    save_run(simulate(problem, seed=2), tmp_path)
     assert check(tmp_path).reasons == ()
     change(tmp_path / "run.json", "plans", 0, "released", 0, "objective", to=lambda old: old + 1.0)
     assert any("objective" in reason for reason in check(tmp_path).reasons)

@@ -17,11 +17,11 @@ from planopt.planning.files.read_saved import read_saved
 from planopt.planning.files.saved import (
     PLAN_OR_RUN,
     known_before_steps,
-    save_simulation,
+    save_run,
     save_solution,
 )
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.simulation import Simulation
+from planopt.planning.run import Run
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve
 
@@ -37,7 +37,7 @@ def solution() -> Solution:
 
 
 @pytest.fixture(scope="module")
-def simulation() -> Simulation:
+def simulation() -> Run:
     """A run of six steps."""
     problem = load("open_field")
     return simulate(
@@ -53,9 +53,9 @@ def plan_folder(tmp_path: Path, solution: Solution) -> Path:
 
 
 @pytest.fixture
-def run_folder(tmp_path: Path, simulation: Simulation) -> Path:
+def run_folder(tmp_path: Path, simulation: Run) -> Path:
     """The run, saved."""
-    save_simulation(simulation, tmp_path / "run")
+    save_run(simulation, tmp_path / "run")
     return tmp_path / "run"
 
 
@@ -71,28 +71,28 @@ def test_a_plan_has_the_files_of_the_contract(plan_folder: Path, solution: Solut
     assert data["problem_file"]["planner"]["horizon"] == 3
 
 
-def test_a_run_has_the_files_of_the_contract(run_folder: Path, simulation: Simulation) -> None:
+def test_a_run_has_the_files_of_the_contract(run_folder: Path, simulation: Run) -> None:
     """The table has the truth; the JSON has every released plan."""
     assert {f.name for f in run_folder.iterdir()} == {"run.json", "steps.csv", "belief.npz"}
     rows = list(csv.DictReader((run_folder / "steps.csv").read_text().splitlines()))
     assert [float(row["true_db"]) for row in rows] == simulation.run.log.true_dbm.tolist()
     assert {row["connected"] for row in rows} <= {"0", "1"}
-    assert len(json.loads((run_folder / "run.json").read_text())["plans"]) == 6
+    assert len(json.loads((run_folder / "run.json").read_text())["plans"][0]["released"]) == 6
 
 
 def test_what_is_read_is_what_was_saved(plan_folder: Path, solution: Solution) -> None:
     """Places, problem and measurements come back exactly, by folder and by file."""
     for path in (plan_folder, plan_folder / "plan.json"):
         back = read_saved(path)
-        assert back.steps is not None and back.belief is not None
-        assert np.array_equal(back.steps.positions_m, solution.plan.positions_m)
+        [steps], [belief] = back.steps, back.beliefs
+        assert np.array_equal(steps.positions_m, solution.plan.positions_m)
         assert back.problem.robots == solution.problem.robots
         assert np.array_equal(
-            back.belief.measurements.power_dbm, solution.belief.posterior.measurements.power_dbm
+            belief.measurements.power_dbm, solution.belief.posterior.measurements.power_dbm
         )
 
 
-def test_each_step_knows_what_was_measured_before_it(simulation: Simulation) -> None:
+def test_each_step_knows_what_was_measured_before_it(simulation: Run) -> None:
     """A step's count grows by one after a step that ended where something was measured."""
     track = simulation.run.log.positions_m
     known = known_before_steps(simulation.belief, simulation.first_measurements, track)
@@ -168,11 +168,11 @@ PLAN_DAMAGE = {
     "truncated json": (edit_text("plan.json", lambda t: t[:500]), "plan.json", None),
     "empty json": (edit_text("plan.json", lambda t: ""), "plan.json", None),
     "json is a list": (edit_text("plan.json", lambda t: "[1]"), "plan.json", None),
-    "key missing": (edit_json("plan.json", lambda d: d.pop("verdict")), "plan.json", "verdict"),
+    "key missing": (edit_json("plan.json", lambda d: d.pop("seed")), "plan.json", "seed"),
     "a number for a verdict": (
-        edit_json("plan.json", lambda d: d.update(verdict=1)),
+        edit_json("plan.json", lambda d: d["robots"][0].update(verdict=1)),
         "plan.json",
-        "verdict",
+        "robots[0].verdict",
     ),
     "a key twice": (
         edit_text("plan.json", lambda t: t.replace("{", '{"verdict": "verified", ', 1)),
@@ -254,10 +254,16 @@ def test_a_damaged_plan_is_an_error(plan_folder: Path, name: str) -> None:
 
 RUN_DAMAGE = {
     "plan missing": (edit_json("run.json", lambda d: d["plans"].pop()), "run.json", "plans"),
-    "plan cut": (
-        edit_json("run.json", lambda d: d["plans"][1]["y_m"].pop()),
+    "released plan missing": (
+        edit_json("run.json", lambda d: d["plans"][0]["released"].pop()),
         "run.json",
-        "plans[1]",
+        "plans[0].released",
+    ),
+    "another format": (edit_json("run.json", lambda d: d.update(format=3)), "run.json", "format"),
+    "plan cut": (
+        edit_json("run.json", lambda d: d["plans"][0]["released"][1]["y_m"].pop()),
+        "run.json",
+        "plans[0].released[1]",
     ),
     "negative seed": (edit_json("run.json", lambda d: d.update(seed=-1)), "run.json", "seed"),
 }

@@ -57,7 +57,7 @@ def test_has_the_keys_of_the_contract(solution: Solution) -> None:
     assert (data["problem"], data["horizon"], data["seed"]) == ("open_field", 3, 0)
     assert data["sense"] == "min" and data["bound"] is None and data["gap"] is None
     robot = data["robots"][0]
-    assert set(robot) == {"name", "t_s", "x_m", "y_m", "connectivity"}
+    assert set(robot) >= {"name", "t_s", "x_m", "y_m", "connectivity", "verdict", "certificate"}
     assert [len(robot[key]) for key in ("t_s", "x_m", "y_m", "connectivity")] == [4] * 4
 
 

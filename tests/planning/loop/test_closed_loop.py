@@ -20,16 +20,16 @@ from planopt import load
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.errors import InputError
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.run import Outcome, StepLog
-from planopt.planning.loop.simulation import Simulation, exit_code
+from planopt.planning.loop.log import Outcome, StepLog
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.run import Run, exit_code
 from planopt.problems.channel_setup import LoggedMeasurements
 
 SEEDS = (0, 1, 2)
 
 
 @pytest.fixture(scope="module")
-def driven() -> dict[int, Simulation]:
+def driven() -> dict[int, Run]:
     """The library's open field on a few seeds."""
     problem = load("open_field")
     return {seed: simulate(problem, seed=seed) for seed in SEEDS}
@@ -52,7 +52,7 @@ def test_goal_is_reached(driven, seed):
 def test_log_agrees_with_itself(driven, seed):
     """One row a step and one for the start; each row is what its plan predicted."""
     done = driven[seed]
-    log, plans = done.run.log, done.plans
+    log, plans = done.run.log, done.plans[0]
     rows = len(plans) + 1
     assert all(len(getattr(log, column.name)) == rows for column in fields(StepLog))
     assert (log.positions_m[0] == done.problem.robots[0].start_m).all()
@@ -67,7 +67,7 @@ def test_log_agrees_with_itself(driven, seed):
         assert log.polish_gain_s[k + 1] == plan.lattice_objective - plan.objective >= 0.0
         assert log.step_s[k + 1] == plan.wall_s >= plan.solve_s
     assert (log.t_s == 2.0 * np.arange(rows)).all()
-    assert (log.true_dbm == true_power_dbm(done.truth, log.positions_m)).all()
+    assert (log.true_dbm == true_power_dbm(done.truths[0], log.positions_m)).all()
     threshold = done.problem.stations[0].threshold_dbm
     assert (log.connected == (log.true_dbm >= threshold)).all()
     assert log.rung[0] is Rung.PLAN and log.verdict[0] is Verdict.VERIFIED
@@ -100,7 +100,7 @@ def test_what_is_measured(driven, seed):
             expected.append(place)
     assert len(expected) > 5
     assert (measured.positions_m[first:] == np.array(expected)).all()
-    truth = true_power_dbm(done.truth, np.array(expected))
+    truth = true_power_dbm(done.truths[0], np.array(expected))
     assert (measured.power_dbm[first:] == truth).all()
 
 
@@ -122,7 +122,7 @@ def test_other_seed_other_run(driven):
     assert not np.array_equal(one, other)
 
 
-def small_run(problem, power_at=good_everywhere, **options) -> Simulation:
+def small_run(problem, power_at=good_everywhere, **options) -> Run:
     """Drive in a power that the test chose."""
     return simulate(problem, prepared=prepared_of(problem, power_at), **options)
 
@@ -132,17 +132,21 @@ def test_every_step_is_reported():
     seen = []
     done = small_run(small_problem(CUP), on_step=seen.append)
     assert done.run.outcome is Outcome.REACHED
-    assert seen == list(range(1, len(done.plans) + 1))
+    assert seen == list(range(1, len(done.plans[0]) + 1))
 
 
 def test_overrides():
     """They are those of the run, and of the problem that it answers."""
     done = small_run(small_problem(), horizon=2, planner="lattice", cost_to_go="geodesic")
     run = done.run
-    assert (run.horizon, run.planner, run.cost_to_go) == (2, "lattice", "geodesic")
+    assert (done.problem.planner.horizon, done.problem.planner.name, done.problem.cost_to_go) == (
+        2,
+        "lattice",
+        "geodesic",
+    )
     assert done.problem.planner.horizon == 2
-    assert len(done.plans[0].positions_m) == 3
-    assert run.rungs == {"plan": len(done.plans)}
+    assert len(done.plans[0][0].positions_m) == 3
+    assert run.rungs == {"plan": len(done.plans[0])}
 
 
 def test_step_limit():
@@ -150,7 +154,7 @@ def test_step_limit():
     done = small_run(small_problem(max_steps=3))
     assert done.run.outcome is Outcome.STEP_LIMIT
     assert "3 steps" in done.run.reason
-    assert len(done.plans) == 3
+    assert len(done.plans[0]) == 3
     assert np.isnan(done.run.metrics.goal_time_s)
     assert exit_code(done) == 4
 
@@ -159,7 +163,7 @@ def test_start_within_the_goal_radius():
     """Nothing is planned and nothing measured."""
     done = small_run(small_problem(goal_m=(5.5, 15.0)))
     assert done.run.outcome is Outcome.REACHED
-    assert done.plans == ()
+    assert done.plans[0] == ()
     assert done.run.log.positions_m.shape == (1, 2)
     assert done.run.metrics.goal_time_s == 0.0
     assert exit_code(done) == 0
@@ -171,7 +175,7 @@ def test_the_shortest_way_leads_across():
     done = small_run(problem, bad_band(18.0, 24.0, open_above_m=20.0))
     assert done.run.outcome is Outcome.REACHED
     assert np.ptp(done.run.log.positions_m[:, 1]) < 1.0
-    assert done.run.costs["cost_ratio"] > 1.5
+    assert done.costs["cost_ratio"] > 1.5
 
 
 def test_circling_is_a_stall(monkeypatch):
@@ -189,7 +193,7 @@ def test_circling_is_a_stall(monkeypatch):
     done = small_run(small_problem(horizon=2, planner="lattice"))
     assert done.run.outcome is Outcome.STALLED
     assert "of one place for 30 steps" in done.run.reason
-    assert 30 <= len(done.plans) <= 32
+    assert 30 <= len(done.plans[0]) <= 32
 
 
 def test_bound_that_is_met_nowhere():
@@ -220,7 +224,7 @@ def test_gap_that_must_be_crossed(horizon):
     )
     done = small_run(problem, bad_band(6.0, 10.0))
     assert exit_code(done) == 0
-    relaxed = [plan for plan in done.plans if plan.certificate.relaxed_steps]
+    relaxed = [plan for plan in done.plans[0] if plan.certificate.relaxed_steps]
     assert relaxed
     assert all(plan.verdict is Verdict.VERIFIED for plan in relaxed)
     assert all(
@@ -251,7 +255,7 @@ def test_first_measurements_from_a_log(tmp_path):
     logged = replace(problem, channel=replace(problem.channel, measurements=setup))
     done = simulate(logged, seed=3)
     assert done.first_measurements == 60
-    assert np.array_equal(done.truth.raster.values, taken.truth.raster.values)
+    assert np.array_equal(done.truths[0].raster.values, taken.truths[0].raster.values)
     assert np.array_equal(
         done.belief.posterior.measurements.power_dbm[:60], measured.power_dbm[:60]
     )
@@ -266,5 +270,5 @@ def test_a_gap_without_a_way_round_is_crossed(horizon):
     assert done.run.outcome is Outcome.REACHED
     assert done.run.verified_rate == 1.0
     # 30 m of which 6 count ten times more; steps end up to 2 m beyond the gap's edges.
-    assert 90.0 - 44.0 <= done.run.costs["realised_cost_m"] <= 90.0 + 44.0
+    assert 90.0 - 44.0 <= done.costs["realised_cost_m"] <= 90.0 + 44.0
     assert done.run.metrics.path_m <= 33.0

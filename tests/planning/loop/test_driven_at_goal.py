@@ -7,9 +7,9 @@ from pathlib import Path
 
 from planopt import load
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_simulation
+from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.run import Outcome
+from planopt.planning.loop.log import Outcome
 
 
 def test_a_run_of_no_step_is_saved_and_judged(tmp_path: Path) -> None:
@@ -20,6 +20,6 @@ def test_a_run_of_no_step_is_saved_and_judged(tmp_path: Path) -> None:
     problem = replace(problem, robots=(here,))
     simulation = simulate(problem)
     assert simulation.run.outcome is Outcome.REACHED
-    assert simulation.plans == ()
-    save_simulation(simulation, tmp_path)
+    assert simulation.plans == ((),)
+    save_run(simulation, tmp_path)
     assert check(tmp_path).reasons == ()

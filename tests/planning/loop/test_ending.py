@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scenes import small_problem
 
-from planopt.planning.loop.ending import STALL_STEPS, ending
-from planopt.planning.loop.run import Outcome
+from planopt.planning.loop.ending import STALL_STEPS, goal_ending
+from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung
 
 PROBLEM = small_problem(max_steps=80)  # from (5, 15) to (35, 15), 2 m a step
@@ -22,46 +22,49 @@ def places(*x_m: float) -> list[np.ndarray]:
 
 def test_at_the_goal() -> None:
     """Within its radius, at the start and later."""
-    assert ending(PROBLEM, places(34.5), [], None) == (
+    assert goal_ending(PROBLEM, places(34.5), [], None) == (
         Outcome.REACHED,
         "the start is within goal_radius_m of the goal",
     )
-    reached = ending(PROBLEM, places(33.0, 34.0), [True], PLAN)
+    reached = goal_ending(PROBLEM, places(33.0, 34.0), [True], PLAN)
     assert reached == (Outcome.REACHED, "within goal_radius_m of the goal")
 
 
 def test_on_the_way() -> None:
     """Nothing ends a run that moves."""
-    assert ending(PROBLEM, places(5.0), [], None) is None
-    assert ending(PROBLEM, places(5.0, 7.0), [False], PLAN) is None
+    assert goal_ending(PROBLEM, places(5.0), [], None) is None
+    assert goal_ending(PROBLEM, places(5.0, 7.0), [False], PLAN) is None
 
 
 @pytest.mark.parametrize("rung", list(Rung))
 def test_waiting_is_no_stall(rung: Rung) -> None:
     """Who stands for some steps will lead on: going in circles makes plans direct."""
     plan = SimpleNamespace(rung=rung, message="cut off")
-    assert ending(PROBLEM, places(*[7.0] * STALL_STEPS), [False] * (STALL_STEPS - 1), plan) is None
+    assert (
+        goal_ending(PROBLEM, places(*[7.0] * STALL_STEPS), [False] * (STALL_STEPS - 1), plan)
+        is None
+    )
 
 
 def test_circling_is_a_stall() -> None:
     """Two longest steps about one place for `STALL_STEPS` steps, learning nothing."""
     track = places(*(5.0 + 3.0 * (k % 2) for k in range(STALL_STEPS + 1)))
     silent = [False] * STALL_STEPS
-    outcome, reason = ending(PROBLEM, track, silent, PLAN)
+    outcome, reason = goal_ending(PROBLEM, track, silent, PLAN)
     assert outcome is Outcome.STALLED and reason.startswith("within 4 m of one place for 30 steps")
-    assert ending(PROBLEM, track[1:], silent[1:], PLAN) is None
-    assert ending(PROBLEM, track, [*silent[1:], True], PLAN) is None
+    assert goal_ending(PROBLEM, track[1:], silent[1:], PLAN) is None
+    assert goal_ending(PROBLEM, track, [*silent[1:], True], PLAN) is None
     far = [np.array([11.0, 15.0]), *track[1:]]
-    assert ending(PROBLEM, far, silent, PLAN) is None
+    assert goal_ending(PROBLEM, far, silent, PLAN) is None
 
 
 def test_no_more_steps() -> None:
     """The limit ends a run that is still on its way, but not one that has arrived by then."""
     problem = replace(PROBLEM, planner=replace(PROBLEM.planner, max_steps=1))
-    assert ending(problem, places(5.0), [], None) is None
-    assert ending(problem, places(5.0, 7.0), [True], PLAN) == (
+    assert goal_ending(problem, places(5.0), [], None) is None
+    assert goal_ending(problem, places(5.0, 7.0), [True], PLAN) == (
         Outcome.STEP_LIMIT,
         "not arrived after 1 steps",
     )
-    arrived = ending(problem, places(33.0, 35.0), [True], PLAN)
+    arrived = goal_ending(problem, places(33.0, 35.0), [True], PLAN)
     assert arrived is not None and arrived[0] is Outcome.REACHED

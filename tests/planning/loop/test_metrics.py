@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planopt.planning.loop.log import Outcome, StepLog
 from planopt.planning.loop.metrics import longest_outage_m, metrics_of
-from planopt.planning.loop.run import Outcome, StepLog
 from planopt.planning.plan import Rung, Verdict
 
 

@@ -14,8 +14,7 @@ from planopt import load
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_simulation
-from planopt.planning.files.team_saved import save_team_run
+from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.broad_prediction import (
@@ -24,7 +23,6 @@ from planopt.planning.proof.broad_prediction import (
     mixture_quantile_dbm,
 )
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 SEED = 3
 
@@ -77,7 +75,7 @@ def test_plan_keeps_the_bound_of_the_mixture(tmp_path: Path):
     chance = marginal.connectivity(plan.positions_m[1:], threshold)
     assert chance.min() >= 0.92 - 1e-7
     assert chance.min() < 0.925
-    save_team_run(simulate_team(problem, seed=SEED), tmp_path)
+    save_run(simulate(problem, seed=SEED), tmp_path)
     assert check(tmp_path).reasons == ()
 
 
@@ -88,8 +86,8 @@ def test_way_to_a_goal_with_all_parameters_uncertain(tmp_path: Path):
         replace(problem, planner=replace(problem.planner, max_steps=3, horizon=4))
     )
     driven = simulate(problem, seed=1)
-    assert {plan.verdict for plan in driven.plans} == {Verdict.VERIFIED}
-    save_simulation(driven, tmp_path)
+    assert {plan.verdict for plan in driven.plans[0]} == {Verdict.VERIFIED}
+    save_run(driven, tmp_path)
     assert check(tmp_path).reasons == ()
 
 

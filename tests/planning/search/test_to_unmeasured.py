@@ -12,10 +12,10 @@ from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, term
 
 from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.search.taut_way import WaysFrom
 from planopt.planning.search.to_unmeasured import way_to_unmeasured
-from planopt.planning.team.team_loop import simulate_team
 from planopt.world.clearance import swept_clearance_m
 from planopt.world.workspace import Obstacle
 
@@ -109,7 +109,7 @@ def test_with_all_measured_there_is_no_way():
 def test_a_spacing_longer_than_a_step_is_measured_again_and_again(horizon):
     """Two steps of 2 m each for a spacing of 3 m: every second step brings one, nothing stalls."""
     problem, *_ = scene(spacing_m=3.0, horizon=horizon, max_steps=16)
-    run = simulate_team(problem, seed=2)
+    run = simulate(problem, seed=2)
     assert run.runs[0].outcome.value == "completed"
     assert run.metrics["measured_steps"] >= 6
     assert run.metrics["path_m"] > 25.0

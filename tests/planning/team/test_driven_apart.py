@@ -14,10 +14,10 @@ from apart_scene import CART
 from terms_scene import LEARNING, TABLES, TRACKING
 
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
@@ -118,7 +118,7 @@ def random_scene(seed: int) -> Problem:
 def test_no_released_step_is_nearer_than_the_separation(seed: int) -> None:
     """Nor any plan, nor the braking after it, whatever the rung and the verdict."""
     problem = random_scene(seed)
-    run = simulate_team(problem, seed=seed)
+    run = simulate(problem, seed=seed)
     asked = problem.constraints.separation_m - CLEARANCE_TOLERANCE_M
     steps, horizon = problem.planner.max_steps, problem.planner.horizon
     driven = [sampled_m(one.log.positions_m, one.drive, steps) for one in run.runs]
@@ -143,7 +143,7 @@ def test_no_released_step_is_nearer_than_the_separation(seed: int) -> None:
 
 def test_they_would_meet_if_they_were_not_kept_apart() -> None:
     """Both go to the target, nearer than the separation would let them."""
-    free = simulate_team(
+    free = simulate(
         crew(heavy(8, 15), wheels(12, 15), moving=(), separation=0.0, max_steps=8), seed=0
     )
     ways = [sampled_m(one.log.positions_m, one.drive, 8) for one in free.runs]
@@ -163,8 +163,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     for name in ("plan", "run"):
         (folder / name).mkdir()
-    save_team_solution(solve(problem, seed=1), folder / "plan")
-    save_team_run(simulate_team(problem, seed=1), folder / "run")
+    save_solution(solve(problem, seed=1), folder / "plan")
+    save_run(simulate(problem, seed=1), folder / "run")
     return folder
 
 

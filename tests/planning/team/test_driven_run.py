@@ -12,10 +12,10 @@ from motion_scene import DOUBLE, WHEELS, with_dynamics
 from terms_scene import LEARNING, TABLES, TRACKING, terms_problem
 
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 
@@ -60,7 +60,7 @@ def random_scene(seed: int) -> Problem:
 def test_every_released_plan_is_sound(seed: int) -> None:
     """Clear, driven, on a declared rung; what is not verified lacks connectivity alone."""
     problem = random_scene(seed)
-    run = simulate_team(problem, seed=seed)
+    run = simulate(problem, seed=seed)
     state = problem.robots[0].start_state
     for plan in run.plans[0]:
         assert plan.drive.states[0] == pytest.approx(state, abs=1e-9)
@@ -93,8 +93,8 @@ def pair() -> Problem:
 def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Plans and a run of the pair, saved."""
     folders = {name: tmp_path_factory.mktemp(name) for name in ("plan", "run")}
-    save_team_solution(solve(pair(), seed=2), folders["plan"])
-    save_team_run(simulate_team(pair(), seed=2), folders["run"])
+    save_solution(solve(pair(), seed=2), folders["plan"])
+    save_run(simulate(pair(), seed=2), folders["run"])
     return folders
 
 
@@ -144,7 +144,7 @@ def test_an_edited_plan_of_a_run_is_rejected(saved, tmp_path: Path, key: str) ->
 
 def test_files_of_single_integrators_are_as_they_were(tmp_path: Path) -> None:
     """No column and no key more."""
-    save_team_solution(solve(terms_problem(TRACKING, horizon=2)), tmp_path)
+    save_solution(solve(terms_problem(TRACKING, horizon=2)), tmp_path)
     assert (tmp_path / "steps.csv").read_text().splitlines()[0].endswith(",rung,verdict")
     assert "drive" not in (tmp_path / "plan.json").read_text()
 
@@ -153,6 +153,6 @@ def test_files_of_single_integrators_are_as_they_were(tmp_path: Path) -> None:
 def test_same_seed_same_run(dynamics) -> None:
     """Bit for bit."""
     problem = with_dynamics(terms_problem(TRACKING, horizon=3, max_steps=3), dynamics)
-    first, second = (simulate_team(problem, seed=1) for _ in range(2))
+    first, second = (simulate(problem, seed=1) for _ in range(2))
     assert np.array_equal(first.runs[0].log.positions_m, second.runs[0].log.positions_m)
     assert np.array_equal(first.runs[0].drive.inputs, second.runs[0].drive.inputs)

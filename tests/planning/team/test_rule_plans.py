@@ -14,12 +14,12 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 
 from planopt.channel.joint import sample_power
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.planning.start_polish import RETURNED
-from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.problems.connectivity_rule import ConnectivityRule
 
@@ -123,7 +123,7 @@ def test_check_agrees_from_disk_and_finds_edits(form, tmp_path: Path):
     """Plans and runs of each rule, judged again; another achieved value is rejected."""
     problem = ruled_problem(form)
     problem = replace(problem, planner=replace(problem.planner, horizon=3, max_steps=4))
-    save_team_run(simulate_team(problem, seed=SEED), tmp_path)
+    save_run(simulate(problem, seed=SEED), tmp_path)
     assert check(tmp_path).reasons == ()
     metric = {
         "stated_times": "stated_times_connected",
@@ -139,7 +139,7 @@ def test_check_agrees_from_disk_and_finds_edits(form, tmp_path: Path):
         assert any(metric in reason for reason in check(tmp_path).reasons)
     folder = tmp_path / "plan"
     folder.mkdir()
-    save_team_solution(solve(problem, seed=SEED), folder)
+    save_solution(solve(problem, seed=SEED), folder)
     assert check(folder).reasons == ()
     data = json.loads((folder / "plan.json").read_text())
     data["robots"][0]["certificate"]["rule"]["achieved"] -= 0.01
@@ -152,7 +152,7 @@ def test_run_minds_what_has_happened():
     rule = ConnectivityRule("data", data_mbit=1.0, deadline_s=8.0, rate_mbit_s=1.0)
     problem = ruled_problem("data")
     problem = replace(problem, constraints=replace(problem.constraints, rule=rule))
-    run = simulate_team(problem, seed=SEED)
+    run = simulate(problem, seed=SEED)
     first = int(np.argmax(run.runs[0].log.connected[1:])) + 1
     asked = [plan.certificate.rule.asked for plan in run.plans[0]]
     assert all(value > 0.0 for value in asked[:first])

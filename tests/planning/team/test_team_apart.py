@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from apart_scene import CART, apart_problem
 
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.world.moving_obstacle import centres_at
 
@@ -65,7 +65,7 @@ def random_scene(seed):
 def test_no_released_step_is_nearer_than_the_separation(seed):
     """Whatever the planner, the rung and the verdict; certificates say how near."""
     problem = random_scene(seed)
-    run = simulate_team(problem, seed=seed)
+    run = simulate(problem, seed=seed)
     separation = problem.constraints.separation_m
     tracks = [one.log.positions_m for one in run.runs]
     assert least_apart_m(tracks) >= separation - CLEARANCE_TOLERANCE_M
@@ -81,7 +81,7 @@ def test_no_released_step_is_nearer_than_the_separation(seed):
 def test_verified_steps_keep_clear_of_moving_obstacles(seed):
     """Against the obstacle itself, at many times."""
     problem = apart_problem([(10, 15), (14, 15)], max_steps=8, horizon=5)
-    run = simulate_team(problem, seed=seed)
+    run = simulate(problem, seed=seed)
     (cart,) = problem.workspace.moving
     for one, plans in zip(run.runs, run.plans, strict=True):
         times = np.concatenate([k + SHARES for k in range(len(plans))])
@@ -96,9 +96,9 @@ def test_they_would_meet_if_they_were_not_kept_apart():
     """Without the constraint both go to the target, nearer than the separation would let them."""
     problem = apart_problem([(10, 15), (14, 15)], (), max_steps=8, horizon=5)
     free = replace(problem, constraints=replace(problem.constraints, separation_m=0.0))
-    paths = [one.log.positions_m for one in simulate_team(free, seed=0).runs]
+    paths = [one.log.positions_m for one in simulate(free, seed=0).runs]
     assert least_apart_m(paths) < 2.0
-    paths = [one.log.positions_m for one in simulate_team(problem, seed=0).runs]
+    paths = [one.log.positions_m for one in simulate(problem, seed=0).runs]
     assert least_apart_m(paths) >= 3.0 - CLEARANCE_TOLERANCE_M
 
 
@@ -122,7 +122,7 @@ def test_far_things_change_nothing():
 def test_the_same_seed_is_the_same_run():
     """Bit for bit."""
     problem = apart_problem([(10, 15), (14, 15), (10, 22)], max_steps=4, horizon=4)
-    one, two = (simulate_team(problem, seed=3) for _ in range(2))
+    one, two = (simulate(problem, seed=3) for _ in range(2))
     for a, b in zip(one.runs, two.runs, strict=True):
         assert (a.log.positions_m == b.log.positions_m).all()
 
@@ -130,7 +130,7 @@ def test_the_same_seed_is_the_same_run():
 def test_the_last_resort_is_what_the_others_keep_clear_of():
     """A robot whose planner finds nothing goes on as reserved, and nobody is in its way."""
     problem = apart_problem([(10, 15), (14, 15), (10, 22)], max_steps=12, horizon=6)
-    run = simulate_team(problem, seed=0)
+    run = simulate(problem, seed=0)
     for number, plans in enumerate(run.plans):
         for step, plan in enumerate(plans):
             if plan.rung is Rung.RESERVED:
@@ -143,7 +143,7 @@ def test_the_last_resort_is_what_the_others_keep_clear_of():
 def test_short_horizons_keep_apart_too(horizon):
     """One step ahead there is nothing to reserve but standing still."""
     problem = apart_problem([(10, 15), (13.5, 15), (10, 19)], max_steps=6, horizon=horizon)
-    run = simulate_team(problem, seed=1)
+    run = simulate(problem, seed=1)
     assert run.metrics["min_separation_m"] >= 3.0 - CLEARANCE_TOLERANCE_M
     tracks = [one.log.positions_m for one in run.runs]
     assert run.metrics["min_separation_m"] == pytest.approx(least_apart_m(tracks), abs=0.05)

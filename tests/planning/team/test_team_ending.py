@@ -12,12 +12,11 @@ from terms_scene import CONNECT, LEARNING, SENDING, TRACKING, judge_of, situatio
 
 import planopt.planning.baselines.one_step as one_step_module
 from planopt.planning.check.check import check
-from planopt.planning.files.team_saved import save_team_run
-from planopt.planning.loop.ending import STALL_STEPS
-from planopt.planning.loop.run import Outcome
+from planopt.planning.files.saved import save_run
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.ending import STALL_STEPS, Progress, terms_ending
+from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.team.team_ending import Progress, team_ending
-from planopt.planning.team.team_loop import simulate_team
 from planopt.planning.worth.left_to_learn import left_to_learn
 from planopt.world.workspace import Obstacle
 
@@ -53,14 +52,14 @@ def test_all_robots_must_be_connected_at_once() -> None:
     problem = terms_problem(CONNECT, max_steps=3)
     going = driven(problem, [HERE, HERE + 1.0, HERE + 2.0], [True, True])
     one_by_one = np.array([[True, False], [False, True]])
-    assert team_ending(problem, one_by_one, [going, going]) is None
+    assert terms_ending(problem, one_by_one, [going, going]) is None
     limit = np.vstack([one_by_one, [[False, False]]])
-    outcome, _ = team_ending(problem, limit, [going, going])
+    outcome, _ = terms_ending(problem, limit, [going, going])
     assert outcome is Outcome.STEP_LIMIT
     together = np.array([[True, False], [True, True]])
-    ended = team_ending(problem, together, [going, going])
+    ended = terms_ending(problem, together, [going, going])
     assert ended == (Outcome.COMPLETED, "connected after step 2")
-    assert team_ending(terms_problem(LEARNING, max_steps=3), together, [going, going]) is None
+    assert terms_ending(terms_problem(LEARNING, max_steps=3), together, [going, going]) is None
 
 
 @pytest.mark.parametrize("term", [LEARNING, MAPPING])
@@ -68,15 +67,15 @@ def test_who_stands_with_places_left_to_measure_has_stalled(term) -> None:
     """Before the last step and at it; and who measures, or waits, has not."""
     for most in (8, 1):
         problem = terms_problem(term, max_steps=most)
-        outcome, reason = team_ending(problem, no_packet(), [standing(problem)])
+        outcome, reason = terms_ending(problem, no_packet(), [standing(problem)])
         assert outcome is Outcome.STALLED
         assert reason == "standing still with nothing new to learn; places are left to measure"
     problem = terms_problem(term, max_steps=8)
-    assert team_ending(problem, no_packet(), [driven(problem, [HERE, HERE], [True])]) is None
+    assert terms_ending(problem, no_packet(), [driven(problem, [HERE, HERE], [True])]) is None
     waiting = standing(problem, plan=plan_of(rung=Rung.SHIFTED))
-    assert team_ending(problem, no_packet(), [waiting]) is None
+    assert terms_ending(problem, no_packet(), [waiting]) is None
     last = terms_problem(term, max_steps=1)
-    ended = team_ending(last, no_packet(), [driven(last, [HERE, HERE], [True])])
+    ended = terms_ending(last, no_packet(), [driven(last, [HERE, HERE], [True])])
     assert ended == (Outcome.COMPLETED, "all 1 steps driven")
 
 
@@ -86,11 +85,11 @@ def test_circling_is_a_stall() -> None:
     track = [HERE + (1.5 * (k % 2), 0.0) for k in range(STALL_STEPS + 1)]
     connected = no_packet(STALL_STEPS)
     silent = driven(problem, track, [False] * STALL_STEPS)
-    outcome, reason = team_ending(problem, connected, [silent])
+    outcome, reason = terms_ending(problem, connected, [silent])
     assert outcome is Outcome.STALLED
     assert reason.startswith("within 4 m of one place for 30 steps, with nothing new to learn")
     once = driven(problem, track, [False] * (STALL_STEPS - 1) + [True])
-    assert team_ending(problem, connected, [once]) is None
+    assert terms_ending(problem, connected, [once]) is None
 
 
 def everything_measured(problem):
@@ -111,7 +110,7 @@ def test_with_nothing_left_to_learn_a_run_is_completed() -> None:
     problem = terms_problem(LEARNING, max_steps=9)
     problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=2.0))
     known = everything_measured(problem)
-    ended = team_ending(problem, no_packet(), [standing(problem, posteriors=[known])])
+    ended = terms_ending(problem, no_packet(), [standing(problem, posteriors=[known])])
     assert ended == (Outcome.COMPLETED, "nothing left to learn after step 1")
     # One gap is enough, also one without a node in it.
     node = judge_of(*situation_of(problem))[1].road_map
@@ -124,7 +123,7 @@ def test_with_nothing_left_to_learn_a_run_is_completed() -> None:
         problem, judge_of(*situation_of(problem))[1].index, node.lattice, HERE, [some]
     )
     assert len(left) and np.linalg.norm(left - gap, axis=1).max() < 2.0 + away
-    outcome, _ = team_ending(problem, no_packet(), [standing(problem, posteriors=[some])])
+    outcome, _ = terms_ending(problem, no_packet(), [standing(problem, posteriors=[some])])
     assert outcome is Outcome.STALLED
 
 
@@ -137,9 +136,9 @@ def test_places_behind_a_wall_are_no_reason_to_go_on() -> None:
     near = SimpleNamespace(measurements=SimpleNamespace(positions_m=places[places[:, 0] < 27.0]))
     wall = Obstacle("wall", shapely.box(25.0, -1.0, 26.0, 41.0))
     walled = replace(problem, workspace=replace(problem.workspace, obstacles=(wall,)))
-    outcome, _ = team_ending(problem, no_packet(), [standing(problem, posteriors=[near])])
+    outcome, _ = terms_ending(problem, no_packet(), [standing(problem, posteriors=[near])])
     assert outcome is Outcome.STALLED
-    outcome, _ = team_ending(walled, no_packet(), [standing(walled, posteriors=[near])])
+    outcome, _ = terms_ending(walled, no_packet(), [standing(walled, posteriors=[near])])
     assert outcome is Outcome.COMPLETED
 
 
@@ -148,7 +147,7 @@ def test_below_the_threshold_nothing_is_left() -> None:
     term = {"kind": "mapping", "form": "path", "closeness_per_m": 0.0}
     for threshold, outcome in ((1e4, Outcome.COMPLETED), (0.1, Outcome.STALLED)):
         problem = terms_problem({**term, "variance_threshold_db2": threshold})
-        assert team_ending(problem, no_packet(), [standing(problem)])[0] is outcome
+        assert terms_ending(problem, no_packet(), [standing(problem)])[0] is outcome
 
 
 def test_a_run_goes_on_while_one_robot_does() -> None:
@@ -157,8 +156,8 @@ def test_a_run_goes_on_while_one_robot_does() -> None:
     robot = problem.robots[0]
     both = replace(problem, robots=(robot, replace(robot, name="other")))
     still, going = standing(problem), driven(problem, [HERE, HERE + 1.0], [True])
-    assert team_ending(both, no_packet(1, 2), [still, going]) is None
-    outcome, reason = team_ending(both, no_packet(2, 2), [still, going])
+    assert terms_ending(both, no_packet(1, 2), [still, going]) is None
+    outcome, reason = terms_ending(both, no_packet(2, 2), [still, going])
     assert outcome is Outcome.STALLED
     assert reason.startswith(f"{robot.name}: standing still") and "other" not in reason
 
@@ -168,26 +167,26 @@ def test_standing_beside_a_target_is_no_stall() -> None:
     problem = terms_problem(TRACKING, max_steps=99)
     track = [HERE] * (STALL_STEPS + 1)
     robot = driven(problem, track, [False] * STALL_STEPS)
-    assert team_ending(problem, no_packet(), [standing(problem)]) is None
+    assert terms_ending(problem, no_packet(), [standing(problem)]) is None
     served = no_packet(STALL_STEPS)
     served[4] = True
-    assert team_ending(problem, served, [robot]) is None
-    assert team_ending(problem, no_packet(STALL_STEPS), [robot])[0] is Outcome.STALLED
+    assert terms_ending(problem, served, [robot]) is None
+    assert terms_ending(problem, no_packet(STALL_STEPS), [robot])[0] is Outcome.STALLED
 
 
 def test_standing_may_be_what_a_sum_of_terms_asks_for() -> None:
     """If plans are verified."""
     problem = terms_problem(SENDING, max_steps=99)
-    assert team_ending(problem, no_packet(), [standing(problem)]) is None
+    assert terms_ending(problem, no_packet(), [standing(problem)]) is None
     refused = standing(problem, plan=plan_of(Verdict.VIOLATED, Rung.STOP))
-    assert team_ending(problem, no_packet(), [refused])[0] is Outcome.STALLED
+    assert terms_ending(problem, no_packet(), [refused])[0] is Outcome.STALLED
 
 
 @pytest.mark.parametrize("name", ["random", "auto"])
 def test_who_draws_anew_may_go_on(name) -> None:
     """A random direction may be free in the next step."""
     problem = terms_problem(LEARNING, max_steps=99, name=name)
-    ended = team_ending(problem, no_packet(), [standing(problem)])
+    ended = terms_ending(problem, no_packet(), [standing(problem)])
     assert (ended is None) == (name == "random")
 
 
@@ -202,14 +201,14 @@ def with_threshold(threshold_dbm, **planner):
 def test_a_run_ends_once_connected(tmp_path, threshold_dbm) -> None:
     """By the true power, and judged from disk; never where no place connects."""
     problem = with_threshold(threshold_dbm, max_steps=4)
-    run = simulate_team(problem, seed=1)
+    run = simulate(problem, seed=1)
     log = run.runs[0].log
     connected = np.asarray(log.true_dbm)[1:] >= threshold_dbm
     assert connected.any() == (threshold_dbm < 0.0)
     assert (run.runs[0].outcome is Outcome.COMPLETED) == connected.any()
     if connected.any():
         assert len(connected) == int(np.argmax(connected)) + 1
-    save_team_run(run, tmp_path)
+    save_run(run, tmp_path)
     verdict = check(tmp_path)
     assert verdict.verdict in (Verdict.VERIFIED, Verdict.VIOLATED)
     assert not [reason for reason in verdict.reasons if "the run ends" in reason]
@@ -222,9 +221,9 @@ def test_a_run_that_goes_on_is_rejected(tmp_path, monkeypatch) -> None:
         return (Outcome.COMPLETED, "connected after step 4") if len(connected) == 4 else None
 
     with monkeypatch.context() as longer:
-        longer.setattr("planopt.planning.team.team_loop.team_ending", late)
-        run = simulate_team(with_threshold(-45.0, max_steps=4), seed=1)
-    save_team_run(run, tmp_path)
+        longer.setattr("planopt.planning.loop.closed_loop.run_ending", late)
+        run = simulate(with_threshold(-45.0, max_steps=4), seed=1)
+    save_run(run, tmp_path)
     reasons = check(tmp_path).reasons
     assert any("goes on after step 1, connected after step 1" in reason for reason in reasons)
 
@@ -234,10 +233,10 @@ def test_a_stalled_run_is_judged_from_disk(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(one_step_module, "way_to_unmeasured", lambda *_: None)
     problem = terms_problem(LEARNING, horizon=1, name="one_step", max_steps=20)
     problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=9.0))
-    run = simulate_team(problem, seed=0)
+    run = simulate(problem, seed=0)
     first = run.runs[0]
     assert first.outcome is Outcome.STALLED
     assert len(first.log.t_s) - 1 < 20
     assert run.metrics["measured_steps"] == first.metrics.measured_steps
-    save_team_run(run, tmp_path)
+    save_run(run, tmp_path)
     assert check(tmp_path).reasons == ()

@@ -5,16 +5,16 @@ import pytest
 from team_scene import two_trackers
 from terms_scene import LEARNING, TRACKING, terms_problem
 
-from planopt.planning.files.team_solution_json import team_solution_json
+from planopt.planning.files.solution_json import solution_json
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 
 def test_a_run_begins_with_the_plans_of_a_solution() -> None:
     """Same seed, same belief, same expected target, same streams: the same plans."""
     problem = two_trackers()
-    solution, run = solve(problem, seed=3), simulate_team(problem, seed=3)
+    solution, run = solve(problem, seed=3), simulate(problem, seed=3)
     for plan, aim, made, known in zip(
         solution.plans, solution.aims, run.plans, run.aims, strict=True
     ):
@@ -32,9 +32,9 @@ def test_the_target_is_expected_where_its_first_estimate_moves() -> None:
 def test_keys_are_sums_and_the_worst() -> None:
     """Objective, times and iterations add up; the certificate is the worst in each respect."""
     solution = solve(two_trackers(), seed=1)
-    data = team_solution_json(solution)
+    data = solution_json(solution)
     plans = solution.plans
-    assert data["sense"] == "max" and data["bound"] is None and data["pivot"] is None
+    assert data["sense"] == "max" and data["bound"] is None
     assert data["objective"] == pytest.approx(sum(plan.objective for plan in plans))
     assert data["iterations"] == sum(plan.iterations for plan in plans)
     assert [robot["name"] for robot in data["robots"]] == ["robot", "second"]
@@ -50,7 +50,7 @@ def test_the_verdict_is_the_worst() -> None:
     low = problem.stations[0].__class__(**{**vars(problem.stations[0]), "threshold_dbm": 0.0})
     solution = solve(problem.__class__(**{**vars(problem), "stations": (low,)}))
     assert solution.verdict is Verdict.VIOLATED
-    data = team_solution_json(solution)
+    data = solution_json(solution)
     assert data["verdict"] == "violated" and data["message"].startswith("robot: ")
 
 
@@ -65,7 +65,7 @@ def test_what_the_polish_gains_is_not_negative(term: dict) -> None:
 
 def test_the_log_counts_gains_the_same_way() -> None:
     """Logged gains are those of the plans."""
-    run = simulate_team(terms_problem(TRACKING, horizon=3, max_steps=2))
+    run = simulate(terms_problem(TRACKING, horizon=3, max_steps=2))
     gains = [plan.gain for plan in run.plans[0]]
     assert run.runs[0].log.polish_gain_s.tolist() == [0.0, *gains]
     assert run.metrics["polish_gain"] >= 0.0

@@ -13,9 +13,9 @@ from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
-from planopt.planning.files.team_saved import save_team_run, save_team_solution
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 
 def connected(path: Any) -> Any:
@@ -42,15 +42,15 @@ def test_a_run_is_verified_and_judged_again(case: str, tmp_path: Path) -> None:
     """What was driven was connected to whichever station was the better one."""
     term, planner = CASES[case]
     problem = terms_problem(term, stations=2, horizon=3, max_steps=2, **planner)
-    run = simulate_team(problem, seed=1)
+    run = simulate(problem, seed=1)
     assert run.verified_rate == 1.0
     log = run.runs[0].log
-    powers = [true_power_dbm(t, log.positions_m) for t in (run.truth, *run.further_truths)]
+    powers = [true_power_dbm(t, log.positions_m) for t in run.truths]
     thresholds = [radio.threshold_dbm for radio in problem.stations]
     assert np.array_equal(log.true_dbm, serving_power_dbm(np.stack(powers), thresholds))
     any_of_them = (np.stack(powers) >= np.array(thresholds)[:, None]).any(axis=0)
     assert np.array_equal(log.connected, any_of_them)
-    save_team_run(run, tmp_path)
+    save_run(run, tmp_path)
     assert check(tmp_path).reasons == ()
     with np.load(tmp_path / BELIEF_FILE) as archive:
         arrays = {name: archive[name] for name in archive}
@@ -62,5 +62,5 @@ def test_a_run_is_verified_and_judged_again(case: str, tmp_path: Path) -> None:
 def test_plans_are_judged_again(tmp_path: Path) -> None:
     """From one belief of both stations."""
     problem = terms_problem(TRACKING, stations=2, horizon=3, p_min=0.8)
-    save_team_solution(solve(problem, seed=2), tmp_path)
+    save_solution(solve(problem, seed=2), tmp_path)
     assert check(tmp_path).reasons == ()

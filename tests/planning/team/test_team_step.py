@@ -5,9 +5,9 @@ import pytest
 from apart_scene import apart_problem
 
 import planopt.planning.team.team_step as team_step
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team.team_loop import simulate_team
 
 LANE = [
     {"polygon": [[0.0, 10.0], [40.0, 10.0], [40.0, 19.0], [0.0, 19.0]]},
@@ -29,7 +29,7 @@ def least_m(run):
 
 def test_the_one_in_the_way_makes_room():
     """The first to plan is swept towards the other, who stands there until it is asked second."""
-    run = simulate_team(lane_problem(), seed=0)
+    run = simulate(lane_problem(), seed=0)
     assert run.verified_rate == 1.0
     assert least_m(run) >= 3.0 - 1e-6
     assert run.metrics["min_moving_clearance_m"] >= 0.5 - 1e-6
@@ -40,7 +40,7 @@ def test_the_one_in_the_way_makes_room():
 def test_without_making_room_it_is_owned_up_to(monkeypatch: pytest.MonkeyPatch):
     """Robots never come nearer to each other, but the sweeper comes too near to one of them."""
     monkeypatch.setattr(team_step, "_verified", lambda _plans: 0)
-    run = simulate_team(lane_problem(), seed=0)
+    run = simulate(lane_problem(), seed=0)
     assert least_m(run) >= 3.0 - 1e-6
     assert run.verified_rate < 1.0
     reasons = [r for plans in run.plans for plan in plans for r in plan.certificate.reasons]

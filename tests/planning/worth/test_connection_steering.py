@@ -14,8 +14,8 @@ from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition, extend
 from planopt.objectives.until_connected import LATER, charged_distance_m, search_length_m
-from planopt.planning.loop.run import Outcome
-from planopt.planning.team.team_loop import simulate_team
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.log import Outcome
 from planopt.planning.worth.connection_steering import ConnectionSteering
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.world.clearance import is_clear, swept_clearance_m
@@ -154,7 +154,7 @@ def test_every_planner_arrives_and_never_stands(name, stations, horizon):
     problem = search_problem(
         horizon=horizon, max_steps=60, name=name, stations=stations, threshold_dbm=-31.0
     )
-    run = simulate_team(problem, seed=3).runs[0]
+    run = simulate(problem, seed=3).runs[0]
     assert run.outcome is Outcome.COMPLETED, run.reason
     steps = np.linalg.norm(np.diff(run.log.positions_m, axis=0), axis=1)
     assert steps.min() > 0.1 * problem.step_length_m

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, situation_of, terms_problem
 
+from planopt.channel.fields.truth import measure
 from planopt.channel.kriging import predict
-from planopt.planning.loop.learning import learn_here
+from planopt.planning.loop.learn import learn_measured
 from planopt.planning.prepare import prepare
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
@@ -54,7 +55,9 @@ def collected(problem, seed, name, path, situation):
     for place in path:
         length += float(np.linalg.norm(place - driven))
         driven = place
-        after = learn_here(problem, prepared.truths, belief, place)
+        after = learn_measured(
+            problem, belief, [measure(truth, place[None]) for truth in prepared.truths]
+        )
         for before, later in zip(belief.posteriors, after.posteriors, strict=True):
             if len(later.measurements) == len(before.measurements):
                 continue

@@ -12,6 +12,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from planopt.planning.plan import Rung, Termination
 from planopt.problems.library import find_problem
 from planopt.problems.planner_kinds import PlannerKind, register_planner, unregister_planner
 from planopt.studies import finished_runs
-from planopt.studies.bench import row
+from planopt.studies.bench import references, row
 from planopt.studies.bench.references import read_references, write_references
 
 RUN = ["bench", "run", "--seeds", "1", "--run-seeds", "0", "--horizons", "2"]
@@ -171,6 +172,63 @@ def test_freeze_does_not_overwrite_silently(folder: Path, tmp_path: Path, capsys
     assert main([*freeze, "--replace"]) == 0
     assert "objective 1.0 -> " in capsys.readouterr().out
     assert read_references(file) == made
+
+
+@pytest.fixture
+def share(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """References of the fast share of a library with one problem."""
+    monkeypatch.setattr(references, "library_names", lambda: ["outdoor_map"])
+    known = {c: r for c, r in read_references().items() if r.problem == "outdoor_map"}
+    file = tmp_path / "references.json"
+    write_references(known, file)
+    return file
+
+
+def checked(file: Path) -> int:
+    """The check against a file of references."""
+    return main(["bench", "check", "--workers", "1", "--references", str(file)])
+
+
+def test_check_passes(share: Path, capsys) -> None:
+    """Exit code 0 against the committed references."""
+    assert checked(share) == 0
+    assert "as good as the references" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda one: {"objective": 1.05 * one.objective}, "% worse"),
+        (lambda one: {"outcome": "no_plan"}, "outcome planned, was no_plan"),
+        (lambda one: {"horizon": one.horizon + 1}, "no reference with its own settings"),
+    ],
+)
+def test_check_fails_in_words(share: Path, change, words: str, capsys) -> None:
+    """A mutated reference is a regression: exit code 1, and which number it is."""
+    known = read_references(share)
+    changed = {
+        case: replace(one, **change(one))
+        for case, one in known.items()
+        if case.planner == "auto" and one.kind == "plan"
+    }
+    kept = {one.case: one for one in changed.values()}
+    write_references(kept, share)
+    assert checked(share) == 1
+    assert words in capsys.readouterr().out
+
+
+def test_a_rejected_plan_and_an_error_fail(share: Path, monkeypatch, capsys) -> None:
+    """A check that objects is a regression; so is a planner that raises, and the rest goes on."""
+    monkeypatch.setattr(row, "check", lambda _: SimpleNamespace(verdict=None, reasons=("forged",)))
+    assert checked(share) == 1
+    assert "the check from its files rejects it (forged)" in capsys.readouterr().out
+
+    def broken(*_):
+        raise ZeroDivisionError("no")
+
+    monkeypatch.setattr(row, "solve_on", broken)
+    assert checked(share) == 1
+    assert "outcome error, was planned (ZeroDivisionError: no)" in capsys.readouterr().out
 
 
 class Liar:

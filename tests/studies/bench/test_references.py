@@ -123,6 +123,15 @@ def test_a_case_twice(tmp_path: Path) -> None:
         read_references(file)
 
 
+def test_library_is_whole() -> None:
+    """Every library problem has references for the fast share, which has every kind of case."""
+    cases, missing = fast_cases(read_references())
+    assert missing == []
+    assert {case.question.problem for case in cases} == set(library_names())
+    assert {case.question.kind for case in cases} == {"plan", "run"}
+    assert {case.planner for case in cases} == {"auto", "scp", "lattice"}
+
+
 def test_a_problem_without_reference_is_told() -> None:
     """And one that is gone."""
     cases, missing = fast_cases({row().case: REFERENCE})
@@ -140,6 +149,8 @@ def test_cases_are_all_combinations() -> None:
     mapped = [case for case in cases if case.question.problem == "outdoor_map"]
     assert len(mapped) == 2 * 2 * 7 + 1
     assert len(set(cases)) == len(cases)
+    driven = library_cases(["harbour_track"], seeds=[0], run_seeds=[])
+    assert {case.planner for case in driven} == {"auto", "nlp", "scp", "lattice"}
 
 
 @pytest.mark.parametrize(

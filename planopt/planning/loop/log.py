@@ -1,8 +1,8 @@
-"""A closed loop's log: what was driven, predicted, true, and which rung released it."""
+"""Logs of a closed loop: each robot's steps, the target, and how well the channel was known."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -94,47 +94,30 @@ class Metrics:
     measured_steps: int
 
 
-@dataclass(frozen=True)
-class Run:
-    """One closed loop.
+@dataclass(frozen=True, eq=False)
+class RobotRun:
+    """One robot's part of a closed loop.
 
     Attributes
     ----------
     robot
         Its name.
-    horizon, planner, cost_to_go, seed
-        What was run.
     outcome, reason
-        How it ended, and why in words.
+        How the closed loop ended, and why in words.
     log, metrics
         See their types.
-    rule
-        What was kept of a rule of connectivity other than p_min at each step, by metric.
     drive
         States and inputs over the steps; None for the single integrator.
-    costs
-        On the way to a goal: what the run cost at the outage price, by metric.
     """
 
     robot: str
-    horizon: int
-    planner: str
-    cost_to_go: str | None
-    seed: int
     outcome: Outcome
     reason: str
     log: StepLog
     metrics: Metrics
-    rule: dict[str, float] = field(default_factory=dict[str, float])
     drive: Drive | None = None
-    costs: dict[str, float] = field(default_factory=dict[str, float])
 
     __repr__ = short_repr
-
-    @property
-    def all_metrics(self) -> dict[str, float]:
-        """Every metric by name."""
-        return {**asdict(self.metrics), **self.rule, **self.costs}
 
     @property
     def verified_rate(self) -> float:
@@ -144,8 +127,56 @@ class Run:
 
     @property
     def rungs(self) -> dict[str, int]:
-        """How often each rung released a step."""
+        """How often each fallback released a step."""
         counts: dict[str, int] = {}
         for rung in self.log.rung[1:]:
             counts[rung.value] = counts.get(rung.value, 0) + 1
         return counts
+
+
+@dataclass(frozen=True, eq=False)
+class TargetLog:
+    """A target over a run, row 0 at the start.
+
+    Attributes
+    ----------
+    true_m, station_mean_m
+        ``(steps + 1, 2)`` where it was, and where the station thought that it was.
+    station_variance_m2
+        ``(steps + 1,)`` trace of the station's covariance of its position.
+    delivered
+        ``(steps, robots)`` whose packets arrived.
+    """
+
+    true_m: NDArray[np.float64]
+    station_mean_m: NDArray[np.float64]
+    station_variance_m2: NDArray[np.float64]
+    delivered: NDArray[np.bool_]
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelLog:
+    """How well the channel was known after each step, row 0 at the start; of the first robot.
+
+    Attributes
+    ----------
+    rms_db
+        ``(steps + 1,)`` root mean square error of the predicted power over the workspace, the
+        error against path loss, shadowing and multipath.
+    anmse_db
+        ``(steps + 1,)`` average normalised mean square error of [GM11], dB; fragile where the
+        true power comes near 0 dBm, therefore beside `rms_db`.
+    theta_variance_db
+        ``(steps + 1,)`` trace of M over |theta|^2, in dB (Fig. 2 of [GM11]).
+    log_det_m
+        ``(steps + 1,)`` log det M, nats: what the criterion D lowers, whatever the units of theta.
+    """
+
+    rms_db: NDArray[np.float64]
+    anmse_db: NDArray[np.float64]
+    theta_variance_db: NDArray[np.float64]
+    log_det_m: NDArray[np.float64]
+
+    __repr__ = short_repr

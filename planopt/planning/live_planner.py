@@ -1,0 +1,251 @@
+"""The planner for a robot's own loop: from a state and new measurements to the next plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.measurements import Measurements
+from planopt.channel.one_thread import one_blas_thread
+from planopt.errors import InputError
+from planopt.planning.given import (
+    GivenMeasurements,
+    measurements_by_station,
+    with_measurements,
+)
+from planopt.planning.loop.target_watch import expected_target, watch_target
+from planopt.planning.plan import Plan
+from planopt.planning.prepare import prepare
+from planopt.planning.scene import build_scene
+from planopt.planning.stepping import Stepper, plan_step
+from planopt.planning.team.team_seeds import team_seeds
+from planopt.problems.overrides import with_overrides
+from planopt.problems.problem import Problem
+from planopt.short_repr import wrapped
+from planopt.world.clearance import containing_obstacle, index_obstacles, inside_bounds
+
+
+class Planner:
+    """Plans the next steps of robots that a loop of one's own drives.
+
+    Belief, track and last plan are kept between calls. Each call of :meth:`step` stands for one
+    step of ``problem.planner.step_s`` seconds.
+
+    Parameters
+    ----------
+    problem
+        From :func:`planopt.load` or made in Python.
+    measurements
+        First measurements, as for :func:`planopt.solve`. Without them they are taken as the problem
+        says, and all that a simulation draws is drawn as :func:`planopt.simulate` draws it: a loop
+        in the same ground truth then repeats its run. With them a target's table is its first
+        estimate.
+    horizon, planner, cost_to_go
+        Override the problem's planner settings.
+    budget_s
+        Deadline: the seconds that a step should take at most.
+    seed
+        Of everything that is drawn.
+
+    Raises
+    ------
+    InputError
+        Something that was given cannot be used.
+    NoPlanError
+        Obstacles cut the goal off.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> problem = planopt.load("open_field")
+    >>> planner = planopt.Planner(problem, horizon=2)
+    >>> plan = planner.step(problem.robots[0].start_m)
+    >>> plan.verdict.value
+    'verified'
+    >>> here = plan.next_position_m
+    >>> heard = planopt.Measurements([here], [-61.5])
+    >>> plan = planner.step(here, heard)
+    """
+
+    @one_blas_thread()
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        measurements: GivenMeasurements | None = None,
+        horizon: int | None = None,
+        planner: str | None = None,
+        cost_to_go: str | None = None,
+        budget_s: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        problem, given = with_measurements(problem, measurements)
+        if budget_s is not None:
+            problem = replace(problem, planner=replace(problem.planner, budget_s=budget_s))
+        problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
+        scene = build_scene(problem) if problem.task == "reach" else None
+        belief = prepare(problem, seed, given).belief
+        seeds = team_seeds(problem, seed)
+        watch = watch_target(problem, seeds.target) if given is None else expected_target(problem)
+        self.problem = problem
+        self._index = index_obstacles(problem.workspace)
+        self._robots = Stepper(problem, belief, plan_step(problem, scene, seeds), watch)
+        self._is_placed = False
+
+    def __repr__(self) -> str:
+        """Return the problem, and how much has happened."""
+        steps = len(self._robots.connected)
+        counts = [len(belief.posterior.measurements) for belief in self.beliefs]
+        return wrapped(f"Planner({self.problem!r}, steps driven: {steps}, measurements: {counts})")
+
+    @property
+    def beliefs(self) -> tuple[Belief, ...]:
+        """The channel as each robot believes it to be now."""
+        return tuple(self._robots.beliefs)
+
+    def step(
+        self,
+        state: ArrayLike,
+        measurements: GivenMeasurements | None = None,
+        *,
+        connected: bool | None = None,
+        target_m: ArrayLike | None = None,
+    ) -> Plan:
+        """Plan from where the only robot is now.
+
+        Parameters
+        ----------
+        state
+            ``(2,)`` its position in metres, or ``(s,)`` its state where it has dynamics, in the
+            order of ``state_names``.
+        measurements
+            Measurements since the last call, as for :func:`planopt.solve`; those nearer than
+            ``channel.measure_spacing_m`` to an earlier one are left out.
+        connected
+            Whether it is connected now, for constraints over a whole run. Left out, the last
+            measurement says, and without one the prediction.
+        target_m
+            ``(2,)`` where it sees the target now; left out if it does not.
+
+        Returns
+        -------
+        Plan
+            ``plan.next_position_m`` is where to drive during the step, ``plan.next_input`` how.
+
+        Raises
+        ------
+        InputError
+            There are several robots (:meth:`step_all`), the state is no place where the robot can
+            be, or measurements cannot be used. Nothing has been taken in then.
+        NoPlanError
+            There is provably no plan from here.
+        """
+        if len(self.problem.robots) > 1:
+            raise InputError(
+                f"the problem has {len(self.problem.robots)} robots", remedy="call step_all"
+            )
+        (plan,) = self.step_all(
+            [state],
+            [measurements],
+            connected=None if connected is None else [connected],
+            target_m=None if target_m is None else [target_m],
+        )
+        return plan
+
+    @one_blas_thread()
+    def step_all(
+        self,
+        states: Sequence[ArrayLike],
+        measurements: Sequence[GivenMeasurements | None] | None = None,
+        *,
+        connected: Sequence[bool] | NDArray[np.bool_] | None = None,
+        target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
+    ) -> tuple[Plan, ...]:
+        """Plan from where all robots are now; as :meth:`step`, with an entry for each robot."""
+        count = len(self.problem.robots)
+        for key, given in (
+            ("states", states),
+            ("measurements", measurements),
+            ("connected", connected),
+            ("target_m", target_m),
+        ):
+            if given is not None and len(given) != count:
+                raise InputError(
+                    f"has {len(given)} entries, the problem has {count} robots",
+                    key=key,
+                    remedy="give one for each robot, in the problem's order",
+                )
+        now = [self._state(number, state) for number, state in enumerate(states)]
+        measured = [
+            () if each is None else measurements_by_station(self.problem, each)
+            for each in ([None] * count if measurements is None else measurements)
+        ]
+        places = [None] * count if target_m is None else target_m
+        seen = np.array([self._seen(place) for place in places])
+        if self._is_placed:
+            if connected is None:
+                connected = [self._was_connected(*both) for both in enumerate(measured)]
+            self._robots.observe(now, measured, connected, seen)
+        else:
+            self._robots.place(now, measured)
+            self._is_placed = True
+        return tuple(self._robots.plan())
+
+    def _state(self, number: int, given: ArrayLike) -> NDArray[np.float64]:
+        """Return the state of a robot, which must be a place where it can be."""
+        robot = self.problem.robots[number]
+        key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
+        names = ("x_m", "y_m") if robot.dynamics is None else robot.dynamics.state_names
+        state = _numbers(key, given, (len(names),), ", ".join(names))
+        if not inside_bounds(self.problem.workspace, state[None, :2]).all():
+            raise InputError(
+                f"is {state.tolist()}, outside the bounds {list(self.problem.workspace.bounds_m)}",
+                key=key,
+                remedy="give metres in the frame of the problem, or widen world.bounds_m",
+            )
+        around = containing_obstacle(self._index, state[:2])
+        if around is not None:
+            raise InputError(
+                f"is {state.tolist()}, inside the obstacle {around.name}",
+                key=key,
+                remedy="correct the place, or the map",
+            )
+        return state
+
+    def _seen(self, place: ArrayLike | None) -> NDArray[np.float64]:
+        """Return where a robot sees the target, NaN where it does not."""
+        if place is None:
+            return np.full(2, np.nan)
+        if not self.problem.targets:
+            raise InputError("the problem has no target", key="target_m", remedy="leave it out")
+        return _numbers("target_m", place, (2,), "x_m, y_m")
+
+    def _was_connected(self, number: int, measured: Sequence[Measurements]) -> bool:
+        """Whether a robot is connected now, by its last measurements or by its last plan."""
+        stations = self.problem.stations
+        heard = [
+            bool(taken.power_dbm[-1] >= station.threshold_dbm)
+            for station, taken in zip(stations, measured, strict=False)
+            if len(taken)
+        ]
+        if heard:
+            return any(heard)
+        plans = self._robots.plans[number]
+        return bool(plans and plans[-1].connectivity[1] >= 0.5)
+
+
+def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:
+    """Return finite numbers of a shape."""
+    try:
+        found = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape != shape or not np.isfinite(found).all():
+        raise InputError(
+            f"is {given!r}, should be {shape[0]} finite numbers", key=key, remedy=f"give {names}"
+        )
+    return found

@@ -1,0 +1,208 @@
+"""The robots of a run between its steps: beliefs, tracks, plans, and the next plans of them.
+
+Whatever drives robots, the simulation or a loop of a user's own, alternates two calls of a
+:class:`Stepper`: :meth:`Stepper.plan`, and :meth:`Stepper.observe` with what came of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.measurements import Measurements
+from planopt.planning.history import history_of
+from planopt.planning.loop.learn import learn_measured
+from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
+from planopt.planning.plan import Plan
+from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.scene import Scene
+from planopt.planning.team.crew import build_crew
+from planopt.planning.team.team_seeds import TeamSeeds
+from planopt.planning.team.team_step import TeamMoment, plan_together
+from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.aim import Aim
+from planopt.problems.problem import Problem
+
+PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
+"""From where all robots are, and what they know, to a plan for each and the inputs of it."""
+
+
+class Stepper:
+    """The robots of one run.
+
+    Parameters
+    ----------
+    problem
+        The problem of all robots.
+    belief
+        Of the channel at the start, the same for all.
+    plan_step
+        Plans a step (:func:`plan_step`).
+    watch
+        The target at the start; None without one.
+
+    Attributes
+    ----------
+    owns
+        The problem of each robot alone.
+    states
+        Of each robot ``(s,)`` at the start and after each step.
+    beliefs
+        Of each robot now.
+    plans, aims
+        Of each robot, one a step planned.
+    learnt
+        Of each robot, whether it learnt from a measurement after each step.
+    connected
+        ``(steps, robots)`` which robot was connected after each step.
+    watches
+        The target at the start and after each step; None throughout without one.
+    """
+
+    def __init__(
+        self, problem: Problem, belief: Belief, plan_step: PlanStep, watch: TargetWatch | None
+    ) -> None:
+        numbers = range(len(problem.robots))
+        self.problem = problem
+        self.owns = [problem_of_robot(problem, number) for number in numbers]
+        self.states = [[robot.start_state] for robot in problem.robots]
+        self.beliefs = [belief for _ in numbers]
+        self.plans: list[list[Plan]] = [[] for _ in numbers]
+        self.aims: list[list[Aim]] = [[] for _ in numbers]
+        self.learnt: list[list[bool]] = [[] for _ in numbers]
+        self.connected = np.zeros((0, len(numbers)), dtype=np.bool_)
+        self.watches = [watch]
+        self._plan_step = plan_step
+        self._warm: list[Plan | None] = [None for _ in numbers]
+
+    def plan(self) -> list[Plan]:
+        """Plan from where the robots are; a plan for each.
+
+        Raises
+        ------
+        NoPlanError
+            There is provably no plan.
+        """
+        warm = self._warm
+        # A plan that is not made leaves none to go on from.
+        self._warm = [None for _ in warm]
+        moment = TeamMoment(
+            beliefs=self.beliefs,
+            states=[driven[-1] for driven in self.states],
+            watched=[
+                aim_of(self.watches[-1], number, self.problem.planner.horizon)
+                for number in range(len(self.owns))
+            ],
+            histories=[
+                history_of(
+                    own,
+                    np.array(driven)[:, :2],
+                    self.connected[:, number],
+                    [plan.certificate for plan in made],
+                )
+                for number, (own, driven, made) in enumerate(
+                    zip(self.owns, self.states, self.plans, strict=True)
+                )
+            ],
+            warm=warm,
+        )
+        plans, aims = self._plan_step(moment)
+        for number, (plan, aim) in enumerate(zip(plans, aims, strict=True)):
+            self.plans[number].append(plan)
+            self.aims[number].append(aim)
+        self._warm = list(plans)
+        return plans
+
+    def place(
+        self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
+    ) -> None:
+        """Begin at `states`, after measurements there; arguments as of :meth:`observe`."""
+        self.states = [[state] for state in states]
+        self._learn(measured)
+
+    def observe(
+        self,
+        states: Sequence[NDArray[np.float64]],
+        measured: Sequence[Sequence[Measurements]],
+        connected: Sequence[bool] | NDArray[np.bool_],
+        target_m: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Take in what came of a step.
+
+        Parameters
+        ----------
+        states
+            Of each robot ``(s,)`` now, its place first.
+        measured
+            Of each robot the measurements of each station on the step; none where it took none.
+            Those nearer than the measuring distance to an earlier one are left out.
+        connected
+            Of each robot, whether it is connected now.
+        target_m
+            ``(robots, 2)`` where each robot saw the target, NaN where it did not.
+        """
+        for number, state in enumerate(states):
+            self.states[number].append(state)
+            if not self._goes_on(number, state):
+                self._warm[number] = None
+        before = list(self.beliefs)
+        self._learn(measured)
+        for number, belief in enumerate(self.beliefs):
+            self.learnt[number].append(belief is not before[number])
+        self.connected = np.vstack([self.connected, np.asarray(connected, dtype=np.bool_)])
+        watch = self.watches[-1]
+        if watch is not None:
+            here = np.array([state[:2] for state in states])
+            seen = np.full_like(here, np.nan) if target_m is None else target_m
+            watch = counted(watch, seen, here, self.connected[-1])
+        self.watches.append(watch)
+
+    def _learn(self, measured: Sequence[Sequence[Measurements]]) -> None:
+        self.beliefs = [
+            learn_measured(self.problem, belief, taken)
+            for belief, taken in zip(self.beliefs, measured, strict=True)
+        ]
+
+    def _goes_on(self, number: int, state: NDArray[np.float64]) -> bool:
+        """Whether a robot may go on from its last plan.
+
+        A robot that was carried off its plan cannot drive the rest of it if it has dynamics, and
+        does not keep to what the others keep clear for it.
+        """
+        plan, robot = self._warm[number], self.problem.robots[number]
+        if plan is None:
+            return False
+        step_s = self.problem.planner.step_s
+        unit = np.ones(2) if robot.dynamics is None else np.array(robot.dynamics.unit_m(step_s))
+        if float(np.linalg.norm((state - plan.next_state) * unit)) <= STANDSTILL_M:
+            return True
+        apart = len(self.owns) > 1 and self.problem.constraints.separation_m > 0.0
+        return robot.dynamics is None and not apart
+
+
+def plan_step(problem: Problem, scene: Scene | None, seeds: TeamSeeds) -> PlanStep:
+    """Return what plans a step: to a goal in a scene, or a team for its terms.
+
+    Parameters
+    ----------
+    problem
+        The problem of all robots.
+    scene
+        Geometry of a problem that is to reach a goal; None for all others.
+    seeds
+        Of planners that draw.
+    """
+    if scene is not None:
+        planning = ReachPlanner(problem, scene)
+
+        def reach(at: TeamMoment) -> tuple[list[Plan], list[Aim]]:
+            plan = planning.plan(at.beliefs[0], at.states[0], at.warm[0], at.histories[0])
+            return [plan], [Aim()]
+
+        return reach
+    crew = build_crew(problem, seeds)
+    return lambda at: plan_together(problem, crew, at)

@@ -1,0 +1,200 @@
+"""A loop of one's own with Planner: the run that simulate makes, step by step, and its errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import planopt
+from planopt import Measurements, Planner, Verdict, load, simulate
+from planopt.channel import measure
+from planopt.errors import InputError
+from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.loop.true_serving import true_serving_dbm
+from planopt.planning.prepare import prepare
+from planopt.planning.team.team_seeds import team_seeds
+from planopt.problems.problem import Problem
+from planopt.robots.unicycle import Unicycle
+from planopt.targets.sensor import sense
+
+SEED = 4
+
+
+def shortened(name: str, steps: int, **changes) -> Problem:
+    """A library problem that ends after some steps."""
+    problem = load(name)
+    planner = replace(problem.planner, horizon=4, max_steps=steps)
+    return replace(problem, planner=planner, **changes)
+
+
+def plans_of(run) -> list[list[planopt.Plan]]:
+    """The plans of a run, of each robot."""
+    return [list(made) for made in run.plans]
+
+
+def driven(problem: Problem, steps: int) -> list[list[planopt.Plan]]:
+    """Plans of a loop written by hand, of each robot: drive, measure, see, plan again."""
+    truths = prepare(problem, SEED).truths
+    threshold = problem.stations[0].threshold_dbm
+    generator = team_seeds(problem, SEED).target
+    watch = watch_target(problem, generator)
+    planner = Planner(problem, seed=SEED)
+    made = [planner.step_all([robot.start_state for robot in problem.robots])]
+    for step in range(1, steps):
+        states = [plan.next_state for plan in made[-1]]
+        here = np.array([state[:2] for state in states])
+        seen = None if watch is None else sense(watch.sensor, here, watch.true_m[step], generator)
+        made.append(
+            planner.step_all(
+                states,
+                [[measure(truth, place[None]) for truth in truths] for place in here],
+                connected=true_serving_dbm(problem, truths, here) >= threshold,
+                target_m=seen,
+            )
+        )
+    return [list(plans) for plans in zip(*made, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("name", "steps"),
+    [
+        ("open_field", 8),
+        ("harbour_reach", 4),
+        ("two_station_courier", 4),
+        ("outdoor_track", 4),
+        ("outdoor_map", 4),
+        ("harbour_track", 3),
+        ("connect_street", 4),
+    ],
+)
+def test_a_loop_by_hand_is_the_simulation(name: str, steps: int) -> None:
+    """Goals, teams with a target, maps, dynamics and several stations: every plan is the same."""
+    problem = shortened(name, steps)
+    expected = plans_of(simulate(problem, seed=SEED))
+    count = len(expected[0])
+    assert count > 1
+    for own, reference in zip(driven(problem, count), expected, strict=True):
+        for plan, other in zip(own, reference, strict=True):
+            assert np.array_equal(plan.positions_m, other.positions_m)
+            assert plan.objective == other.objective
+            assert plan.verdict is other.verdict
+            assert plan.rung is other.rung
+
+
+@pytest.fixture(scope="module")
+def log() -> Measurements:
+    """Measurements of the open field."""
+    return prepare(load("open_field"), 0).belief.posterior.measurements
+
+
+def test_own_measurements_make_the_belief(log: Measurements) -> None:
+    """First those given, then those of each step that are far enough from earlier ones."""
+    problem = shortened("open_field", 10)
+    planner = Planner(problem, measurements=log)
+    plan = planner.step(problem.robots[0].start_m)
+    assert np.array_equal(planner.beliefs[0].posterior.measurements.power_dbm, log.power_dbm)
+    spacing = problem.channel.measure_spacing_m
+    here = plan.next_position_m
+    places = np.array([here, here + (0.1 * spacing, 0.0), here + (2.0 * spacing, 0.0)])
+    planner.step(here, {"x_m": places[:, 0], "y_m": places[:, 1], "power_dbm": [-61.0, -40, -62]})
+    known = planner.beliefs[0].posterior.measurements
+    kept = [-61.0, -62.0]
+    far = np.linalg.norm(log.positions_m[:, None] - places[[0, 2]], axis=2).min(axis=0) >= spacing
+    assert known.power_dbm[len(log) :].tolist() == [
+        power for power, is_far in zip(kept, far, strict=True) if is_far
+    ]
+
+
+def test_next_position_and_input() -> None:
+    """A single integrator drives straight; a unicycle by its inputs to the same place."""
+    problem = shortened("open_field", 10)
+    plan = Planner(problem).step(problem.robots[0].start_m)
+    start, step_s = np.array(problem.robots[0].start_m), problem.planner.step_s
+    assert start + step_s * plan.next_input == pytest.approx(plan.next_position_m)
+    turning = Unicycle(problem.robots[0].speed_max_m_s, 0.8)
+    problem = replace(problem, robots=(replace(problem.robots[0], dynamics=turning),))
+    problem = replace(problem, robots=(replace(problem.robots[0], start_rest=(0.3,)),))
+    plan = Planner(problem).step(problem.robots[0].start_state)
+    after = turning.step(tuple(problem.robots[0].start_state), tuple(plan.next_input), step_s)
+    assert np.array(after) == pytest.approx(plan.next_state)
+
+
+@pytest.mark.parametrize("name", ["open_field", "harbour_reach", "outdoor_map"])
+def test_a_robot_that_is_carried_off(name: str) -> None:
+    """A place beside the plan is planned from as well, and the proof is of that place."""
+    problem = shortened(name, 10)
+    planner = Planner(problem, seed=1)
+    plans = planner.step_all([robot.start_state for robot in problem.robots])
+    states = [plan.next_state.copy() for plan in plans]
+    for state in states:
+        state[:2] += 0.05
+    again = planner.step_all(states)
+    for plan, state in zip(again, states, strict=True):
+        assert plan.positions_m[0] == pytest.approx(state[:2])
+        assert plan.verdict is Verdict.VERIFIED
+        assert plan.certificate.dynamics_defect < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ((1.0,), "2 finite numbers"),
+        ((1.0, 2.0, 3.0), "2 finite numbers"),
+        ((float("nan"), 2.0), "2 finite numbers"),
+        ("ab", "2 finite numbers"),
+        (None, "2 finite numbers"),
+        ((-1e6, 2.0), "outside the bounds"),
+    ],
+)
+def test_a_state_that_is_none(log: Measurements, state, words: str) -> None:
+    """The error is ours, and the planner goes on as if nothing had been asked."""
+    problem = shortened("open_field", 10)
+    planner = Planner(problem, measurements=log, horizon=2)
+    with pytest.raises(InputError, match=words):
+        planner.step(state)
+    first = planner.step(problem.robots[0].start_m)
+    with pytest.raises(InputError, match=words):
+        planner.step(state, {"x_m": [1.0], "y_m": [1.0], "power_dbm": [-50.0]})
+    assert len(planner.beliefs[0].posterior.measurements) == len(log)
+    assert planner.step(first.next_position_m).verdict is Verdict.VERIFIED
+
+
+def test_inside_an_obstacle() -> None:
+    """A robot cannot be there: the place or the map is wrong."""
+    problem = shortened("outdoor_map", 10)
+    block = problem.workspace.obstacles[0]
+    planner = Planner(problem, horizon=2)
+    with pytest.raises(InputError, match=f"inside the obstacle {block.name}"):
+        planner.step_all([block.polygon.centroid.coords[0] for _ in problem.robots])
+
+
+def test_what_does_not_fit_the_problem(log: Measurements) -> None:
+    """One entry for each robot and station, and targets only where there is one."""
+    problem = shortened("open_field", 10)
+    planner = Planner(problem, measurements=log, horizon=2)
+    start = problem.robots[0].start_m
+    for call in (
+        lambda: planner.step(start, [log, log]),
+        lambda: planner.step(start, {"x_m": [1.0]}),
+        lambda: planner.step(start, target_m=(1.0, 1.0)),
+        lambda: planner.step_all([start, start]),
+        lambda: planner.step_all([start], connected=[True, False]),
+        lambda: Planner(load("outdoor_track"), horizon=2).step(start),
+        lambda: Planner(problem, horizon=0),
+        lambda: Planner(problem, budget_s=-1.0),
+        lambda: Planner(problem, measurements=3),
+    ):
+        with pytest.raises(InputError):
+            call()
+
+
+def test_the_deadline_is_the_planners() -> None:
+    """It is a setting of the problem that is planned for."""
+    problem = shortened("open_field", 10)
+    planner = Planner(problem, horizon=3, budget_s=0.5)
+    assert planner.problem.planner.budget_s == 0.5
+    assert planner.problem.planner.horizon == 3
+    assert "steps driven: 0" in repr(planner)
+    assert len(repr(planner).splitlines()) <= 5

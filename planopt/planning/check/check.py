@@ -37,6 +37,7 @@ from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
 from planopt.problems.systems import judge_saved
+from planopt.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class CheckResult:
     certificates: tuple[Certificate, ...]
     reasons: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def certificate(self) -> Certificate | None:

@@ -1,5 +1,6 @@
 # make demo   the main job, end to end, with pictures in demo/
 # make test   everything that is checked: style, types, imports, tests with coverage
+# make quick  the tests but for the slowest tenth
 # make bench  the benchmarks        make docs   the documentation in docs/_build/html
 # make regression  the fast share of the solver regression suite
 # make pictures  the pictures of README and documentation, drawn again
@@ -15,6 +16,7 @@ DEMO := demo
 PROBLEM := munich_courier
 WORKERS := 2
 BENCH_OPTIONS ?=
+TEST_OPTIONS ?=
 
 # One thread a process: the processes of a comparison share the cores.
 export OMP_NUM_THREADS := 1
@@ -22,7 +24,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: demo test lint types imports tests bench regression docs pictures clean
+.PHONY: demo test lint types imports tests quick bench regression docs pictures clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -60,7 +62,10 @@ imports: $(VENV)/.installed-dev
 
 tests: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2 --benchmark-disable --cov --cov-report=term:skip-covered \
-		--cov-fail-under=90
+		--cov-fail-under=90 $(TEST_OPTIONS)
+
+quick: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -n 2 --benchmark-disable -m "not slow and not long"
 
 bench: $(VENV)/.installed-bench
 	$(BIN)/python -m pytest benchmarks --benchmark-sort=name $(BENCH_OPTIONS)

@@ -23,8 +23,8 @@ WORTHS: tuple[Worth, ...] = ("information", "average", "path", "D", "A")
 def term_of(worth: Worth) -> Term:
     """The one term of a problem."""
     if worth in ("D", "A"):
-        return LearningTerm(1.0, worth)
-    return MappingTerm(1.0, worth, 2.0, 0.02)
+        return LearningTerm(criterion=worth)
+    return MappingTerm(worth, 2.0, 0.02)
 
 
 def information_step(

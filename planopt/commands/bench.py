@@ -33,7 +33,7 @@ bench = typer.Typer(
     rich_markup_mode=None,
 )
 
-WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes.")]
+WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Number of processes.")]
 ReferencesOption = Annotated[
     Path | None,
     typer.Option(
@@ -59,7 +59,7 @@ def run(
     ] = None,
     seeds: Annotated[int, typer.Option("--seeds", min=0, help="How many, for plans.")] = 3,
     run_seeds: Annotated[int, typer.Option("--run-seeds", min=0, help="For closed loops.")] = 1,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="The first of them.")] = 0,
+    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="First random seed.")] = 0,
     workers: WorkersOption = 1,
     json: JsonOption = False,
 ) -> int:

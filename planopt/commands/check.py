@@ -19,7 +19,7 @@ def check(
     ],
     json: JsonOption = False,
 ) -> int:
-    """Judge again from the files. Exit code 0 agrees, 3 rejects."""
+    """Audit saved results from their files alone. Exit code 0 agrees, 3 rejects."""
     from planopt.planning.check.check import check as judge
     from planopt.planning.files.solution_json import certificate_json, no_certificate_json
     from planopt.planning.plan import Verdict

@@ -53,16 +53,16 @@ def compare(
         ),
     ] = None,
     calibration: CalibrationOption = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="How many seeds.")] = 30,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="The first of them.")] = 0,
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes.")] = 1,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Number of random seeds.")] = 30,
+    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="First random seed.")] = 0,
+    workers: Annotated[int, typer.Option("--workers", min=1, help="Number of processes.")] = 1,
     backend: Annotated[
         str, typer.Option("--backend", metavar="NAME", help="Where processes run: loky.")
     ] = "loky",
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Compare settings. Exit code 0 verified throughout, 3 not throughout, 4 a run not ended."""
+    """Compare settings over seeds. Exit code 0 all verified, 3 not all, 4 a run not ended."""
     from planopt.planning.files.saved import write_record
     from planopt.problems.overrides import with_overrides
     from planopt.problems.systems import Request, SystemProblem, load_any

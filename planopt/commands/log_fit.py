@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 LogArgument = Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
 StationOption = Annotated[
-    str, typer.Option("--station", metavar="X,Y[,HEIGHT]|unknown", help="In metres.")
+    str,
+    typer.Option(
+        "--station", metavar="X,Y[,HEIGHT]|unknown", help="Position of the base station, in metres."
+    ),
 ]
 StationMethodOption = Annotated[
     str | None,
@@ -31,11 +34,16 @@ StationMethodOption = Annotated[
     ),
 ]
 MethodOption = Annotated[
-    str, typer.Option("--method", metavar="NAME", help="lemma1, capped, convex, nls or reml.")
+    str,
+    typer.Option(
+        "--method", metavar="NAME", help="Estimator: lemma1, capped, convex, nls or reml."
+    ),
 ]
 LossOption = Annotated[
     str,
-    typer.Option("--loss", metavar="NAME", help="Of convex: squares, huber or absolute."),
+    typer.Option(
+        "--loss", metavar="NAME", help="Loss of the method convex: squares, huber or absolute."
+    ),
 ]
 ColumnsOption = Annotated[
     str | None,
@@ -43,21 +51,28 @@ ColumnsOption = Annotated[
 ]
 CensoredOption = Annotated[
     str | None,
-    typer.Option("--censored", metavar="COLUMN", help="1 where power is an upper limit."),
+    typer.Option(
+        "--censored", metavar="COLUMN", help="Column that is 1 where the power is an upper limit."
+    ),
 ]
 FloorOption = Annotated[
     float | None,
-    typer.Option("--floor", metavar="DBM", help="Powers at or below are upper limits."),
+    typer.Option(
+        "--floor", metavar="DBM", help="Receiver sensitivity: powers at or below are upper limits."
+    ),
 ]
 ResolutionOption = Annotated[
     float, typer.Option("--resolution", metavar="DB", help="Powers are rounded to this step.")
 ]
 PositionErrorOption = Annotated[
     float,
-    typer.Option("--position-error", metavar="M", help="Deviation of either coordinate (GPS)."),
+    typer.Option(
+        "--position-error", metavar="M", help="Standard deviation of either coordinate (GPS)."
+    ),
 ]
 TimeOption = Annotated[
-    str | None, typer.Option("--time", metavar="COLUMN", help="When, in seconds.")
+    str | None,
+    typer.Option("--time", metavar="COLUMN", help="Column of measurement times, in seconds."),
 ]
 ForgettingOption = Annotated[
     float | None,
@@ -70,7 +85,7 @@ ReceiverOption = Annotated[
     typer.Option(
         "--receiver",
         metavar="COLUMN",
-        help="Whose receiver: each has an offset to the first in the log.",
+        help="Column of receivers: each has an offset to the first in the log.",
     ),
 ]
 

@@ -56,7 +56,9 @@ def map_log(
     bounds: Annotated[
         str | None,
         typer.Option(
-            "--bounds", metavar="X0,Y0,X1,Y1", help="In metres; default: what was measured."
+            "--bounds",
+            metavar="X0,Y0,X1,Y1",
+            help="Bounds of the map, in metres; default: the measured area.",
         ),
     ] = None,
     threshold: Annotated[
@@ -86,9 +88,9 @@ def map_log(
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Fit a log and write what it tells of every place.
+    """Fit a log and write a radio map: predicted power, deviation, probability of connection.
 
-    Of the first receiver in the log, and of the time of the latest measurement.
+    For the first receiver in the log, at the time of the latest measurement.
     """
     from planopt.channel.maps.posterior_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.channel.one_thread import one_blas_thread

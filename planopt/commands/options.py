@@ -13,25 +13,27 @@ ProblemArgument = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")
 ]
 HorizonOption = Annotated[
-    int | None, typer.Option("--horizon", metavar="N", help="Steps ahead, 1 to 500.")
+    int | None,
+    typer.Option("--horizon", metavar="N", help="Planning horizon: steps ahead, 1 to 500."),
 ]
 PlannerOption = Annotated[
     str | None,
-    typer.Option("--planner", metavar="NAME", help=f"One of {PLANNERS}."),
+    typer.Option("--planner", metavar="NAME", help=f"Planner: {PLANNERS}."),
 ]
 CostToGoOption = Annotated[
-    str | None, typer.Option("--cost-to-go", metavar="NAME", help="geodesic or connected.")
+    str | None,
+    typer.Option("--cost-to-go", metavar="NAME", help="Cost-to-go: geodesic or connected."),
 ]
 CalibrationOption = Annotated[
     str | None,
     typer.Option(
         "--calibration",
         metavar="NAME",
-        help="Of probabilities of connection: none, or platt (on what was measured).",
+        help="Calibration of connection probabilities: none or platt.",
     ),
 ]
 SeedOption = Annotated[
-    int, typer.Option("--seed", min=0, help="Of the fading and of the measured places.")
+    int, typer.Option("--seed", min=0, help="Random seed of fading and measured places.")
 ]
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder to save the results in.")

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 
 def init(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Which must not be there yet.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.toml", help="File to write; it must not exist.")
+    ],
     source: Annotated[
         str, typer.Option("--from", metavar="NAME", help="A problem that `list` shows.")
     ] = "open_field",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @driving_command
 def simulate(asked: Asked) -> int:
-    """Drive in the true channel. Exit code 0 all verified, 3 not all, 4 task not done."""
+    """Drive the closed loop in the ground truth. Exit code 0 verified, 3 not all, 4 not done."""
     from planopt.errors import NoPlanError
     from planopt.planning.files.run_json import no_run_json, run_json
     from planopt.planning.files.saved import PLAN_OR_RUN, RUN_FILE, save_no_plan, save_run

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @planning_command
 def solve(asked: Asked) -> int:
-    """Plan from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
+    """Plan once, from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
     from dataclasses import replace
 
     from planopt.errors import NoPlanError

@@ -31,4 +31,4 @@ def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTer
     InputError
         The expression is no scalar of these symbols.
     """
-    return CasadiTerm(weight, horizon, program_of(expression, horizon))
+    return CasadiTerm(horizon, program_of(expression, horizon), weight=weight)

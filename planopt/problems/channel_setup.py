@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.plain_values import make_plain, part_of
+from planopt.short_repr import short_repr
 
 CalibrationName = Literal["none", "platt"]
 """How predicted probabilities of connection are calibrated."""
@@ -96,6 +97,8 @@ class ArrayTruth:
     y_m: ArrayLike
     power_dbm: ArrayLike
     floor_dbm: float | None = None
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

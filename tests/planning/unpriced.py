@@ -10,4 +10,4 @@ from planopt.problems.problem import Problem
 
 def unpriced(problem: Problem) -> Problem:
     """The problem as one of learning: a step below the bound is excused by reachability alone."""
-    return replace(problem, objective=TermsObjective((LearningTerm(1.0, "T"),)))
+    return replace(problem, objective=TermsObjective((LearningTerm("T"),)))

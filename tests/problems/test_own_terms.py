@@ -43,7 +43,7 @@ def test_an_own_term_is_read_and_saved(corridor, tables, built):
     """Its keys, its defaults, and the same term after saving."""
     problem = built(with_terms(tables, {"kind": "corridor", "y_m": 3.0}))
     assert problem.task == "custom"
-    assert problem.terms == (corridor(1.0, 3.0, 2.0),)
+    assert problem.terms == (corridor(3.0, 2.0),)
     saved = problem_to_dict(problem)
     assert saved["objective"]["terms"] == [
         {"kind": "corridor", "weight": 1.0, "y_m": 3.0, "width_m": 2.0}

@@ -31,6 +31,7 @@ from planopt.channel import true_power_dbm
 from planopt.errors import InputError
 from planopt.objectives import LearningTerm, TrackingTerm
 from planopt.planning.given import draw
+from planopt.problems import term_tables
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 STATION = BaseStation(position_m=(20, 15), transmit_power_dbm=0.0, threshold_dbm=-70.0)
@@ -178,10 +179,10 @@ def test_parts_of_a_wrong_kind() -> None:
 def test_terms_are_an_objective() -> None:
     """One term or several; the first says what the task is."""
     robots = [replace(ROBOT, name=name, goal_m=None) for name in ("a", "b")]
-    learning = LearningTerm(weight=1.0, criterion="D")
+    learning = LearningTerm()
     assert small(robots=robots, objective=learning).task == "learn"
     assert small(robots=robots, objective=[learning]).terms == (learning,)
-    tracking = TrackingTerm(weight=1.0, noise_curvature=0.01, noise_floor_m2=0.1, sweet_spot_m=1.0)
+    tracking = TrackingTerm(noise_curvature=0.01, noise_floor_m2=0.1, sweet_spot_m=1.0)
     with pytest.raises(InputError, match="targets go together"):
         small(robots=robots, objective=[tracking])
 
@@ -300,3 +301,30 @@ def test_saved_without_what_no_file_can_hold() -> None:
     problem = small(channel=ChannelSetup(truth=truth, measurements=SampledMeasurements(5)))
     again = problem_from_dict(problem_to_dict(problem))
     assert again == replace(problem, channel=ChannelSetup())
+
+
+def test_a_run_in_a_truth_of_ones_own(tmp_path) -> None:
+    """It is driven, saved and judged from its files alone, as one of a problem file is."""
+    truth = FunctionTruth(power_dbm=power_dbm, cell_m=0.5)
+    problem = small(
+        channel=ChannelSetup(truth=truth, measurements=SampledMeasurements(40)),
+        planner=PlannerSettings(step_s=1.0, horizon=3, max_steps=4),
+    )
+    run = planopt.simulate(problem, seed=2)
+    run.save(tmp_path / "run")
+    log = draw(problem, 2).measurements
+    again = planopt.simulate(
+        replace(problem, channel=ChannelSetup(truth=truth)), seed=2, measurements=log
+    )
+    again.save(tmp_path / "again")
+    for plan, other in zip(run.plans[0], again.plans[0], strict=True):
+        assert np.array_equal(plan.positions_m, other.positions_m)
+    for name in ("run", "again"):
+        assert planopt.check(tmp_path / name).verdict is planopt.Verdict.VERIFIED
+
+
+def test_terms_have_the_defaults_of_files() -> None:
+    """A term says only what it must; weights are named."""
+    assert LearningTerm() == LearningTerm("D", weight=1.0)
+    table = {"kind": "path_loss_learning"}
+    assert term_tables.read_term(table) == LearningTerm()

@@ -310,7 +310,7 @@ def test_terms_are_read_in_order(tables: Tables, built: Build) -> None:
     assert problem.task == "track"
     assert problem.sense == "max"
     assert problem.cost_to_go is None
-    assert problem.terms == (TrackingTerm(1.0, 0.008, 0.08, 1.0), LearningTerm(0.5, "A"))
+    assert problem.terms == (TrackingTerm(0.008, 0.08, 1.0), LearningTerm("A", weight=0.5))
     assert problem.targets[0].velocity_m_s == (0.1, 0.0)
     again = problem_from_dict(problem_to_dict(problem), file=problem.file)
     assert again.objective == problem.objective
@@ -324,21 +324,21 @@ SENDING = {"kind": "transmission_energy", "bits": 1e6, "bandwidth_hz": 1e5, "noi
 @pytest.mark.parametrize(
     ("task", "terms", "found"),
     [
-        ("connect", [{"kind": "until_connected"}], (UntilConnectedTerm(1.0, None),)),
+        ("connect", [{"kind": "until_connected"}], (UntilConnectedTerm(),)),
         (
             "connect",
             [{"kind": "until_connected", "weight": 0.5, "beyond_m": 80.0}, SENDING],
             (
-                UntilConnectedTerm(0.5, 80.0),
-                TransmissionEnergyTerm(1.0, 1e6, 1e5, 2.0, 1e-6, -95.0),
+                UntilConnectedTerm(80.0, weight=0.5),
+                TransmissionEnergyTerm(1e6, 1e5, 2.0, 1e-6, -95.0),
             ),
         ),
         (
             "custom",
             [{**SENDING, "bits_per_symbol": 4.0, "bit_error_rate": 1e-3}],
-            (TransmissionEnergyTerm(1.0, 1e6, 1e5, 4.0, 1e-3, -95.0),),
+            (TransmissionEnergyTerm(1e6, 1e5, 4.0, 1e-3, -95.0),),
         ),
-        ("custom", [OWN], (CasadiTerm(-2.0, 5, OWN["program"]),)),
+        ("custom", [OWN], (CasadiTerm(5, OWN["program"], weight=-2.0),)),
     ],
 )
 def test_tasks_of_other_terms_survive_saving(

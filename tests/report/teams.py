@@ -15,9 +15,9 @@ from planopt.problems.robot import Robot
 from planopt.problems.target import Target
 
 TERMS = {
-    "track": TrackingTerm(1.0, 0.008, 0.08, 1.0),
-    "learn": LearningTerm(1.0, "D"),
-    "map": MappingTerm(1.0, "information", 4.0, 0.02),
+    "track": TrackingTerm(0.008, 0.08, 1.0),
+    "learn": LearningTerm("D"),
+    "map": MappingTerm("information", 4.0, 0.02),
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -41,7 +41,7 @@ class CasadiTerm(Term):
             le=1e9,
             description="In the sum of terms; negative for a cost.",
         ),
-    ]
+    ] = field(default=1.0, kw_only=True)
     steps: Annotated[int, Field(ge=1, description="The horizon that the expression is for.")]
     program: Annotated[str, Field(description="Its instructions, one a line.")]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -69,7 +69,7 @@ class Term:
         Factor of the term in the sum.
     """
 
-    weight: Weight
+    weight: Weight = field(default=1.0, kw_only=True)
 
     kind: ClassVar[str]
     """Name of the term in problem files."""
@@ -118,6 +118,11 @@ class Term:
     def is_motion_cost(self) -> bool:
         """Whether the value is only lessened by moving: who has nothing else to do stands."""
         return False
+
+    @property
+    def counts_others(self) -> bool:
+        """Whether what the other robots of a team plan changes the value."""
+        return self.learns
 
     @property
     def shares_places(self) -> bool:

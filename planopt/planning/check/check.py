@@ -45,6 +45,7 @@ from planopt.problems.load import load
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_to_dict
 from planopt.problems.systems import judge_saved
+from planopt.short_repr import short_repr
 
 
 def library_remarks(file: str, problem: Problem) -> list[str]:
@@ -101,6 +102,8 @@ class CheckResult:
     certificates: tuple[Certificate, ...]
     reasons: tuple[str, ...]
     remarks: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def certificate(self) -> Certificate | None:

@@ -21,7 +21,13 @@ from planopt.problems.schema_constraints import ConstraintsTable
 from planopt.problems.schema_objective import ObjectiveTable, TargetTable
 from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_world import WorldTable
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, PlannerSettings, ReportSettings
+from planopt.problems.settings import (
+    MAX_HORIZON,
+    MIN_HORIZON,
+    Coordination,
+    PlannerSettings,
+    ReportSettings,
+)
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table
 from planopt.problems.task_faults import task_fault
 
@@ -136,6 +142,18 @@ class PlannerTable(Table):
         le=1e6,
         description="Seconds that a plan should take: the last polish begins, and ends, early "
         "enough for its proof; left out: no limit.",
+    )
+    coordination: Coordination = Field(
+        default=PlannerSettings.coordination,
+        description="For several robots: joint (each is told what the others plan to measure, and "
+        "counts what it adds) or decoupled (each counts as if it were alone).",
+    )
+    rounds: int = Field(
+        default=PlannerSettings.rounds,
+        ge=1,
+        le=10,
+        description="How often the robots of a joint team plan in one step, in turn (a number); "
+        "later rounds take time, and never lessen what the team's plans are worth together.",
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
@@ -12,6 +12,8 @@ from planopt.plain_values import make_plain
 from planopt.problems.planner_kinds import OWN, planner_names
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
+
+Coordination = Literal["joint", "decoupled"]
 
 
 def known_planner(name: str) -> str:
@@ -44,6 +46,12 @@ class PlannerSettings:
         Measurements that the solver conditions each stage on.
     max_steps
         A closed loop that has not arrived by then ends.
+    coordination
+        ``joint``: each robot of a team is told what the others plan to measure, and its terms
+        count what it adds to that; ``decoupled``: each counts as if it were alone.
+    rounds
+        How often the robots of a joint team plan in one step, one after the other: from the second
+        round on a plan is exchanged only for one that is worth more to the team.
     budget_s
         Seconds that a plan should take: the last polish begins, and ends, early enough for its
         proof; None for no limit.
@@ -88,6 +96,23 @@ class PlannerSettings:
             "enough for its proof; left out: no limit.",
         ),
     ] = None
+    coordination: Annotated[
+        Coordination,
+        Field(
+            description="For several robots: joint (each is told what the others plan to measure, "
+            "and counts what it adds) or decoupled (each counts as if it were alone)."
+        ),
+    ] = "joint"
+    rounds: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=10,
+            description="How often the robots of a joint team plan in one step, in turn (a "
+            "number); later rounds take time, and never lessen what the team's plans are worth "
+            "together.",
+        ),
+    ] = 1
 
     def __post_init__(self) -> None:
         make_plain(self)

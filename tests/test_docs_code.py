@@ -103,7 +103,7 @@ def test_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         if block.language == "python":
             # Empty lines before it, so that a traceback has the line of the page.
             code = "\n" * (block.line - 1) + block.text
-            exec(compile(code, str(page), "exec"), names)
+            exec(compile(code, str(page), "exec", dont_inherit=True), names)
         elif block.language == "sh":
             shell(block.text, block)
         elif block.language == "console":

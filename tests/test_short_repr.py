@@ -57,13 +57,17 @@ def test_at_most_five_lines() -> None:
 
 
 @pytest.fixture(scope="module")
-def results() -> dict[str, Any]:
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Of everything that people print, with the words that must be in it."""
     field, track = planopt.load("open_field"), planopt.load("outdoor_track")
     short = replace(track, planner=replace(track.planner, max_steps=2))
     solution = planopt.solve(field, horizon=10)
     belief = solution.belief
+    folder = tmp_path_factory.mktemp("results") / "plan"
+    solution.save(folder)
     return {
+        "CheckResult(verdict='verified'": planopt.check(folder),
+        "steps driven: 0": planopt.Planner(field, horizon=2),
         "open_field": field,
         "verified": solution,
         "south": planopt.solve(track, horizon=2),

@@ -1,5 +1,7 @@
 """Public names of the objectives; each is imported from its module when it is first used."""
 
+from planopt.objectives.terms.own import OwnTerm as OwnTerm
+from planopt.objectives.terms.term import Term as Term
 from planopt.problems.casadi_term import casadi_term as casadi_term
 from planopt.problems.objective import CasadiTerm as CasadiTerm
 from planopt.problems.objective import LearningTerm as LearningTerm

@@ -7,10 +7,13 @@ sum_k tr(Lambda_k d^2 f[D_x, D_y]), D including u_k itself: one pass forwards, o
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.filter_gain import covariance_gain
+from planopt.objectives.filter_gain import covariance_gain, with_others
 from planopt.objectives.stage_chain import chained
 from planopt.objectives.tracking_derivatives import tracking_reward_derivatives
 from planopt.objectives.tracking_filter import FilteredTracking, bounding_information
@@ -37,9 +40,9 @@ def information_gain_derivatives(
     weight = settings.tracking.weight
     # Both coordinates of the position gain this much information.
     received = tracking_reward_derivatives(chance, sensing, np.full(steps, 0.5))
-    # With the packets, and without any: both in one pass.
+    # With the packets, and without any of its own: both in one pass.
     arrival = np.stack([chance.value, np.zeros(steps)])
-    known, without = bounding_information(arrival[..., None], sensing.value[:, None], settings)
+    known, without = bounding_information(*with_others(arrival, sensing.value, settings), settings)
     before = np.concatenate([settings.information[None], known[:-1]])
     spread = covariance_of(before)
     pushed = model.transition @ spread
@@ -80,8 +83,16 @@ def covariance_gain_derivatives(
     spread = covariance_of(settings.information)
     seen = np.empty((steps, 4, 4))
     gains, innovations = np.empty((steps, 4, 2)), np.empty((steps, 2, 2))
+    theirs: list[list[_Update]] = [[] for _ in range(steps)]
+    others = np.zeros((2, steps, 0)) if settings.others is None else settings.others
     for k in range(steps):
         spread = transition @ spread @ transition.T + noise
+        # The other robots' packets first: they do not depend on the path.
+        for robot in range(others.shape[2]):
+            arrives, told = float(others[0, k, robot]), float(others[1, k, robot])
+            update = _update(spread, arrives, told)
+            theirs[k].append(update)
+            spread = spread - arrives * update.gain @ spread[:2]
         seen[k] = spread
         innovations[k] = np.linalg.inv(spread[:2, :2] + variance.value[k] * np.eye(2))
         gains[k] = spread[:, :2] @ innovations[k]
@@ -95,6 +106,9 @@ def covariance_gain_derivatives(
         adjoint[k] = ahead
         adjoint[k, [0, 1], [0, 1]] += weight[k]
         own = (1.0 - p[k]) * adjoint[k] + p[k] * kept[k].T @ adjoint[k] @ kept[k]
+        for update in reversed(theirs[k]):
+            update.adjoint[:] = own
+            own = update.pulled_back(own)
         ahead = transition.T @ own @ transition
 
     gradient = np.empty((steps, 2))
@@ -107,6 +121,9 @@ def covariance_gain_derivatives(
         gradient[k] = -np.sum(L * removed), p[k] * np.sum(L * doubt)
         before = slice(0, 2 * k)
         now = transition @ tangent[before] @ transition.T
+        for update in theirs[k]:
+            hessian[before, before] -= update.curvature(now)
+            now = update.pushed(now)
         flat = now.reshape(2 * k, 16)
         weighed = F.T @ L @ F
         middle = np.zeros((4, 4))
@@ -126,6 +143,48 @@ def covariance_gain_derivatives(
     hessian = 0.5 * (hessian + hessian.T)
     # The gain is what the covariance is less.
     return chained(value, -gradient, -hessian.reshape(steps, 2, steps, 2), [chance, variance])
+
+
+@dataclass(frozen=True, eq=False)
+class _Update:
+    """The packet of another robot: P+ = P - p K H P, with F = I - K H and E = H P H' + n I.
+
+    `adjoint` is the derivative of the value by P+, filled in on the way back.
+    """
+
+    chance: float
+    gain: NDArray[np.float64]
+    kept: NDArray[np.float64]
+    innovation: NDArray[np.float64]
+    adjoint: NDArray[np.float64]
+
+    def pushed(self, tangent: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivatives of P+ from those of P, (..., 4, 4)."""
+        return (1.0 - self.chance) * tangent + self.chance * self.kept @ tangent @ self.kept.T
+
+    def pulled_back(self, adjoint: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The derivative of the value by P from that by P+."""
+        return (1.0 - self.chance) * adjoint + self.chance * self.kept.T @ adjoint @ self.kept
+
+    def curvature(self, tangent: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Minus the second derivatives of the value by this update, along tangents (m, 4, 4)."""
+        middle = np.zeros((4, 4))
+        middle[:2, :2] = self.innovation
+        weighed = self.kept.T @ self.adjoint @ self.kept
+        flat = tangent.reshape(len(tangent), 16)
+        bent = (weighed @ tangent @ middle).reshape(len(tangent), 16)
+        return 2.0 * self.chance * bent @ flat.T
+
+
+def _update(spread: NDArray[np.float64], chance: float, told: float) -> _Update:
+    """The update of `spread` by a packet of tr Lambda^-1 `told`."""
+    innovation = np.asarray(
+        np.linalg.inv(spread[:2, :2] + 2.0 / told * np.eye(2)), dtype=np.float64
+    )
+    gain = spread[:, :2] @ innovation
+    kept = np.eye(4)
+    kept[:, :2] -= gain
+    return _Update(chance, gain, kept, innovation, np.empty((4, 4)))
 
 
 def _noise(sensing: Derivatives) -> Derivatives:

@@ -37,7 +37,7 @@ SEED = 0
 def information_gain(
     arrival: NDArray[np.float64], sensing: NDArray[np.float64], settings: FilteredTracking
 ) -> NDArray[np.float64]:
-    """sum_k w_k (tr J-bar_k - tr J_k without packets); ``(...)``.
+    """sum_k w_k (tr J-bar_k - tr J_k without own packets); ``(...)``.
 
     The trace is of position (per m^2) and velocity (s^2 / m^2) together.
 
@@ -48,20 +48,19 @@ def information_gain(
     settings
         The target and what is known of it.
     """
-    matrices = bounding_information(arrival[..., None], sensing[..., None], settings)
-    none = np.zeros((len(settings.tracking.weight), 1))
-    gained = matrices - bounding_information(none, none, settings)
+    matrices = bounding_information(*with_others(arrival, sensing, settings), settings)
+    gained = matrices - bounding_information(*others_alone(settings), settings)
     return np.trace(gained, axis1=-2, axis2=-1) @ settings.tracking.weight
 
 
 def covariance_gain(
     arrival: NDArray[np.float64], sensing: NDArray[np.float64], settings: FilteredTracking
 ) -> NDArray[np.float64]:
-    """sum_k w_k (tr P_k without packets - tr P-bar_k) of the position, m^2; ``(...)``.
+    """sum_k w_k (tr P_k without own packets - tr P-bar_k) of the position, m^2; ``(...)``.
 
     Arguments as :func:`information_gain`.
     """
-    spread = riccati_covariances(arrival[..., None], sensing[..., None], settings)
+    spread = riccati_covariances(*with_others(arrival, sensing, settings), settings)
     removed = unobserved_covariances(settings) - spread
     return np.trace(removed[..., :2, :2], axis1=-2, axis2=-1) @ settings.tracking.weight
 
@@ -71,8 +70,9 @@ def sampled_gain(
     path_m: NDArray[np.float64],
     settings: FilteredTracking,
     further: Sequence[tuple[ChannelPosterior, float]] = (),
+    others_m: Sequence[NDArray[np.float64]] = (),
 ) -> float:
-    """sum_k w_k (tr P_k without packets - E tr P_k) of the position, m^2, over `DRAWS` draws.
+    """sum_k w_k (E tr P_k without own packets - E tr P_k) of the position, m^2, over `DRAWS` draws.
 
     A packet arrives where the power of any station reaches its threshold.
 
@@ -83,25 +83,71 @@ def sampled_gain(
     path_m
         ``(h, 2)``.
     settings
-        The target and what is known of it.
+        The target and what is known of it; packets of others are drawn as well, from `others_m`.
     further
         The channel of each further station, and the power from which that connects.
+    others_m
+        ``(h, 2)`` each: the plans of other robots.
     """
     generator = np.random.default_rng(SEED)
-    arrived = np.zeros((DRAWS, len(path_m)), dtype=np.bool_)
+    paths = [*others_m, path_m]
+    arrived = np.zeros((DRAWS, len(path_m), len(paths)), dtype=np.bool_)
     for station, threshold in ((posterior, settings.tracking.threshold_dbm), *further):
         own = replace(settings.tracking, threshold_dbm=threshold)
-        arrived |= sampled_arrivals([station], [path_m], own, DRAWS, generator)[:, :, 0]
+        arrived |= sampled_arrivals([station] * len(paths), paths, own, DRAWS, generator)
+    sensing = np.stack([sensing_of(path, settings) for path in paths], axis=-1)
+    with_own = _mean_cost(arrived, sensing, settings)
+    if not others_m:
+        cost = np.trace(unobserved_covariances(settings)[:, :2, :2], axis1=1, axis2=2)
+        return float(cost @ settings.tracking.weight) - with_own
+    return _mean_cost(arrived[..., :-1], sensing[..., :-1], settings) - with_own
+
+
+def _mean_cost(
+    arrived: NDArray[np.bool_], sensing: NDArray[np.float64], settings: FilteredTracking
+) -> float:
+    """Mean of sum_k w_k tr P_k of the position over draws ``(draws, h, robots)``."""
     outcomes, counts = np.unique(arrived, axis=0, return_counts=True)
-    sensing = sensing_of(path_m, settings)
-    return float(covariance_gain(outcomes.astype(np.float64), sensing, settings) @ counts) / DRAWS
+    spread = riccati_covariances(outcomes.astype(np.float64), sensing, settings)
+    cost = np.trace(spread[..., :2, :2], axis1=-2, axis2=-1) @ settings.tracking.weight
+    return float(cost @ counts) / len(arrived)
+
+
+def with_others(
+    arrival: NDArray[np.float64], sensing: NDArray[np.float64], settings: FilteredTracking
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return p and tr Lambda^-1 (..., h, robots) of the others, and the robot's own, last."""
+    own = arrival[..., None], sensing[..., None]
+    if settings.others is None:
+        return own
+    shape = np.broadcast_shapes(arrival.shape, sensing.shape)
+    found = [
+        np.concatenate(
+            [
+                np.broadcast_to(theirs, (*shape, theirs.shape[-1])),
+                np.broadcast_to(mine, (*shape, 1)),
+            ],
+            axis=-1,
+        )
+        for theirs, mine in zip(settings.others, own, strict=True)
+    ]
+    return found[0], found[1]
+
+
+def others_alone(settings: FilteredTracking) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return p and tr Lambda^-1 (h, robots) of the other robots; of one that sends nothing."""
+    if settings.others is not None:
+        return settings.others[0], settings.others[1]
+    steps = len(settings.tracking.weight)
+    return np.zeros((steps, 1)), np.ones((steps, 1))
 
 
 def first_steps(settings: FilteredTracking, count: int) -> FilteredTracking:
     """The settings for a path that is not complete yet."""
     tracking = settings.tracking
     few = replace(tracking, target_m=tracking.target_m[:count], weight=tracking.weight[:count])
-    return replace(settings, tracking=few)
+    others = None if settings.others is None else settings.others[:, :count]
+    return replace(settings, tracking=few, others=others)
 
 
 def sensing_of(places_m: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
@@ -110,6 +156,5 @@ def sensing_of(places_m: NDArray[np.float64], settings: FilteredTracking) -> NDA
 
 
 def unobserved_covariances(settings: FilteredTracking) -> NDArray[np.float64]:
-    """P_1 .. P_h where no packet arrives; ``(h, 4, 4)``."""
-    steps = len(settings.tracking.weight)
-    return riccati_covariances(np.zeros((steps, 1)), np.ones((steps, 1)), settings)
+    """P_1 .. P_h where no packet of the robot's own arrives; ``(h, 4, 4)``."""
+    return riccati_covariances(*others_alone(settings), settings)

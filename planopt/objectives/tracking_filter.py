@@ -31,7 +31,7 @@ from planopt.targets.target_model import TargetModel, require_covariance
 
 @dataclass(frozen=True, eq=False)
 class FilteredTracking:
-    """A target to be tracked, and what the station knows of it now.
+    """A target to be tracked, what the station knows of it now, and the other robots' packets.
 
     Attributes
     ----------
@@ -41,6 +41,9 @@ class FilteredTracking:
         How the target moves.
     information
         ``(4, 4)`` J_{t|t} at the station.
+    others
+        ``(2, h, m)`` probability that each packet of m other robots arrives, and its
+        tr Lambda^-1 per m^2, as their plans have it; None without any.
 
     Raises
     ------
@@ -51,6 +54,7 @@ class FilteredTracking:
     tracking: Tracking
     model: TargetModel
     information: NDArray[np.float64]
+    others: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         require_covariance(self.information, 4, "information")

@@ -109,6 +109,7 @@ class Stepper:
                 )
             ],
             warm=warm,
+            driven_m=[np.array(driven)[1:, :2] for driven in self.states],
         )
         plans, aims = self._plan_step(moment)
         for number, (plan, aim) in enumerate(zip(plans, aims, strict=True)):

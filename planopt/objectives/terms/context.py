@@ -290,6 +290,8 @@ class NearPath:
         no term needs it and nothing is asked of connectivity.
     joint
         Each station's channel near the path, where places share measurements.
+    told
+        The same, of the anticipated channels: measurements along the path add to what they tell.
     gates
         How much of a measurement each place brings; None where no term measures.
     ahead
@@ -304,6 +306,7 @@ class NearPath:
     power: StagePower | None
     each: Sequence[StagePower]
     joint: Sequence[NearStation]
+    told: Sequence[NearStation]
     gates: Gates | None
     ahead: NDArray[np.intp] | None
     tried: NDArray[np.bool_] | None

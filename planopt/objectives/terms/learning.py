@@ -94,7 +94,7 @@ class LearningTerm(Term):
             path_loss_derivatives(
                 near.channel, path.places_m, self.settings(path.at, near.posterior), path.gates
             )
-            for near in path.joint
+            for near in path.told
         )
 
     @property

@@ -206,7 +206,7 @@ class MappingTerm(Term):
         """Return the value of one path near the channel of its start."""
         if self.form == "two_layer":
             return self._steered(path)
-        return added_derivatives(self._informed(path, near) for near in path.joint)
+        return added_derivatives(self._informed(path, near) for near in path.told)
 
     def _informed(self, path: NearPath, near: NearStation) -> PathDerivatives:
         channel, places, gates = near.channel, path.places_m, path.gates

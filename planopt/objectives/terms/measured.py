@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,13 +49,40 @@ def measured_reward(
     told
         What measuring one station at each node tells.
     """
+    near = nodes.grid_m[nodes.window]
     found = added(
-        told(station, posterior)
-        for station, posterior in zip(nodes.stations, at.stations, strict=True)
+        told(
+            station if posterior is now else _anticipated(station, posterior, nodes, near),
+            posterior,
+        )
+        for station, now, posterior in zip(nodes.stations, at.stations, at.anticipated, strict=True)
     )
     # A node that is measured already brings nothing.
     is_open = np.ones(found.shape, dtype=np.bool_)
-    near = nodes.grid_m[nodes.window]
     is_open[nodes.window] = at.near_measuring.is_open(near.reshape(-1, 2)).reshape(near.shape[:2])
     found[~is_open] = 0.0
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Anticipated:
+    """A station's predictions at the nodes, the others' measurements counted within reach."""
+
+    mean_db: NDArray[np.float64]
+    deviation_db: NDArray[np.float64]
+    trend: NDArray[np.float64]
+
+
+def _anticipated(
+    station: NodeChannel,
+    posterior: ChannelPosterior,
+    nodes: Nodes,
+    near_m: NDArray[np.float64],
+) -> _Anticipated:
+    known = np.isfinite(station.deviation_db[nodes.window])
+    spread = np.full(known.shape, np.nan)
+    if known.any():
+        spread[known] = posterior.predict(near_m[known]).deviation_db
+    deviation = station.deviation_db.copy()
+    deviation[nodes.window] = spread
+    return _Anticipated(station.mean_db, deviation, station.trend)

@@ -120,6 +120,11 @@ class Term:
         return False
 
     @property
+    def counts_others(self) -> bool:
+        """Whether what the other robots of a team plan changes the value."""
+        return self.learns
+
+    @property
     def shares_places(self) -> bool:
         """Whether the value of one place is less for another place beside it."""
         return self.is_measured

@@ -93,6 +93,11 @@ class TrackingTerm(Term):
         return True
 
     @property
+    def counts_others(self) -> bool:
+        """The filter is told less by a packet beside another; in the additive form all add up."""
+        return self.form != "additive"
+
+    @property
     def sensor(self) -> Sensor:
         """Its variance grows away from the best distance."""
         return Sensor(self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m)
@@ -118,13 +123,29 @@ class TrackingTerm(Term):
         """Return the same with the station's filter, for the forms that follow it."""
         if at.information is None:
             raise AssertionError("this form of tracking needs what the station knows")
-        return FilteredTracking(self.settings(at), at.target_motion, at.information)
+        others = None
+        if at.others_m:
+            others = at.once((TrackingTerm, "others", self), lambda: self._others(at))
+        return FilteredTracking(self.settings(at), at.target_motion, at.information, others)
+
+    def _others(self, at: StepContext) -> NDArray[np.float64]:
+        """Chance and information of the packets that the other robots plan to send; (2, N, m)."""
+        settings = self.settings(at)
+        each: list[NDArray[np.float64]] = []
+        for path in at.others_m:
+            power = at.power(path)
+            chance = connection_probability(
+                power.mean_db, power.deviation_db, settings.threshold_dbm
+            )
+            sensing = sensing_information(settings.sensor, path, settings.target_m)
+            each.append(np.stack([chance, sensing]))
+        return np.stack(each, axis=-1)
 
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
         """Return the information, or the covariance removed, of one path's packets."""
         if self.form == "sampled":
             further = list(zip(at.stations[1:], at.thresholds_dbm[1:], strict=True))
-            return sampled_gain(at.stations[0], path_m, self.filtered(at), further)
+            return sampled_gain(at.stations[0], path_m, self.filtered(at), further, at.others_m)
         settings = self.settings(at)
         power = at.power(path_m)
         chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)

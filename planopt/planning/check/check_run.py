@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,7 @@ from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.pending import counts_others, places_of_others
 from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import braked_motion
 from planopt.robots.drive import Drive
@@ -300,6 +301,10 @@ def _driven(
         others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
         aim = aim_again(said.aim, aim_of(watches[step - 1], number, own.planner.horizon))
+        if counts_others(saved.problem):
+            driven_m = [made.positions_m[1:step] for made in saved.steps]
+            told = replace(aim.pending, driven_m=places_of_others(driven_m, number))
+            aim = replace(aim, pending=told)
         under = circumstances_of(own, known, history, moving)
         asked = Asked(own, place, known, states[step - 1], aim, under)
         plan = rebuilt_plan(

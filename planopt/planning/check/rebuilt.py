@@ -203,5 +203,6 @@ def _worth(asked: Asked, path_m: NDArray[np.float64]) -> float:
         steering,
         asked.aim.information,
         circumstances=asked.circumstances,
+        pending=asked.aim.pending,
     )
     return PathWorth(at)(path_m[1:])

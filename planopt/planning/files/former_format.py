@@ -34,6 +34,7 @@ def without_former_forms(file: Path, data: Mapping[str, Any]) -> tuple[Mapping[s
 
     What does not have the form that it should have is left as it is, for the reader to report.
     """
+    data = _decoupled(data)
     if "format" in data or not isinstance(data.get("robots"), list):
         return data, False
     table = {"format": FORMAT, **data}
@@ -45,6 +46,16 @@ def without_former_forms(file: Path, data: Mapping[str, Any]) -> tuple[Mapping[s
     except (KeyError, TypeError, IndexError, AttributeError):
         # The reader names what is missing or of another kind.
         return {"format": FORMAT, **data}, True
+
+
+def _decoupled(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Robots of a team counted nothing of the others' before there was a key that says so."""
+    problem = data.get("problem_file")
+    planner = cast("Table", problem).get("planner") if isinstance(problem, dict) else None
+    if not isinstance(planner, dict) or "coordination" in planner:
+        return data
+    settings = {**cast("Table", planner), "coordination": "decoupled"}
+    return {**data, "problem_file": {**cast("Table", problem), "planner": settings}}
 
 
 def _reaches(data: Table) -> bool:

@@ -65,13 +65,15 @@ class RouteRecord(Record):
 class AimRecord(Record):
     """External inputs of an objective: expected target and steering path, if any.
 
-    `steering_turns_m` is the way there, its start and its end included.
+    `steering_turns_m` is the way there, its start and its end included. `pending_m` has the places
+    of each plan of another robot that was counted.
     """
 
     target_x_m: list[Number] | None
     target_y_m: list[Number] | None
     steering_m: Place | None
     steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
+    pending_m: list[list[Place]] = Field(default=[])
 
 
 class RelaxationRecord(BaseModel):
@@ -300,18 +302,25 @@ def aim_json(aim: Aim) -> dict[str, Any]:
     """The aim of one plan; null where there is none."""
     x, y = (None, None) if aim.target_m is None else aim.target_m.T
     turns = aim.steering_turns_m
+    planned = [[finite_list(place) for place in path] for path in aim.pending.planned_m]
     return {
         "target_x_m": None if x is None else finite_list(x),
         "target_y_m": None if y is None else finite_list(y),
         "steering_m": None if turns is None else finite_list(turns[-1]),
         "steering_turns_m": None if turns is None else [finite_list(turn) for turn in turns],
+        **({"pending_m": planned} if planned else {}),
     }
 
 
 def aim_again(record: AimRecord, watched: Aim) -> Aim:
-    """The aim as it must be: what is `watched` as found again, the steering as it stands."""
+    """The aim as it must be: what is `watched` as found again, the rest as it stands."""
     turns = record.steering_turns_m
-    return replace(watched, steering_turns_m=None if turns is None else np.array(turns))
+    planned = tuple(np.array(path, dtype=np.float64).reshape(-1, 2) for path in record.pending_m)
+    return replace(
+        watched,
+        steering_turns_m=None if turns is None else np.array(turns),
+        pending=replace(watched.pending, planned_m=planned),
+    )
 
 
 def _robot(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:

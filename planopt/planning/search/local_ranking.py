@@ -9,11 +9,13 @@ two, the largest products being in single precision; what is chosen here is valu
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.local_channel import (
     LocalChannel,
     LocalGrid,
@@ -83,13 +85,17 @@ class LocalRanking:
         anchors = _anchors(about_m, ANCHORS)
         self._missing_db_cost: float | None = None
         self._measures = any(term.is_measured for term in situation.problem.terms)
-        self._stations: list[_Station] = []
-        for posterior in situation.stations:
+
+        def near(posterior: ChannelPosterior) -> _Station:
             channel = local_channel(posterior, anchors, count)
             fine = self._grid(channel, _anchors(about_m, REGION_ANCHORS))
             coarse = None if fine is None else _thinned(fine)
-            precision = channel.precision.astype(np.float32)
-            self._stations.append(_Station(channel, precision, fine, coarse))
+            return _Station(channel, channel.precision.astype(np.float32), fine, coarse)
+
+        self._told = [near(posterior) for posterior in situation.anticipated]
+        # Power is predicted from what is known now, whatever the others will have measured.
+        same = situation.anticipated == situation.stations
+        self._stations = self._told if same else [near(each) for each in situation.stations]
 
     def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
         """About `CLIMBED_PLACES` of the map that ways about `about_m` (a, 2) can change.
@@ -127,28 +133,36 @@ class LocalRanking:
         ways = self._ways(ways_m, None if gates is None else gates.value, climbed=True)
         value = self._value(ways)
         slopes: list[NDArray[np.float64]] = []
-        for told, station in zip(ways.told, at.stations, strict=True):
+        for number, (told, station) in enumerate(zip(ways.told, at.anticipated, strict=True)):
             batch, pull = told.batch, Pull()
             for term in at.problem.terms:
-                if slopes and not term.adds_stations:
+                if number and not term.adds_stations:
                     continue  # it was counted with the first
                 pull = pull.plus(term.slope(at, told, station), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
                 # With several, a way climbs as if there were no bound, but takes no step that
                 # misses more.
-                pull = pull.plus(missing_slope(at, batch), -self._missing_db_cost)
+                own = ways.stations[0]
+                missing = Pull().plus(missing_slope(at, own), -self._missing_db_cost)
+                if own is batch:
+                    pull = pull.plus(missing, 1.0)
+                else:
+                    slopes.append(slopes_of(own, missing, None))
             slopes.append(slopes_of(batch, pull, gates))
         return value, slopes[0] if len(slopes) == 1 else np.sum(slopes, axis=0)
 
     def _ways(
         self, ways_m: NDArray[np.float64], gate: NDArray[np.float64] | None, *, climbed: bool
     ) -> Paths:
-        batches = [
-            WayBatch(own.channel, own.precision, ways_m, own.fine if climbed else own.coarse)
-            for own in self._stations
-        ]
-        told = [ToldBatch(batch, gate) for batch in batches]
-        return Paths(self._situation, ways_m, batches, told)
+        def along(stations: Sequence[_Station]) -> list[WayBatch]:
+            return [
+                WayBatch(own.channel, own.precision, ways_m, own.fine if climbed else own.coarse)
+                for own in stations
+            ]
+
+        told = along(self._told)
+        batches = told if self._stations is self._told else along(self._stations)
+        return Paths(self._situation, ways_m, batches, [ToldBatch(batch, gate) for batch in told])
 
     def _value(self, ways: Paths) -> NDArray[np.float64]:
         at = self._situation

@@ -22,6 +22,7 @@ from planopt.planning.team.team_seeds import TeamSeeds
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.connection_steering import ConnectionSteering
 from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.pending import NOTHING_PENDING, Pending
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import Steering
@@ -69,6 +70,7 @@ class Member:
         moving: MovingDiscs = NOTHING_MOVES,
         reserved_m: NDArray[np.float64] | None = None,
         history: History = BEGINNING,
+        pending: Pending = NOTHING_PENDING,
     ) -> tuple[Plan, Aim]:
         """Plan from `state` (s,) on what this robot believes.
 
@@ -88,6 +90,8 @@ class Member:
             ``(N + 1, 2)`` what the others keep clear of for it; None where nothing moves.
         history
             What has happened on the run before.
+        pending
+            Where the others measure; counted where a term does.
         """
         position_m = state[:2]
         circumstances = circumstances_of(self.problem, belief.posteriors, history, moving)
@@ -99,6 +103,7 @@ class Member:
             self.region,
             information=watched.information,
             circumstances=circumstances,
+            pending=pending,
         )
         if self.steer is not None:
             situation = replace(situation, steering=self.steer(situation))
@@ -114,7 +119,26 @@ class Member:
         )
         plan = _valued_alone(self.planner.plan(situation, judge, warm), situation)
         steered = None if situation.steering is None else situation.steering.turns_m
-        return plan, replace(watched, steering_turns_m=steered)
+        return plan, replace(watched, steering_turns_m=steered, pending=pending)
+
+    def worth(self, plan: Plan, belief: Belief, aim: Aim, history: History) -> float:
+        """Return what the path of a plan is worth for an aim, on what this robot believes."""
+        steering = None
+        if aim.steering_turns_m is not None:
+            clearance = self.problem.constraints.clearance_m
+            steering = SteeringWay(aim.steering_turns_m, self.ground.index, clearance)
+        situation = Situation(
+            self.problem,
+            belief.posterior,
+            plan.positions_m[0],
+            aim.target_m,
+            self.region,
+            steering,
+            aim.information,
+            circumstances_of(self.problem, belief.posteriors, history),
+            aim.pending,
+        )
+        return PathWorth(situation)(plan.positions_m[1:])
 
 
 def _valued_alone(plan: Plan, situation: Situation) -> Plan:

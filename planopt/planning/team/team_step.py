@@ -9,7 +9,7 @@ is released only if all plans keep apart from each other and more of them are ve
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ from planopt.planning.team.reservations import (
 )
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.pending import NOTHING_PENDING, Pending, counts_others, places_of_others
 from planopt.problems.problem import Problem
 
 
@@ -39,6 +40,9 @@ class TeamMoment:
     beliefs, states, watched, histories, warm
         Of each robot: what it believes of the channel, its state (s,), what it knows of the target,
         what has happened on the run before, and the plan that led here or None.
+    driven_m
+        ``(k, 2)`` of each robot: where it has been after each step of the run so far; none at all
+        before the first step.
     """
 
     beliefs: Sequence[Belief]
@@ -46,6 +50,7 @@ class TeamMoment:
     watched: Sequence[Aim]
     histories: Sequence[History]
     warm: Sequence[Plan | None]
+    driven_m: Sequence[NDArray[np.float64]] = ()
 
     @property
     def driven(self) -> int:
@@ -74,7 +79,10 @@ def plan_together(
         again = stuck + [number for number in order if number not in stuck]
         tried, tried_aims = _in_order(problem, crew, moment, again, keep_reserved=False)
         if _keep_apart(problem, tried) and _verified(tried) > _verified(plans):
-            return tried, tried_aims
+            plans, aims = tried, tried_aims
+    if counts_others(problem) and len(crew) > 1:
+        for _ in range(problem.planner.rounds - 1):
+            plans, aims = _again_in_turn(problem, crew, moment, plans, aims)
     return plans, aims
 
 
@@ -106,9 +114,55 @@ def _in_order(
             beside(problem, moment.driven, others),
             reserved[number].places_m[: problem.planner.horizon + 1],
             moment.histories[number],
+            _pending(problem, moment, number, {other: made[other][0] for other in made}),
         )
     plans = [made[number][0] for number in range(len(crew))]
     aims = [made[number][1] for number in range(len(crew))]
+    return beside_each_other(problem, moment.driven, plans), aims
+
+
+def _pending(
+    problem: Problem, moment: TeamMoment, number: int, made: Mapping[int, Plan]
+) -> Pending:
+    """What robot `number` is told of where the others measure: by the plans `made`, and before."""
+    if not counts_others(problem):
+        return NOTHING_PENDING
+    planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
+    return Pending(planned, places_of_others(moment.driven_m, number))
+
+
+def _again_in_turn(
+    problem: Problem,
+    crew: Sequence[Member],
+    moment: TeamMoment,
+    plans: Sequence[Plan],
+    aims: Sequence[Aim],
+) -> tuple[list[Plan], list[Aim]]:
+    """One more round: each robot plans beside all plans of the others, and keeps the better plan.
+
+    With F the worth of all plans together, F(p_i | others) = F(all) - F(others). A plan is
+    exchanged only for a verified one of larger F(p_i | others), so F(all) never falls.
+    """
+    plans, aims = list(plans), list(aims)
+    for number, member in enumerate(crew):
+        others = {n: planned_motion(problem, p) for n, p in enumerate(plans) if n != number}
+        moving = beside(problem, moment.driven, others)
+        pending = _pending(problem, moment, number, dict(enumerate(plans)))
+        reserved = reserved_motion(problem, number, moment.states[number], moment.warm[number])
+        plan, aim = member.plan(
+            moment.beliefs[number],
+            moment.states[number],
+            moment.watched[number],
+            moment.warm[number],
+            moving,
+            reserved.places_m[: problem.planner.horizon + 1],
+            moment.histories[number],
+            pending,
+        )
+        before = moment.beliefs[number], aim, moment.histories[number]
+        old = member.worth(plans[number], *before)
+        if plan.verdict is Verdict.VERIFIED and plan.objective > old:
+            plans[number], aims[number] = plan, aim
     return beside_each_other(problem, moment.driven, plans), aims
 
 

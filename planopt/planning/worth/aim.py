@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.worth.pending import NOTHING_PENDING, Pending
+
 
 @dataclass(frozen=True, eq=False)
 class Aim:
@@ -21,8 +23,11 @@ class Aim:
         way turns, and its end; None if it did not steer.
     information
         ``(4, 4)`` J_{t|t} of the station's filter then; None without target.
+    pending
+        Where the other robots measure, as the plan counts it.
     """
 
     target_m: NDArray[np.float64] | None = None
     steering_turns_m: NDArray[np.float64] | None = None
     information: NDArray[np.float64] | None = None
+    pending: Pending = NOTHING_PENDING

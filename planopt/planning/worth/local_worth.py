@@ -6,9 +6,12 @@ returns is valued again by :mod:`planopt.planning.worth.path_worth` and judged b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
 from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.terms.context import NearPath, NearStation, Part
@@ -55,7 +58,10 @@ def local_worth(
         if needs_stages(problem)
         else None
     )
-    joint = _joint_channels(situation, path_m)
+    joint = _joint_channels(situation, situation.stations, path_m)
+    told = joint
+    if situation.anticipated != situation.stations:
+        told = _joint_channels(situation, situation.anticipated, path_m)
     rule = None
     if any(term.is_measured for term in problem.terms):
         rule = situation.near_measuring
@@ -78,7 +84,7 @@ def local_worth(
         if rows.weight is not None and power is not None:
             total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
         gates = None if rule is None else rule.gates(places_m[None])
-        near = NearPath(situation, places_m, power, each, joint, gates, ahead, tried)
+        near = NearPath(situation, places_m, power, each, joint, told, gates, ahead, tried)
         parts = [_weighted(term.weight, term.derivatives(near)) for term in problem.terms]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 
@@ -94,7 +100,9 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
     )
 
 
-def _joint_channels(situation: Situation, path_m: NDArray[np.float64]) -> list[NearStation]:
+def _joint_channels(
+    situation: Situation, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
+) -> list[NearStation]:
     """Of each station, where a term couples the places of a path; else none."""
     problem = situation.problem
     if not any(term.shares_places for term in problem.terms):
@@ -103,7 +111,7 @@ def _joint_channels(situation: Situation, path_m: NDArray[np.float64]) -> list[N
     if any(term.averages_map for term in problem.terms):
         region = region_along(problem, situation.near_region, path_m)
     found: list[NearStation] = []
-    for station in situation.anticipated:
+    for station in posteriors:
         channel = local_channel(station, path_m, JOINT_NEIGHBOURS)
         grid = None if region is None else local_grid(channel, region.grid_m, region.weight)
         found.append(NearStation(station, channel, grid))

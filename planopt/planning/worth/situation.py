@@ -19,6 +19,7 @@ from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.serving import Serving
 from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.pending import NOTHING_PENDING, Pending, anticipated
 from planopt.planning.worth.region import region_near
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.planning.worth.target_model import target_model
@@ -57,6 +58,8 @@ class Situation:
         ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
     circumstances
         What else is known at the step.
+    pending
+        Where the other robots measure.
     """
 
     problem: Problem
@@ -67,6 +70,7 @@ class Situation:
     steering: SteeringWay | None = None
     information: NDArray[np.float64] | None = None
     circumstances: Circumstances = field(default_factory=Circumstances)
+    pending: Pending = NOTHING_PENDING
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -138,15 +142,16 @@ class Situation:
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
 
-    @property
+    @cached_property
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
-        """What is believed of each station's channel once the others have driven their plans."""
-        return self.stations
+        """What is believed of each station's channel once the others' measurements are known."""
+        spacing = self.problem.channel.measure_spacing_m
+        return anticipated(self.stations, self.pending, self.position_m, spacing)
 
     @property
     def others_m(self) -> tuple[NDArray[np.float64], ...]:
         """Places that the others plan to be at."""
-        return ()
+        return self.pending.planned_m
 
     @property
     def stations(self) -> tuple[ChannelPosterior, ...]:
@@ -168,7 +173,7 @@ class Situation:
     @cached_property
     def measuring(self) -> MeasuringRule:
         """Which places bring a measurement."""
-        return MeasuringRule.of(self.stations, self.problem.channel.measure_spacing_m)
+        return MeasuringRule.of(self.anticipated, self.problem.channel.measure_spacing_m)
 
     @cached_property
     def near_measuring(self) -> MeasuringRule:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.nearest.place_tree import PlaceTree
-from planopt.objectives.measuring import MeasuringRule
 from planopt.planning.ground import Ground
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.search.taut_way import WaysFrom
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.region import workspace_region
@@ -71,11 +71,16 @@ class Steering:
         situation
             The belief of the channel, and where the robot is.
         """
-        posterior = situation.posterior
-        self._map.refresh(posterior)
-        above = self._map.deviation_db[self._at] ** 2 - self._term.variance_threshold_db2
-        rule = MeasuringRule.of([posterior], self._problem.channel.measure_spacing_m)
-        counted = np.where(rule.is_open(self._places_m), np.maximum(above, 0.0), 0.0)
+        (own,), (posterior,) = situation.stations, situation.anticipated
+        if posterior is own:
+            self._map.refresh(own)
+            variance = self._map.deviation_db[self._at] ** 2
+        else:
+            # What the others will have measured changes every step: no map keeps up with it.
+            variance = search_prediction(posterior, self._places_m).deviation_db ** 2
+        above = variance - self._term.variance_threshold_db2
+        is_open = situation.measuring.is_open(self._places_m)
+        counted = np.where(is_open, np.maximum(above, 0.0), 0.0)
         return self.way_to_best(counted, situation.position_m)
 
     def way_to_best(

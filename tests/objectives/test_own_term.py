@@ -1,0 +1,78 @@
+"""A term of one's own by a class, against the same expression written by casadi_term."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+from terms_scene import LEARNING, situation_of, terms_problem
+
+from planopt.errors import InputError
+from planopt.objectives import OwnTerm, casadi_term
+from planopt.objectives.terms import term as registry
+from planopt.objectives.terms.term import registered_terms
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.solve import solve
+from planopt.planning.worth.local_worth import local_worth
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.problems.objective import TermsObjective
+
+
+@pytest.fixture
+def near_term(monkeypatch):
+    """A class of a term; forgotten after the test."""
+    registered_terms()
+    monkeypatch.setattr(registry, "_kinds", dict(registry._kinds))
+
+    @dataclass(frozen=True)
+    class NearTerm(OwnTerm):
+        """Stay near a place, connected."""
+
+        x_m: float
+        y_m: float = 20.0
+
+        kind: ClassVar[str] = "near"
+
+        def expression(self, path):
+            away = (path.positions_m[:, 0] - self.x_m) ** 2
+            away += (path.positions_m[:, 1] - self.y_m) ** 2
+            return ca.sum1(path.connectivity * ca.exp(-away / 200.0))
+
+    return NearTerm
+
+
+def test_it_is_the_expression_of_its_fields(near_term):
+    """Value, values, derivatives and the plan itself, to rounding."""
+    base = terms_problem(LEARNING)
+    own = near_term(16.0, weight=2.0)
+    written = casadi_term(own.expression, 5, weight=2.0)
+    problems = [replace(base, objective=TermsObjective((each,))) for each in (own, written)]
+    mine, same = (situation_of(each)[0] for each in problems)
+    path = mine.position_m + np.cumsum(np.full((5, 2), 0.8), axis=0)
+    assert PathWorth(mine)(path) == pytest.approx(PathWorth(same)(path), rel=1e-12)
+    ranked = [LocalRanking(each, path[None])(path[None])[0] for each in (mine, same)]
+    assert ranked[0] == pytest.approx(ranked[1], rel=1e-12)
+    found, wanted = (local_worth(each, path)(path).value for each in (mine, same))
+    np.testing.assert_allclose(found.gradient, wanted.gradient, rtol=1e-12)
+    np.testing.assert_allclose(found.hessian, wanted.hessian, rtol=1e-12)
+    plans = [solve(each, seed=0).plans[0] for each in problems]
+    assert plans[0].verdict.value == "verified"
+    np.testing.assert_allclose(plans[0].positions_m, plans[1].positions_m, atol=1e-9)
+
+
+def test_an_expression_that_is_none_is_refused(near_term):
+    """The key of the term is named."""
+
+    @dataclass(frozen=True)
+    class BadTerm(near_term):
+        """No scalar."""
+
+        kind: ClassVar[str] = "bad"
+
+        def expression(self, path):
+            return path.positions_m
+
+    problem = replace(terms_problem(LEARNING), objective=TermsObjective((BadTerm(2.0),)))
+    with pytest.raises(InputError, match=r"objective.terms\[0\].*not that of a number"):
+        solve(problem, seed=0)

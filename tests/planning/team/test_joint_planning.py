@@ -1,0 +1,118 @@
+"""Robots of a team that count what the others measure, and rounds that never make it worse."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from terms_scene import TRACKING, terms_problem
+
+from planopt.objectives.mapping import path_information
+from planopt.planning.check.check import check
+from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.solve import solve
+
+MAPPING = {"kind": "mapping", "form": "information"}
+
+
+def team(*terms, count=3, **planner):
+    """Robots of the small problem that start close to each other."""
+    problem = terms_problem(*terms, **{"horizon": 4, "max_steps": 4, **planner})
+    first = problem.robots[0]
+    robots = [
+        replace(first, name=f"robot{k}", start_m=(first.start_m[0], first.start_m[1] + 1.2 * k))
+        for k in range(count)
+    ]
+    return replace(problem, robots=tuple(robots))
+
+
+def team_information(solution):
+    """Information of all places of all plans, each measured once, computed as one set."""
+    posterior = solution.belief.posterior
+    places = np.vstack([plan.positions_m[1:] for plan in solution.plans])
+    kept = [
+        k
+        for k, place in enumerate(places)
+        if (np.linalg.norm(places[:k] - place, axis=1) >= 0.5 - 1e-5).all()
+        and (np.linalg.norm(posterior.measurements.positions_m - place, axis=1) >= 0.5 - 1e-5).all()
+    ]
+    return path_information(posterior, places[kept])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_joint_team_tells_more_than_a_decoupled_one(seed):
+    """Decoupled robots that start together want the same places."""
+    joint = solve(team(MAPPING), seed=seed)
+    decoupled = solve(team(MAPPING, coordination="decoupled"), seed=seed)
+    assert team_information(joint) > 1.02 * team_information(decoupled)
+    assert sum(plan.objective for plan in joint.plans) == pytest.approx(
+        team_information(joint), rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("terms", [(MAPPING,), ({**TRACKING, "form": "covariance"},)])
+def test_rounds_never_make_the_team_worse(terms):
+    """After each further round the plans are worth at least as much together."""
+    worths = []
+    for rounds in (1, 2, 3):
+        found = solve(team(*terms, rounds=rounds), seed=3)
+        assert all(plan.verdict.value == "verified" for plan in found.plans)
+        worths.append(_worth_together(found))
+    assert worths[1] >= worths[0] - 1e-9 and worths[2] >= worths[1] - 1e-9
+
+
+def _worth_together(solution):
+    """The plans' values, each given those before it, from a crew of its own."""
+    from planopt.planning.history import BEGINNING
+    from planopt.planning.team.crew import build_crew
+    from planopt.planning.team.team_seeds import team_seeds
+    from planopt.planning.worth.pending import Pending
+
+    crew = build_crew(solution.problem, team_seeds(solution.problem, solution.seed))
+    total, made = 0.0, []
+    for member, plan, aim in zip(crew, solution.plans, solution.aims, strict=True):
+        given = replace(aim, pending=Pending(tuple(made)))
+        total += member.worth(plan, solution.belief, given, BEGINNING)
+        made.append(plan.positions_m[1:])
+    return total
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (MAPPING,),
+        ({"kind": "mapping", "form": "two_layer", "variance_threshold_db2": 2.0},),
+        ({"kind": "path_loss_learning"},),
+        ({**TRACKING, "form": "information"},),
+    ],
+)
+def test_joint_runs_are_judged_from_their_files(terms, tmp_path: Path):
+    """What each robot was told is saved, or found again, and the objectives with it."""
+    problem = team(*terms, count=2)
+    save_solution(solve(problem, seed=2), tmp_path / "plan")
+    save_run(simulate(problem, seed=2), tmp_path / "run")
+    assert check(tmp_path / "plan").reasons == ()
+    assert check(tmp_path / "run").reasons == ()
+
+
+def test_decoupled_robots_are_told_nothing():
+    """The plan of the second robot is the one that it makes alone."""
+    decoupled = solve(team(MAPPING, count=2, coordination="decoupled"), seed=1)
+    problem = team(MAPPING, count=2)
+    alone = solve(replace(problem, robots=problem.robots[1:]), seed=1)
+    np.testing.assert_array_equal(decoupled.plans[1].positions_m, alone.plans[0].positions_m)
+    assert not decoupled.aims[1].pending.planned_m
+
+
+def test_files_from_before_joint_planning_are_decoupled(tmp_path: Path):
+    """A run without the key is judged as it was made."""
+    problem = team(MAPPING, count=2, coordination="decoupled")
+    save_run(simulate(problem, seed=2), tmp_path)
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text())
+    for key in ("coordination", "rounds"):
+        del data["problem_file"]["planner"][key]
+    file.write_text(json.dumps(data))
+    assert check(tmp_path).reasons == ()

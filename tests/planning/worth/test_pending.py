@@ -1,0 +1,156 @@
+"""What the others of a team measure: values given theirs, against values of all together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, situation_of, terms_problem
+
+from planopt.objectives.mapping import average_reduction, path_information
+from planopt.objectives.path_loss_learning import Criterion, path_loss_gain
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.worth.local_worth import local_worth
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.pending import MOST_DRIVEN, Pending, anticipated
+
+
+def mapping(form):
+    """A mapping term; with its threshold where the form has one."""
+    term = {"kind": "mapping", "form": form}
+    return term | ({"variance_threshold_db2": 2.0} if form == "path" else {})
+
+
+COUNTING = [
+    ({**TRACKING, "form": "information"},),
+    ({**TRACKING, "form": "covariance"},),
+    (LEARNING,),
+    ({**LEARNING, "criterion": "T"},),
+    ({**LEARNING, "criterion": "A"},),
+    (mapping("information"),),
+    (mapping("average"),),
+    (mapping("path"),),
+    (mapping("information"), {**CONNECT, "weight": 0.2}, ENERGY),
+]
+
+
+def paths(situation, count=3):
+    """Paths of a few robots, side by side, that cross the same ground."""
+    rng = np.random.default_rng(1)
+    steps = np.array([0.9, 0.8]) + 0.1 * rng.normal(
+        size=(count, situation.problem.planner.horizon, 2)
+    )
+    offset = 2.3 * np.arange(count)[:, None, None] * np.array([1.0, -1.0])
+    return list(situation.position_m + offset + np.cumsum(steps, axis=1))
+
+
+def beside(situation, *others, driven_m=None):
+    """The situation with these plans pending."""
+    driven = np.zeros((0, 2)) if driven_m is None else driven_m
+    return replace(situation, pending=Pending(tuple(others), driven))
+
+
+def together(form, posterior, places, situation):
+    """The value of all places as one set, from the first belief."""
+    if form == "information":
+        return path_information(posterior, places)
+    if form == "average":
+        return average_reduction(posterior, places, situation.near_region)
+    return path_loss_gain(posterior, places, Criterion(form))
+
+
+@pytest.mark.parametrize("form", ["information", "average", "T", "D", "A"])
+def test_values_given_the_others_add_up(form):
+    """F(1) + F(2 | 1) + F(3 | 1, 2) is F of all places together, far from each other."""
+    term = mapping(form) if form in ("information", "average") else {**LEARNING, "criterion": form}
+    situation, belief = situation_of(terms_problem(term))
+    first, second, third = paths(situation)
+    added = (
+        PathWorth(situation)(first)
+        + PathWorth(beside(situation, first))(second)
+        + PathWorth(beside(situation, first, second))(third)
+    )
+    places = np.vstack([first, second, third])
+    assert situation.measuring.takes(places[None]).all()
+    assert added == pytest.approx(
+        together(form, belief.posterior, places, situation), rel=1e-7, abs=1e-9
+    )
+
+
+def test_anticipated_measurements_change_no_mean():
+    """The predicted power, measured, leaves all predictions where they are, and surer."""
+    situation, belief = situation_of(terms_problem(mapping("information")))
+    (found,) = beside(situation, *paths(situation)).anticipated
+    places = situation.region.grid_m
+    before, after = belief.posterior.predict(places), found.predict(places)
+    np.testing.assert_allclose(after.mean_db, before.mean_db, atol=1e-6)
+    assert (after.deviation_db <= before.deviation_db + 1e-9).all()
+    assert (after.deviation_db < 0.98 * before.deviation_db).any()
+    assert len(situation.posterior.measurements) == len(belief.posterior.measurements)
+
+
+def test_the_same_path_twice_brings_little():
+    """The second robot is not paid for what the first brings: by the spacing, nothing at all."""
+    situation, _ = situation_of(terms_problem(mapping("information")))
+    path = paths(situation)[0]
+    assert PathWorth(beside(situation, path))(path) == 0.0
+    near = PathWorth(beside(situation, path))(path + 0.8)
+    assert 0.0 < near < 0.8 * PathWorth(situation)(path + 0.8)
+
+
+def test_places_driven_count_like_places_planned():
+    """Whether a plan is still ahead or behind makes no difference to what it tells."""
+    situation, _ = situation_of(terms_problem(mapping("average")))
+    first, second, _ = paths(situation)
+    driven = PathWorth(beside(situation, driven_m=first))(second)
+    assert driven == pytest.approx(PathWorth(beside(situation, first))(second), rel=1e-12)
+
+
+def test_only_the_nearest_of_many_driven_places_count():
+    """Far ones are left out, and the own measurements stay."""
+    situation, _ = situation_of(terms_problem(mapping("average")))
+    far = np.random.default_rng(0).uniform(0.0, 40.0, size=(MOST_DRIVEN + 50, 2))
+    (found,) = anticipated(situation.stations, Pending((), far), situation.position_m, 0.0)
+    new = found.measurements.positions_m[len(situation.posterior.measurements) :]
+    assert len(new) == MOST_DRIVEN
+    away = np.sort(np.linalg.norm(far - situation.position_m, axis=1))
+    assert np.linalg.norm(new - situation.position_m, axis=1).max() == away[MOST_DRIVEN - 1]
+
+
+@pytest.mark.parametrize("stations", [1, 2])
+@pytest.mark.parametrize("terms", COUNTING)
+def test_searches_and_solvers_count_the_others(terms, stations):
+    """Ranking and local worth agree with the exact worth, and derivatives with differences."""
+    situation, _ = situation_of(terms_problem(*terms, stations=stations))
+    first, second, path = paths(situation)
+    at = beside(situation, first, second)
+    exact = PathWorth(at)(path)
+    assert exact != pytest.approx(PathWorth(situation)(path), rel=1e-3)
+    assert LocalRanking(at, path[None])(path[None])[0] == pytest.approx(exact, rel=0.1)
+    evaluate, worth = local_worth(at, path), PathWorth(at)
+    found = evaluate(path).value
+    other = path[::-1] + 0.3
+    assert found.value - evaluate(other).value.value == pytest.approx(
+        exact - worth(other), rel=0.02, abs=0.01
+    )
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        towards, h = rng.normal(size=path.shape), 1e-5
+        up, down = evaluate(path + h * towards).value, evaluate(path - h * towards).value
+        slope = (up.value - down.value) / (2 * h)
+        assert (found.gradient * towards).sum() == pytest.approx(slope, rel=1e-4, abs=1e-6)
+        bend = (up.gradient - down.gradient) / (2 * h)
+        along = found.hessian @ towards.ravel()
+        np.testing.assert_allclose(along, bend.ravel(), rtol=1e-3, atol=1e-4 * abs(bend).max())
+
+
+@pytest.mark.parametrize("form", ["information", "covariance", "sampled"])
+def test_packets_of_the_others_are_counted(form):
+    """A second robot on the same path is worth less; far from the target it changes nothing."""
+    situation, _ = situation_of(terms_problem({**TRACKING, "form": form}))
+    target = situation.target_m
+    alone = PathWorth(situation)(target)
+    assert 0.0 < PathWorth(beside(situation, target))(target) < 0.999 * alone or form == (
+        "information"
+    )
+    away = target + 1e5
+    assert PathWorth(beside(situation, away))(target) == pytest.approx(alone, rel=5e-3)

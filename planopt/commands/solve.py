@@ -89,11 +89,11 @@ def _value(problem: Problem, objective: float) -> str:
 def _plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     from planopt.planning.holes import goal_in_words, holes_in_words
 
-    proof = plan.certificate
+    proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
     lines = [
         f"{plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
         f"{_value(problem, plan.objective)}, of the lattice path "
-        f"{shown_number(plan.lattice_objective)}; {plan.iterations} iterations, "
+        f"{shown_number(plan.lattice_objective, unit)}; {plan.iterations} iterations, "
         f"{shown_number(plan.wall_s, ' s', 2)}",
         f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)} ({proof.posterior})",
         *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),

@@ -24,6 +24,10 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)]
 FileName = Annotated[str, Field(pattern=r"^[^\x00]+$")]
 
 
+SMALLEST = 1e-6
+"""Least length, time, speed and rate in SI units where zero makes no sense: a micrometre."""
+
+
 class Table(BaseModel):
     """A table of a problem file: frozen, strict, finite, without unknown keys."""
 

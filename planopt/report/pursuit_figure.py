@@ -11,11 +11,14 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.files.whole import write_whole
+from planopt.pursuit.knowledge import Snapshot, Track
 from planopt.pursuit.simulation import Pursuit, Use
-from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.panel import Panel, add_colorbar, add_panel, new_figure
 from planopt.report.style import (
     BLACK,
     BLUE,
+    DEVIATION_MAP,
+    NOTE_PT,
     OBSTACLE,
     OBSTACLE_EDGE,
     ORANGE,
@@ -56,6 +59,8 @@ def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
     grid = GridSpec(2, 2, figure=figure, width_ratios=(1.5, 1.0))
     plane = add_panel(figure, grid[:, 0])
     entries = _scene(plane, pursuit)
+    # A flight that is nearly straight fills the panel all the same.
+    plane.set_aspect("equal", adjustable="datalim")
     for states in pursuit.pursuers:
         entries["pursuer"] = plane.plot(
             states[:, 0], states[:, 1], color=BLUE, linewidth=1.5, label="pursuer"
@@ -75,6 +80,39 @@ def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
     _knowledge(add_panel(figure, grid[0, 1]), add_panel(figure, grid[1, 1]), pursuit)
     legend_below(figure, entries.values(), len(entries))
     head(figure, f"{spaced(name)}: {_outcome(pursuit)}")
+    return figure
+
+
+def draw_knowledge(known: Snapshot, track: Track) -> Figure:
+    """Draw the age of every mote's report of one object, and the object's way.
+
+    Parameters
+    ----------
+    known
+        What the rounds that have ended tell.
+    track
+        Where the object was.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(7.4, 6.0)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    levels, side_m = known.level_map(), known.service.side_m
+    ages_s = np.where(levels >= 0, known.ages_s[np.maximum(levels, 0)], np.nan)
+    extent = (0.0, side_m, 0.0, side_m)
+    layer = panel.imshow(ages_s, origin="lower", extent=extent, cmap=DEVIATION_MAP)
+    add_colorbar(figure, layer, panel, label="age of the report [s]")
+    path = track.positions_m
+    panel.plot(path[:, 0], path[:, 1], color=VERMILLION, linewidth=1.6, label="the object's way")
+    reported = known.reported_m[np.unique(levels[levels >= 0])]
+    panel.scatter(
+        reported[:, 0], reported[:, 1], s=30.0, color=ORANGE, zorder=3, label="reported places"
+    )
+    panel.plot(path[-1:, 0], path[-1:, 1], color=VERMILLION, marker="o", label="the object now")
+    panel.set_xlim(0.0, side_m)
+    panel.set_ylim(0.0, side_m)
+    dress(panel, "what every mote knows", "x [m]", "y [m]", grid=False)
+    legend_inside(panel, "lower right")
     return figure
 
 
@@ -98,13 +136,21 @@ def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
     from matplotlib.animation import PillowWriter
     from matplotlib.gridspec import GridSpec
 
-    figure = new_figure(7.0, 6.0)
+    figure = new_figure(6.4, 6.8)
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
     _scene(panel, pursuit)
+    panel.set_aspect("equal")
     _limits(panel, pursuit)
     moving = _Moving(panel, pursuit)
-    legend_inside(panel, "upper right")
-    title = panel.text(0.02, 0.02, "", transform=cast(Any, panel).transAxes)
+    panel.legend(
+        handles=moving.entries,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.09),
+        ncols=4,
+        columnspacing=1.0,
+        fontsize=NOTE_PT - 1.0,
+        frameon=False,
+    )
     last = len(pursuit.times_s) - 1
     steps = np.unique(np.linspace(0, last, min(FRAMES, last + 1)).round().astype(np.int64))
 
@@ -112,10 +158,11 @@ def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
         writer = cast(_Writer, PillowWriter(fps=FRAMES_PER_S))
         writer.setup(figure, str(temporary), dpi=ANIMATION_DPI)
         # Laid out once: panels would move, and layout takes most of the time.
+        dress(panel, f"{spaced(name)}, {moving.show(0)}", "x [m]", "y [m]")
         cast(_Drawn, figure.canvas).draw()
         cast(_LaidOut, figure).set_layout_engine("none")
         for step in [*steps.tolist(), *[last] * FRAMES_PER_S]:
-            cast(Any, title).set_text(f"{spaced(name)}, {moving.show(step)}")
+            dress(panel, f"{spaced(name)}, {moving.show(step)}", "x [m]", "y [m]")
             writer.grab_frame()
         writer.finish()
 
@@ -213,6 +260,12 @@ class _Moving:
             label="where it was then",
         )
 
+    @property
+    def entries(self) -> list[Artist]:
+        """Legend entries, one of a kind."""
+        lines = (self._paths[0], self._flights[0], self._cells[0], self._sampled)
+        return [cast("Artist", line) for line in lines]
+
     def show(self, step: int) -> str:
         """Move everything to a step, and say what is known then."""
         pursuit = self._pursuit
@@ -265,17 +318,24 @@ def _scene(panel: Panel, pursuit: Pursuit) -> dict[str, Artist]:
     if arena.bounds_m is not None:
         x0, y0, x1, y1 = arena.bounds_m
         panel.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=OBSTACLE_EDGE, linewidth=0.8)
-    panel.set_aspect("equal", adjustable="datalim")
     dress(panel, "", "x [m]", "y [m]")
     return entries
 
 
 def _limits(panel: Panel, pursuit: Pursuit) -> None:
-    places = np.vstack([*(s[:, :2] for s in pursuit.pursuers), *pursuit.evaders_m])
-    margin_m = 0.06 * float(np.ptp(places, axis=0).max()) + pursuit.scene.capture_radius_m
-    low, high = places.min(axis=0) - margin_m, places.max(axis=0) + margin_m
-    panel.set_xlim(float(low[0]), float(high[0]))
-    panel.set_ylim(float(low[1]), float(high[1]))
+    """A square around everything that will be shown."""
+    bounds = pursuit.scene.arena.bounds_m
+    shown = [
+        *(states[:, :2] for states in pursuit.pursuers),
+        *pursuit.evaders_m,
+        *(use.record.reported_m[None] for use in pursuit.uses),
+        *(() if bounds is None else (np.reshape(bounds, (2, 2)),)),
+    ]
+    places = np.vstack(shown)
+    middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    half_m = 0.53 * float(np.ptp(places, axis=0).max()) + pursuit.scene.capture_radius_m
+    panel.set_xlim(float(middle[0]) - half_m, float(middle[0]) + half_m)
+    panel.set_ylim(float(middle[1]) - half_m, float(middle[1]) + half_m)
 
 
 def _captures(panel: Panel, pursuit: Pursuit, entries: dict[str, Artist]) -> None:

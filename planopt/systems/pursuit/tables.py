@@ -15,7 +15,7 @@ from planopt.errors import InputError
 from planopt.problems.build import obstacles_of
 from planopt.problems.schema_world import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
-from planopt.problems.tables import Metres, Name, Pair, Quad, Table
+from planopt.problems.tables import SMALLEST, Metres, Name, Pair, Quad, Table
 from planopt.pursuit.arena import Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag
@@ -61,8 +61,10 @@ class ServiceTable(Table):
     """``[network]``: the motes and their snapshot service."""
 
     levels: int = Field(ge=1, le=MAX_LEVELS, description="L: there are 2^L by 2^L motes.")
-    mote_spacing_m: Metres = Field(gt=0, description="Metres between neighbours.")
-    frame_s: float = Field(gt=0, le=1e6, description="A TDMA frame: its slots times their width.")
+    mote_spacing_m: Metres = Field(ge=SMALLEST, description="Metres between neighbours.")
+    frame_s: float = Field(
+        ge=SMALLEST, le=1e6, description="A TDMA frame: its slots times their width."
+    )
     bits_per_axis: int = Field(ge=1, le=MAX_BITS, description="Bits c of a reported position.")
     hops_per_round: int = Field(
         default=HOPS_PER_ROUND, ge=HOPS_PER_ROUND, le=1000, description="Frames of a level-0 round."
@@ -81,13 +83,17 @@ class ServiceTable(Table):
 class RulesTable(Table):
     """``[pursuit]``: when it ends, and what must be guaranteed."""
 
-    capture_radius_m: Metres = Field(gt=0, description="An evader so near is caught.")
-    step_s: float = Field(gt=0, le=1e4, description="Everybody decides every so many seconds.")
+    capture_radius_m: Metres = Field(ge=SMALLEST, description="An evader so near is caught.")
+    step_s: float = Field(
+        ge=SMALLEST, le=1e4, description="Everybody decides every so many seconds."
+    )
     max_steps: int = Field(
         default=5000, ge=1, le=100_000, description="It is given up after so many steps."
     )
     clearance_m: Metres = Field(
-        default=1.0, gt=0, description="How far everybody stays away from obstacles, in metres."
+        default=1.0,
+        ge=SMALLEST,
+        description="How far everybody stays away from obstacles, in metres.",
     )
     guarantee: Literal["any_instant", "snapshots"] | None = Field(
         default=None,
@@ -136,7 +142,7 @@ class ZigzagTable(Table):
     """It flees and turns to the other side ever so often."""
 
     kind: Literal["zigzag"]
-    period_s: float = Field(gt=0, le=1e6, description="Seconds between turns.")
+    period_s: float = Field(ge=SMALLEST, le=1e6, description="Seconds between turns.")
     angle_rad: float = Field(
         default=Zigzag(1.0).angle_rad, ge=0, le=math.pi, description="To either side, in rad."
     )
@@ -152,7 +158,7 @@ class ForesightedTable(Table):
 
     kind: Literal["foresighted"]
     horizon: int = Field(ge=1, le=100, description="Steps that it plans.")
-    plan_step_s: float = Field(gt=0, le=1e4, description="Length of one of them in seconds.")
+    plan_step_s: float = Field(ge=SMALLEST, le=1e4, description="Length of one of them in seconds.")
 
     @property
     def behaviour(self) -> Behaviour:
@@ -186,10 +192,10 @@ class PursuerTable(Table):
     start_radius_m: Metres = Field(
         default=0.0, ge=0, description="The start is drawn within so many metres of start_m."
     )
-    speed_max_m_s: float = Field(gt=0, le=1e4, description="Largest speed in m/s.")
+    speed_max_m_s: float = Field(ge=SMALLEST, le=1e4, description="Largest speed in m/s.")
     turn_rate_max_rad_s: float | None = Field(
         default=None,
-        gt=0,
+        ge=SMALLEST,
         le=1e3,
         description="Of a unicycle, in rad/s; left out: turns at will. Open space only.",
     )
@@ -214,10 +220,13 @@ class PlannerTable(Table):
         default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Plan steps ahead, for receding."
     )
     plan_step_s: float = Field(
-        default=2.0, gt=0, le=1e4, description="Length of a plan step in seconds, for receding."
+        default=2.0,
+        ge=SMALLEST,
+        le=1e4,
+        description="Length of a plan step in seconds, for receding.",
     )
     manoeuvre_s: float = Field(
-        default=60.0, gt=0, le=1e6, description="An evader forgets its velocity within it."
+        default=60.0, ge=SMALLEST, le=1e6, description="An evader forgets its velocity within it."
     )
 
     @property

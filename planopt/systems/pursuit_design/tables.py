@@ -12,7 +12,7 @@ from pydantic import Field
 
 from planopt.errors import InputError
 from planopt.problems.settings import ReportSettings
-from planopt.problems.tables import Metres, Name, Table
+from planopt.problems.tables import SMALLEST, Metres, Name, Table
 from planopt.pursuit.design import (
     MAX_BITS,
     Design,
@@ -95,9 +95,11 @@ class HeadTable(Table):
 class ChaseTable(Table):
     """``[pursuit]``: the pursuit that the network is to serve."""
 
-    evader_speed_m_s: float = Field(gt=0, le=1e4, description="Largest speed of the evader in m/s.")
+    evader_speed_m_s: float = Field(
+        ge=SMALLEST, le=1e4, description="Largest speed of the evader in m/s."
+    )
     pursuer_speed_m_s: float = Field(
-        gt=0, le=1e4, description="Largest speed of the pursuer in m/s; above the evader's."
+        ge=SMALLEST, le=1e4, description="Largest speed of the pursuer in m/s; above the evader's."
     )
     stage_delay_s: float = Field(
         default=0.0,
@@ -106,14 +108,16 @@ class ChaseTable(Table):
         description="Seconds that a stage may take beyond driving straight: turning, one step.",
     )
     first_distance_m: Metres | None = Field(
-        default=None, gt=0, description="From the pursuer to where the evader is sampled first."
+        default=None,
+        ge=SMALLEST,
+        description="From the pursuer to where the evader is sampled first.",
     )
     capture_radius_m: Metres | None = Field(
-        default=None, gt=0, description="An evader so near is caught, for capture_in_time."
+        default=None, ge=SMALLEST, description="An evader so near is caught, for capture_in_time."
     )
     deadline_s: float | None = Field(
         default=None,
-        gt=0,
+        ge=SMALLEST,
         le=1e9,
         description="Seconds by when it is to be caught, for capture_in_time and least_energy.",
     )
@@ -123,12 +127,14 @@ class NetworkTable(Table):
     """``[network]``: motes and their radios."""
 
     levels: int = Field(ge=1, le=MAX_LEVELS, description="L: there are 4^L motes.")
-    mote_spacing_m: Metres = Field(gt=0, description="Metres between neighbours.")
-    bit_rate_bit_s: float = Field(gt=0, le=1e15, description="What a slot carries, in bit/s.")
+    mote_spacing_m: Metres = Field(ge=SMALLEST, description="Metres between neighbours.")
+    bit_rate_bit_s: float = Field(
+        ge=SMALLEST, le=1e15, description="What a slot carries, in bit/s."
+    )
     header_bits: float = Field(ge=0, le=1e9, description="Bits of a frame beside its blocks.")
     record_bits: float = Field(ge=0, le=1e9, description="Bits of a block beside the position.")
     energy_j_per_bit: float = Field(
-        gt=0, le=1e6, description="What a sent bit costs, with those who hear it, in J."
+        ge=1e-15, le=1e6, description="What a sent bit costs, with those who hear it, in J."
     )
     idle_w: float = Field(default=0.0, ge=0, le=1e6, description="What a mote draws all the time.")
     slots_per_frame: int = Field(
@@ -162,7 +168,7 @@ class DesignTable(Table):
         "any_instant or lemma. The other methods rest on the lemma.",
     )
     margin: float = Field(
-        default=0.01, gt=0, lt=1, description="By how much a + x stays below 1 in the Lemma."
+        default=0.01, ge=1e-12, lt=1, description="By how much a + x stays below 1 in the Lemma."
     )
     bits_per_axis: int | None = Field(
         default=None, ge=1, le=MAX_BITS, description="Bits c of a position; left out: chosen."

@@ -1,0 +1,57 @@
+"""A thousand steps of a pursuit over 256 x 256 motes, and what every mote knows at each of them."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+import pytest
+from conftest import Table
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from planopt.pursuit.arena import Arena
+from planopt.pursuit.evaders import Fleeing
+from planopt.pursuit.knowledge import Track, snapshot
+from planopt.pursuit.motion import StraightMotion
+from planopt.pursuit.pursuers import DriveToReport, Policy
+from planopt.pursuit.receding import RecedingHorizon
+from planopt.pursuit.records import SnapshotRecords
+from planopt.pursuit.service import SnapshotService
+from planopt.pursuit.simulation import Evader, Pursuer, Pursuit, Scene, simulate_pursuit
+
+STEPS = 1000
+SERVICE = SnapshotService(levels=8, mote_spacing_m=1.0, frame_s=0.05, bits_per_axis=5)
+POLICIES = {"drive": DriveToReport(), "receding 10": RecedingHorizon(10, 2.0, 60.0)}
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_thousand_steps(benchmark: BenchmarkFixture, table: Table, name: str) -> None:
+    """Nobody is caught in a thousand steps (goal: 10 s, maps of all motes included)."""
+    durations_s: list[float] = []
+
+    def run() -> Pursuit:
+        begun = perf_counter()
+        pursuit = simulate_pursuit(_scene(POLICIES[name]), np.random.default_rng(0))
+        for step in range(STEPS):
+            known = Track(pursuit.times_s[: step + 1], pursuit.evaders_m[0, : step + 1])
+            snapshot(SERVICE, known, float(pursuit.times_s[step])).level_map()
+        durations_s.append(perf_counter() - begun)
+        return pursuit
+
+    pursuit = benchmark.pedantic(run, rounds=3, warmup_rounds=0)
+    table.add(f"1,000 steps, {name}", SERVICE.motes_per_side**2, durations_s)
+    assert len(pursuit.times_s) == STEPS + 1
+    assert min(durations_s) < 10.0
+
+
+def _scene(policy: Policy) -> Scene:
+    """A slow pursuer far from an evader that flees."""
+    return Scene(
+        (Pursuer(np.array([5.0, 5.0]), StraightMotion(0.3), policy),),
+        (Evader(np.array([200.0, 200.0]), 0.1, Fleeing()),),
+        SnapshotRecords(SERVICE),
+        1.0,
+        0.2,
+        STEPS,
+        Arena((0.0, 0.0, 256.0, 256.0)),
+    )

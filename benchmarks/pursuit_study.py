@@ -1,0 +1,143 @@
+"""Pursuits in numbers: captures under a guarantee, and time to capture by horizon and evader.
+
+``python benchmarks/pursuit_study.py captures --runs 500`` draws networks, speeds and evaders with
+a below 1 and a capture radius above the floor, and counts who is not caught in time.
+``python benchmarks/pursuit_study.py horizons --seeds 40`` compares planners on the library's
+pursuit_fleeing with every kind of evader.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from planopt import load_system
+from planopt.problems.systems import Request, SystemProblem, system_from_tables
+from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
+from planopt.pursuit.guarantees import Chase, Theorem, contraction, guarantees
+from planopt.pursuit.motion import StraightMotion
+from planopt.pursuit.pursuers import DriveToReport
+from planopt.pursuit.records import SnapshotRecords
+from planopt.pursuit.service import SnapshotService, relative_error
+from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
+
+EVADERS = {
+    "static": {"kind": "static"},
+    "wandering": {"kind": "wandering"},
+    "straight": {"kind": "wandering", "turn_std_rad": 0.0},
+    "fleeing": {"kind": "fleeing"},
+    "fleeing from aims": {"kind": "fleeing", "from_aims": True},
+    "zigzag": {"kind": "zigzag", "period_s": 15.0},
+    "foresighted": {"kind": "foresighted", "horizon": 6, "plan_step_s": 2.0},
+}
+
+
+def horizons(first_seed: int, seeds: int) -> None:
+    """Print the time to capture of each planner against each kind of evader."""
+    tables = load_system("pursuit_fleeing").tables()
+    request = Request(
+        first_seed,
+        (1, 5, 10),
+        ("drive", "retarget", "receding"),
+        range(first_seed, first_seed + seeds),
+    )
+    for name, behaviour in EVADERS.items():
+        print(name)
+        for line in varied(tables, behaviour).answer("compare", request).words[1:]:
+            print(line, flush=True)
+
+
+def varied(tables: dict, behaviour: dict) -> SystemProblem:
+    """Return the problem with another evader."""
+    evader = {**tables["evaders"][0], "behaviour": behaviour}
+    found = system_from_tables(
+        {**tables, "evaders": [evader], "report": {"figures": False}},
+        folder=load_system("pursuit_fleeing").file.parent,
+        file=None,
+    )
+    assert found is not None
+    return found
+
+
+def captures(first_seed: int, runs: int) -> None:
+    """Print how many pursuits with a < 1 and a radius above the floor do not end in time."""
+    late, uncaught, shares, largest = 0, 0, [], 0.0
+    for seed in range(first_seed, first_seed + runs):
+        generator = np.random.default_rng(seed)
+        chase, service, radius_m = drawn(generator)
+        promised = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS]
+        behaviour = [
+            Static(),
+            Wandering(),
+            Fleeing(),
+            Fleeing(True),
+            Zigzag(4.0),
+            Foresighted(4, 1.0),
+        ][seed % 6]
+        start = generator.uniform(-500.0, 500.0, 2)
+        turn = generator.uniform(0.0, 2.0 * np.pi)
+        away = generator.uniform(1.5, 8.0) * radius_m * np.array([np.cos(turn), np.sin(turn)])
+        scene = Scene(
+            (Pursuer(start, StraightMotion(chase.pursuer_speed_m_s), DriveToReport()),),
+            (Evader(start + away, chase.evader_speed_m_s, behaviour),),
+            SnapshotRecords(service),
+            radius_m,
+            chase.stage_delay_s,
+            40_000,
+        )
+        pursuit = simulate_pursuit(scene, generator)
+        uncaught += pursuit.outcome != "captured"
+        lasts_s = promised.capture_time_s(pursuit.uses[0].distance_m, radius_m)
+        late += pursuit.capture_time_s > lasts_s
+        shares.append(pursuit.capture_time_s / lasts_s)
+        bounds = pursuit.bounds_m(0, 0)
+        if len(bounds) > 1:
+            largest = max(largest, float((bounds[1:] / promised.next_bound_m(bounds[:-1])).max()))
+    low, middle, high = np.percentile(shares, [5, 50, 95])
+    print(
+        f"{runs} pursuits: {uncaught} not captured, {late} later than promised; time to capture "
+        f"over its bound {middle:.2f} (5 % {low:.2f}, 95 % {high:.2f}, largest "
+        f"{max(shares):.2f}); W over the bound of its stage at most {largest:.3f}"
+    )
+
+
+def drawn(generator: np.random.Generator) -> tuple[Chase, SnapshotService, float]:
+    """Draw speeds, a network for which the snapshots' theorem holds, a radius above its floor."""
+    while True:
+        ratio = generator.uniform(1.3, 4.0)
+        bits, divisor = int(generator.integers(2, 9)), int(generator.integers(1, 3))
+        x = 10.0 ** generator.uniform(-2.0, 0.3)
+        if contraction(ratio, relative_error(bits)) >= 1.0:
+            continue
+        service = SnapshotService(
+            12, 1.0, x / (6 * (1 + divisor)), bits, rate_divisor=divisor, endless=True
+        )
+        floor_m = 1.0
+        for _ in range(12):
+            chase = Chase(1.0, ratio, 0.1 * floor_m / ratio)
+            floor_m = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
+            if not np.isfinite(floor_m) or floor_m > 200.0:
+                break
+        else:
+            chase = Chase(1.0, ratio, 0.1 * floor_m / ratio)
+            floor_m = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
+            return chase, service, generator.uniform(1.05, 1.5) * floor_m
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study", choices=("captures", "horizons"))
+    parser.add_argument("--runs", type=int, default=500)
+    parser.add_argument("--seeds", type=int, default=40)
+    parser.add_argument("--first-seed", type=int, default=0)
+    given = parser.parse_args()
+    if given.study == "captures":
+        captures(given.first_seed, given.runs)
+    else:
+        horizons(given.first_seed, given.seeds)
+
+
+if __name__ == "__main__":
+    main()

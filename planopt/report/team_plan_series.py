@@ -71,7 +71,7 @@ def _draw_power(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> None:
             label=BAND_WORDS if number == 0 else None,
         )
         _draw_curve(panel, plan, number, plan.mean_dbm)
-    if problem.task == "track" or problem.constraints.p_min > 0.0:
+    if any(term.sensor for term in problem.terms) or problem.constraints.p_min > 0.0:
         threshold = problem.stations[0].threshold_dbm
         panel.axhline(threshold, color=BLACK, linestyle="dashed", label="threshold")
     dress(panel, "predicted power", TIME, "power [dBm]")

@@ -25,7 +25,6 @@ from planopt.problems.schema_channel import (
     RasterTruthTable,
 )
 from planopt.problems.schema_world import ObstacleTable
-from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.world.footprints import footprint
 from planopt.world.readers import obstacle_from_wkt, read_obstacles
 from planopt.world.workspace import Obstacle, Workspace
@@ -78,11 +77,11 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
             for table in tables.stations
         ),
         objective=_objective(tables),
-        targets=tuple(table.target for table in tables.targets),
+        targets=tuple(tables.targets),
         constraints=tables.constraints.constraints,
-        planner=PlannerSettings(**tables.planner.model_dump()),
+        planner=tables.planner,
         file=file,
-        report=ReportSettings(tables.report.figures),
+        report=tables.report,
         checked=True,
     )
 

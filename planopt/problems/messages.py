@@ -197,7 +197,8 @@ def _resolve(
             if isinstance(part, str):
                 fields = _fields(tables[0]) if tables else {}
                 field = fields.get(part)
-                tables = [] if field is None else _tables(field.annotation)
+                hints = () if field is None else (field.annotation, *field.metadata)
+                tables = [table for hint in hints for table in _tables(hint)]
     return tuple(path), fields, field
 
 

@@ -5,23 +5,22 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import Any, TypeVar, cast, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
 from planopt.problems.channel_setup import CalibrationName
 from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
+from planopt.problems.data_tables import made_of, table_of
 from planopt.problems.messages import input_error
 from planopt.problems.objective_forms import ReachObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem
-from planopt.problems.schema import PlannerTable
 from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.settings import PlannerSettings
-from planopt.problems.tables import Table
 
-AnyTable = TypeVar("AnyTable", bound=Table)
+AnyTable = TypeVar("AnyTable", bound=BaseModel)
 
 
 def with_overrides(
@@ -98,9 +97,12 @@ def _overridden(
 ) -> Problem:
     """Change and check, as :func:`with_overrides`."""
     planner_table = _changed(
-        PlannerTable, "planner", asdict(problem.planner), {"horizon": horizon, "name": planner}
+        table_of(PlannerSettings, "PlannerTable"),
+        "planner",
+        asdict(problem.planner),
+        {"horizon": horizon, "name": planner},
     )
-    changed = replace(problem, planner=PlannerSettings(**planner_table.model_dump()))
+    changed = replace(problem, planner=made_of(PlannerSettings, planner_table))
     check_dynamics(changed)
     kind = planner_kind(changed.planner.name)
     if isinstance(problem.objective, ReachObjective) and not kind.reaches_goals:

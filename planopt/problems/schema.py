@@ -10,25 +10,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from planopt.problems.base_station import BaseStation
-from planopt.problems.planner_kinds import OWN, planner_names
+from planopt.problems.data_tables import TableOf
 from planopt.problems.problem import Task
 from planopt.problems.schema_channel import ChannelTable
 from planopt.problems.schema_constraints import ConstraintsTable
-from planopt.problems.schema_objective import ObjectiveTable, TargetTable
+from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_world import WorldTable
-from planopt.problems.settings import (
-    MAX_HORIZON,
-    MIN_HORIZON,
-    Coordination,
-    PlannerSettings,
-    ReportSettings,
-)
+from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table
+from planopt.problems.target import Target
 from planopt.problems.task_faults import task_fault
 
 SCHEMA_VERSION = 1
@@ -96,75 +91,6 @@ class StationTable(Table):
     )
 
 
-def _known_planner(name: str) -> str:
-    """Refuse the name of a planner that does not exist."""
-    known = planner_names()
-    if name not in known:
-        listed = ", ".join(f"'{each}'" for each in known[:-1])
-        raise PydanticCustomError(
-            "planner_name", "Input should be {names}", {"names": f"{listed} or '{known[-1]}'"}
-        )
-    return name
-
-
-class PlannerTable(Table):
-    """``[planner]``: how plans are found."""
-
-    name: Annotated[str, AfterValidator(_known_planner)] = Field(
-        default=PlannerSettings.name,
-        examples=list(OWN),
-        description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
-        "programming), auto (the better of them, nlp), lattice (no polish), and for tasks other "
-        "than reach one_step, random or lawnmower; or a planner that is registered.",
-    )
-    horizon: int = Field(
-        default=PlannerSettings.horizon,
-        ge=MIN_HORIZON,
-        le=MAX_HORIZON,
-        description="Steps ahead (N).",
-    )
-    step_s: float = Field(gt=0, le=1e4, description="Duration of a step in seconds.")
-    neighbours: int = Field(
-        default=PlannerSettings.neighbours,
-        ge=4,
-        le=512,
-        description="Measurements that the solver conditions each stage on (a number).",
-    )
-    max_steps: int = Field(
-        default=PlannerSettings.max_steps,
-        ge=1,
-        le=100_000,
-        description="A closed loop that has not arrived after this many steps ends.",
-    )
-    budget_s: float | None = Field(
-        default=None,
-        gt=0,
-        le=1e6,
-        description="Seconds that a plan should take: the last polish begins, and ends, early "
-        "enough for its proof; left out: no limit.",
-    )
-    coordination: Coordination = Field(
-        default=PlannerSettings.coordination,
-        description="For several robots: joint (each is told what the others plan to measure, and "
-        "counts what it adds) or decoupled (each counts as if it were alone).",
-    )
-    rounds: int = Field(
-        default=PlannerSettings.rounds,
-        ge=1,
-        le=10,
-        description="How often the robots of a joint team plan in one step, in turn (a number); "
-        "later rounds take time, and never lessen what the team's plans are worth together.",
-    )
-
-
-class ReportTable(Table):
-    """``[report]``: what is drawn."""
-
-    figures: bool = Field(
-        default=ReportSettings().figures, description="Draw the pictures (true or false)."
-    )
-
-
 class ProblemFile(Table):
     """A planopt problem file (TOML)."""
 
@@ -179,13 +105,13 @@ class ProblemFile(Table):
         max_length=MAX_STATIONS,
         description="The fixed stations; connected is who reaches the threshold of any of them.",
     )
-    targets: list[TargetTable] = Field(
+    targets: list[Annotated[Target, TableOf(Target, "TargetTable")]] = Field(
         default=[], max_length=1, description="The target, for the task track."
     )
     objective: ObjectiveTable = Field(default_factory=ObjectiveTable)
     constraints: ConstraintsTable = Field(default_factory=ConstraintsTable)
-    planner: PlannerTable
-    report: ReportTable = Field(default_factory=ReportTable)
+    planner: Annotated[PlannerSettings, TableOf(PlannerSettings, "PlannerTable")]
+    report: Annotated[ReportSettings, TableOf(ReportSettings, "ReportTable")] = ReportSettings()
 
     @model_validator(mode="after")
     def _fits_the_task(self) -> ProblemFile:

@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from planopt.plain_values import make_plain
+from planopt.problems.planner_kinds import OWN, planner_names
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
 
 Coordination = Literal["joint", "decoupled"]
+
+
+def known_planner(name: str) -> str:
+    """Refuse the name of a planner that does not exist, in words of the schema."""
+    known = planner_names()
+    if name not in known:
+        listed = ", ".join(f"'{each}'" for each in known[:-1])
+        raise PydanticCustomError(
+            "planner_name", "Input should be {names}", {"names": f"{listed} or '{known[-1]}'"}
+        )
+    return name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,14 +57,62 @@ class PlannerSettings:
         proof; None for no limit.
     """
 
-    step_s: float
-    name: str = "auto"
-    horizon: int = 10
-    neighbours: int = 48
-    max_steps: int = 400
-    budget_s: float | None = None
-    coordination: Coordination = "joint"
-    rounds: int = 1
+    step_s: Annotated[float, Field(gt=0, le=1e4, description="Duration of a step in seconds.")]
+    name: Annotated[
+        str,
+        AfterValidator(known_planner),
+        Field(
+            examples=list(OWN),
+            description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
+            "programming), auto (the better of them, nlp), lattice (no polish), and for tasks "
+            "other than reach one_step, random or lawnmower; or a planner that is registered.",
+        ),
+    ] = "auto"
+    horizon: Annotated[
+        int, Field(ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead (N).")
+    ] = 10
+    neighbours: Annotated[
+        int,
+        Field(
+            ge=4,
+            le=512,
+            description="Measurements that the solver conditions each stage on (a number).",
+        ),
+    ] = 48
+    max_steps: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=100_000,
+            description="A closed loop that has not arrived after this many steps ends.",
+        ),
+    ] = 400
+    budget_s: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            le=1e6,
+            description="Seconds that a plan should take: the last polish begins, and ends, early "
+            "enough for its proof; left out: no limit.",
+        ),
+    ] = None
+    coordination: Annotated[
+        Coordination,
+        Field(
+            description="For several robots: joint (each is told what the others plan to measure, "
+            "and counts what it adds) or decoupled (each counts as if it were alone)."
+        ),
+    ] = "joint"
+    rounds: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=10,
+            description="How often the robots of a joint team plan in one step, in turn (a "
+            "number); later rounds take time, and never lessen what the team's plans are worth "
+            "together.",
+        ),
+    ] = 1
 
     def __post_init__(self) -> None:
         make_plain(self)
@@ -65,4 +128,4 @@ class ReportSettings:
         Whether pictures are drawn beside the results.
     """
 
-    figures: bool = True
+    figures: Annotated[bool, Field(description="Draw the pictures (true or false).")] = True

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from planopt.plain_values import make_plain
+from planopt.problems.tables import Name, Pair
+
+LEAST_STD = 1e-6
+"""Of a first estimate in metres or m/s: its information is still a number that can be inverted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,12 +30,29 @@ class Target:
         Deviation of the first estimate of position and velocity along either axis (P_0).
     """
 
-    name: str = "target"
-    start_m: tuple[float, float]
-    velocity_m_s: tuple[float, float]
-    acceleration_std_m_s2: float = 0.03
-    position_std_m: float = 1.0
-    velocity_std_m_s: float = 0.3
+    name: Annotated[Name, Field(description="What outputs call it.")] = "target"
+    start_m: Annotated[Pair, Field(description="Where it truly starts, [x, y] in metres.")]
+    velocity_m_s: Annotated[
+        Pair, Field(description="Its true velocity at the start, [x, y] in m/s.")
+    ]
+    acceleration_std_m_s2: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1e6,
+            description="Deviation of its white acceleration along an axis, in m/s^2.",
+        ),
+    ] = 0.03
+    position_std_m: Annotated[
+        float,
+        Field(ge=LEAST_STD, le=1e6, description="Deviation of its first estimated position, in m."),
+    ] = 1.0
+    velocity_std_m_s: Annotated[
+        float,
+        Field(
+            ge=LEAST_STD, le=1e6, description="Deviation of its first estimated velocity, in m/s."
+        ),
+    ] = 0.3
 
     def __post_init__(self) -> None:
         make_plain(self)

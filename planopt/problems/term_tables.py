@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
-from dataclasses import MISSING, fields
 from functools import lru_cache
-from typing import Annotated, Any, Literal, Union, cast, get_type_hints
+from typing import Annotated, Any, Literal, Union
 
 from pydantic import BaseModel, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
-from pydantic import create_model as model_of
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from planopt.objectives.terms.term import Term, registered_terms
-from planopt.problems.tables import Table
+from planopt.problems.data_tables import made_of, table_of
 
 
 class AnyTerm:
@@ -51,7 +48,7 @@ def read_term(value: object) -> Term:
     table = _adapter_of(registered_terms()).validate_python(value)
     kinds = {term.kind: term for term in registered_terms()}
     chosen = kinds[table.kind]
-    term = chosen(**{each.name: getattr(table, each.name) for each in fields(chosen)})
+    term = made_of(chosen, table)
     fault = chosen.table_fault(frozenset(table.model_fields_set), term)
     if fault is not None:
         raise PydanticCustomError("one_of", "{words}", {"words": fault})
@@ -67,20 +64,12 @@ def _adapter_of(terms: tuple[type[Term], ...]) -> TypeAdapter[Any]:
 
 @lru_cache(maxsize=4)
 def _tables_of(terms: tuple[type[Term], ...]) -> tuple[type[BaseModel], ...]:
-    return tuple(_table_of(term) for term in terms)
-
-
-@lru_cache(maxsize=64)
-def _table_of(term: type[Term]) -> type[BaseModel]:
-    """Return the table whose keys are the fields of a term."""
-    hints = get_type_hints(term, include_extras=True)
-    keys: dict[str, Any] = {
-        "kind": (Literal[term.kind], Field(description=term.summary)),  # pyright: ignore
-    }
-    for each in fields(term):
-        hint = hints[each.name]
-        keys[each.name] = hint if each.default is MISSING else (hint, each.default)
-    words = inspect.cleandoc(term.__doc__ or term.summary).partition("\n")[0]
-    name = f"{term.__name__.removesuffix('Term')}Table"
-    made = model_of(name, __base__=Table, __doc__=words, __module__=term.__module__, **keys)
-    return cast("type[BaseModel]", made)
+    return tuple(
+        table_of(
+            term,
+            f"{term.__name__.removesuffix('Term')}Table",
+            Literal[term.kind],  # pyright: ignore
+            term.summary,
+        )
+        for term in terms
+    )

@@ -65,7 +65,10 @@ COLOURS = 64
 """Of the ground in the palette that all frames share."""
 
 MARKS = (*SERIES, YELLOW, FRAME, OBSTACLE, BLACK, WHITE)
-"""The other colours of the palette."""
+"""Further colours of the palette,"""
+
+SCALE_COLOURS = 48
+"""and so many of the colour bar."""
 
 UNCHANGED = 255
 """Number of the colour that means: as in the frame before."""
@@ -119,13 +122,16 @@ def save_animation(run: Run, path: Path) -> None:
 def _with_palette(frames: Sequence[Image]) -> list[Image]:
     """Give frames one palette, and leave out of each what is as in the frame before.
 
-    The palette is that of the last frame, so that nothing flickers, and the colours of the marks,
-    which cover too little to be in it.
+    The palette is that of the last frame, so that nothing flickers, and the colours of the marks
+    and of the colour bar, which cover too little to be in it.
     """
+    from matplotlib import colormaps
     from PIL import Image, ImageColor
 
     ground = (frames[-1].quantize(COLOURS).getpalette() or [])[: 3 * COLOURS]
+    scale = colormaps[POWER_MAP](np.linspace(0.0, 1.0, SCALE_COLOURS), bytes=True)[:, :3]
     marks = [part for colour in MARKS for part in ImageColor.getrgb(colour)]
+    marks += np.asarray(scale).ravel().tolist()
     palette = Image.new("P", (1, 1))
     palette.putpalette(ground + marks)
     indices = [

@@ -3,20 +3,56 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planopt.report.comparison_looks import Look, Setting, looks_of
 from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
-from planopt.report.style import dress, head, legend_below, plain_log_ticks
+from planopt.report.style import MARKERS, SERIES, dress, head, legend_below, plain_log_ticks
 from planopt.report.tables import interval_words
 from planopt.studies.comparison import Comparison, Row
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
+
+SPREAD = 0.6
+"""Width that the settings of one horizon share, in distances between horizons."""
+
+Setting = tuple[str | None, str]
+"""Cost to go, None where there is no goal, and planner."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one setting is drawn: shift and width are in distances between horizons."""
+
+    label: str
+    colour: str
+    marker: str
+    shift: float
+    width: float
+
+
+def looks_of(comparison: Comparison) -> dict[Setting, Look]:
+    """Looks of the settings, in the order of the rows: colour by cost to go, marker by planner."""
+    settings = list(dict.fromkeys((row.cost_to_go, row.planner) for row in comparison.rows))
+    costs = list(dict.fromkeys(cost for cost, _ in settings))
+    planners = list(dict.fromkeys(planner for _, planner in settings))
+    shifts = SPREAD * ((np.arange(len(settings)) + 0.5) / len(settings) - 0.5)
+    return {
+        (cost, planner): Look(
+            label=f"planner {planner}" if cost is None else f"{cost} cost to go, planner {planner}",
+            colour=SERIES[costs.index(cost) % len(SERIES)],
+            marker=MARKERS[planners.index(planner) % len(MARKERS)],
+            shift=float(shift),
+            width=SPREAD / len(settings),
+        )
+        for (cost, planner), shift in zip(settings, shifts, strict=True)
+    }
+
 
 COLUMNS = 4
 X_LABEL = "horizon [steps]"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, panel_of
 
-from planopt.report.comparison_figure import draw_comparison
-from planopt.report.comparison_looks import looks_of
+from planopt.report.comparison_figure import draw_comparison, looks_of
 
 GEODESIC, CONNECTED = ("geodesic", "auto"), ("connected", "lattice")
 

@@ -9,7 +9,7 @@ from artists import panel_of
 from matplotlib.figure import Figure
 
 from planopt.channel.estimation.profile import CUT_95, Profile
-from planopt.report.profile_panel import draw_profiles
+from planopt.report.fit_figure import draw_profiles
 
 INSIDE, OUTSIDE = -0.5 * CUT_95, -4.0 * CUT_95
 

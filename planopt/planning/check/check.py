@@ -5,6 +5,10 @@ the problem and the seed, the channel is fitted and conditioned again on the sav
 the verifier decides. From that everything that the files say is computed again and compared, key
 by key and cell by cell. A key that cannot be computed again, wall times for one, must at least fit
 the others; a key that is not known is rejected.
+
+Nothing in a file proves that its problem is the one that was meant: who edits ``p_min`` in it has
+asked another question. How it differs from the library's of its name is said; it is no reason to
+reject.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
+from planopt.errors import InputError
 from planopt.planning.certificate import Certificate
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import given_again
@@ -22,7 +27,6 @@ from planopt.planning.check.check_explanation import no_way_faults
 from planopt.planning.check.check_labels import label_reasons
 from planopt.planning.check.check_plan import check_plan
 from planopt.planning.check.check_run import check_run
-from planopt.planning.check.library_remarks import library_remarks
 from planopt.planning.files.read_saved import Saved, read_object, saved_from
 from planopt.planning.files.run_json import RunRecord, no_run_json
 from planopt.planning.files.saved import FORMAT, PLAN_FILE
@@ -36,8 +40,46 @@ from planopt.planning.given import Given
 from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
+from planopt.problems.library import SUFFIX, library_folder
+from planopt.problems.load import load
+from planopt.problems.problem import Problem
+from planopt.problems.save import problem_to_dict
 from planopt.problems.systems import judge_saved
 from planopt.short_repr import short_repr
+
+
+def library_remarks(file: str, problem: Problem) -> list[str]:
+    """What to say of the problem in `file`; empty if it is the library's.
+
+    Horizon, planner and cost to go may be others: the file says beside the problem what they are.
+    """
+    original = library_folder() / f"{problem.name}{SUFFIX}"
+    if not original.is_file():
+        return [
+            f"{file}, key problem_file.problem.name: {problem.name} is no problem of the library, "
+            "it is taken as it stands"
+        ]
+    try:
+        meant = _but_overrides(problem_to_dict(load(original)))
+    except InputError as error:
+        return [f"{file}, key problem_file: cannot be compared with the library's: {error}"]
+    said = _but_overrides(problem_to_dict(problem))
+    return in_words(
+        file,
+        disagreements(said, meant, "problem_file"),
+        f"in the library's {problem.name}",
+    )
+
+
+def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
+    """`tables` without what the command line may change."""
+    without = {"planner": ("horizon", "name"), "objective": ("cost_to_go",)}
+    return {
+        table: {key: value for key, value in keys.items() if key not in without[table]}
+        if table in without
+        else keys
+        for table, keys in tables.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from planopt.planning.check.agreement import EXACT, PREDICTION
 from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.fault import Fault, faults_of
-from planopt.planning.explain.key import Key
-from planopt.planning.explain.keys import blamed_keys, connection_keys, moving_keys, other_keys
+from planopt.planning.explain.keys import Key, blamed_keys, connection_keys, moving_keys, other_keys
 from planopt.planning.explain.possible import is_possible
 from planopt.planning.free_space import is_joined
 from planopt.planning.plan import Verdict

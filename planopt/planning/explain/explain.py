@@ -7,11 +7,10 @@ import numpy as np
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.explain.blocked import explain_blocked
 from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
-from planopt.planning.explain.no_way import explain_no_way
+from planopt.planning.explain.no_way import explain_blocked, explain_no_way
 from planopt.planning.ground import first_moves
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Verdict

@@ -5,18 +5,154 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from planopt.planning.explain.attained import attained_amount, elastic_problem
+from planopt.channel.prediction import Prediction
+from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.fault import Fault, faults_of, met_nowhere
-from planopt.planning.explain.key import Key
-from planopt.planning.explain.keys import blamed_keys, moving_keys, other_keys
-from planopt.planning.explain.least_relaxation import SETTLED_SHARE, least_relaxation
+from planopt.planning.explain.keys import MOST_DB, Key, blamed_keys, moving_keys, other_keys
 from planopt.planning.explain.possible import is_possible
 from planopt.planning.explain.reach_limits import best_probability
+from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan, Verdict
+from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.proof.predictions import certified_prediction
+from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
+from planopt.planning.proof.rules.whole_plan import whole_plan_result
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.problems.problem import Problem
+
+SETTLED_SHARE = 0.02
+"""The least amount that helps is found to this share of itself."""
+
+SHORT_SHARE = 0.05
+"""An amount that is short by this share is tried at last: planners are not monotone."""
+
+GROWTH = 4.0
+"""Of the steps by which an amount grows until it helps, and at first shrinks."""
+
+MOST_SOLVES = 20
+"""Of one key."""
+
+
+def least_relaxation(
+    key: Key, helps: Callable[[float], bool], first: float, step: float, floor: float = 0.0
+) -> float | None:
+    """The value of a key nearest to what is asked that helps; None where none is found.
+
+    Parameters
+    ----------
+    key
+        The key.
+    helps
+        Whether the problem with a value of it, solved again, has a verified plan.
+    first, step
+        The amount that is tried first, and by how much more is tried then.
+    floor
+        An amount that is known not to help.
+    """
+    solves = 0
+
+    def look(amount: float) -> tuple[bool, float]:
+        nonlocal solves
+        solves += 1
+        value = key.loosened(amount)
+        return helps(value), key.amount_of(value)
+
+    def settled(failing: float, helping: float, close: bool) -> float:
+        """The least amount that helps between one that does not and one that does.
+
+        Bisected; at first by small steps from one that may be close to the least.
+        """
+        step = SETTLED_SHARE * helping
+        gap = 1.0 if key.whole else step
+        while helping - failing > gap and solves < MOST_SOLVES:
+            middle = 0.5 * (failing + helping)
+            amount = max(helping - step, middle) if close else middle
+            if not failing < key.amount_of(key.loosened(amount)) < helping:
+                break
+            good, amount = look(amount)
+            failing, helping = (failing, amount) if good else (amount, helping)
+            step *= GROWTH
+        return helping
+
+    amount, failing = first, floor
+    good, helping = look(amount)
+    close = good and helping < key.most
+    while not good:
+        if helping >= key.most or solves >= MOST_SOLVES:
+            return None
+        failing = max(failing, helping)
+        good, helping = look(helping + step)
+        step *= GROWTH
+    helping = settled(failing, helping, close)
+    short = (1.0 - SHORT_SHARE) * helping
+    if not key.whole and short > floor:
+        good, amount = look(short)
+        if good and amount < helping:
+            helping = settled(floor, amount, close=True)
+    return key.loosened(helping)
+
+
+DEAR = 1e5
+"""Price of a dB of slack beside which nothing else counts."""
+
+SETTLING_HALVINGS = 40
+SETTLED = 1e-3
+"""The amount is found to this share of itself."""
+
+
+def elastic_problem(case: Case) -> Problem | None:
+    """The problem with the rule missed by as little as may be: slack without end, and dear.
+
+    None where slack has no price, or nothing is lacking that it could make up for.
+    """
+    problem = case.problem
+    rule = problem.constraints.rule
+    if problem.task == "reach" or (rule.by_step and rule.slack_max_db is None):
+        return None
+    elastic = replace(rule, slack_max_db=MOST_DB, slack_price=DEAR)
+    return replace(problem, constraints=replace(problem.constraints, rule=elastic))
+
+
+def attained_amount(case: Case, key: Key) -> float | None:
+    """The least amount with which the verifier has nothing against the plan's own path.
+
+    None where no amount does.
+    """
+
+    def kept(amount: float) -> bool:
+        whole = key.changed(case.problem, key.loosened(amount))
+        return _is_kept(case, problem_of_robot(whole, case.number))
+
+    low, high = 0.0, key.most
+    if not kept(high):
+        return None
+    for _ in range(SETTLING_HALVINGS):
+        if high - low <= SETTLED * high:
+            break
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if kept(middle) else (middle, high)
+    return high
+
+
+def _is_kept(case: Case, problem: Problem) -> bool:
+    """Whether the plan's path keeps the rule of a changed problem."""
+    plan, rule = case.plan, problem.constraints.rule
+    first, broad = case.posteriors[0], None
+    power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
+    if len(case.posteriors) > 1 or first.outcomes is not None:
+        # What stands for several powers, or a calibrated one, depends on thresholds and on p_min.
+        broad = broad_prediction(problem, case.posteriors)
+        power, _ = certified_prediction(first, plan.positions_m[1:], broad, keep=False)
+    if not rule.by_step:
+        result = whole_plan_result(problem, BEGINNING, first, plan.positions_m, power, broad)
+        return result.slack_db > 0.0 or not is_missed(result)
+    margins = margins_asked_db(problem, power) + (rule.slack_max_db or 0.0)
+    blamed = margins[[step - 1 for step in plan.certificate.relaxed_steps]]
+    kept = ~margin_missed(blamed)
+    return bool(kept.any() if met_nowhere(case) else kept.all())
+
 
 PlanAgain = Callable[[Problem], Plan | None]
 """Plans for the case's robot in a changed problem, with all robots; None where there is no plan."""

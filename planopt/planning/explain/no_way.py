@@ -1,21 +1,129 @@
-"""Why no way leads to the goal: the clearance, an obstacle, or steps too long for the lattice."""
+"""Why no path leads to the goal, and what would open one.
+
+The clearance, an obstacle, steps too long for the lattice, or a hard bound on connectivity.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
+
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.explain.explanation import Relaxation, towards
-from planopt.planning.explain.key import DIGITS
+from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.plan import Verdict
 from planopt.planning.scene import build_scene
-from planopt.planning.tolerances import CLEARANCE_PAD_M
+from planopt.planning.search.node_margins import NodeMargins
+from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
 from planopt.problems.problem import Problem
+from planopt.world.road_map import RoadMap
+
+EXTRA = (1e-3, 0.02, 0.1, 0.3)
+"""Shares by which a bit more than the widest path asks for is tried, one after the other."""
 
 SolveAgain = Callable[[Problem], Verdict]
 """Solves a changed problem and says what its plan is worth."""
+
+
+def explain_blocked(
+    problem: Problem,
+    road_map: RoadMap,
+    first: NDArray[np.intp],
+    goal: int,
+    margins: NodeMargins,
+    solve_again: SolveAgain,
+) -> tuple[Relaxation, ...]:
+    """What would open a path to the goal, each change by itself.
+
+    Parameters
+    ----------
+    problem
+        With a bound that may not be missed, which no path keeps.
+    road_map, first, goal
+        Where the robot may drive, nodes that it can come to by its first step, and the goal's.
+    margins
+        Connectivity at its nodes by the problem's threshold and p_min.
+    solve_again
+        Judges the changed problems.
+    """
+    threshold = problem.stations[0].threshold_dbm
+    chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
+    lacking_db = MARGIN_PAD_DB - widest(road_map, first, goal, margins.margin_db)
+    slack_db = problem.constraints.rule.slack_max_db or 0.0
+    found: list[Relaxation] = []
+    for key in connection_keys(problem):
+        amount = lacking_db - slack_db
+        if key.name == "constraints.p_min":
+            amount = key.asked - widest(road_map, first, goal, chance)
+        value = _least(key, amount, problem, solve_again)
+        if value is not None:
+            found.append(_about(problem, key, value))
+    [slack] = [key for key in connection_keys(problem) if key.name == "constraints.slack_max_db"]
+    if solve_again(_crossing(problem)) is Verdict.VERIFIED:
+        found.append(_about(problem, slack, None))
+    return tuple(found)
+
+
+def widest(
+    road_map: RoadMap, first: NDArray[np.intp], goal: int, score: NDArray[np.float64]
+) -> float:
+    """Return the largest score that all nodes of some path to the goal have.
+
+    Parameters
+    ----------
+    road_map, first, goal
+        As :func:`explain_blocked` takes them.
+    score
+        ``(n,)`` of the nodes.
+    """
+    count = len(score)
+    end, move = np.nonzero(road_map.sources < count)
+    begin = road_map.sources[end, move]
+    least = np.minimum(score[begin], score[end])
+    levels = np.unique(score)
+    low, high = 0, len(levels) - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        kept = least >= levels[middle]
+        graph = csr_matrix((np.ones(int(kept.sum())), (begin[kept], end[kept])), (count, count))
+        _, part = cast("tuple[int, NDArray[np.int32]]", connected_components(graph, directed=False))
+        open_ = first[score[first] >= levels[middle]]
+        joined = score[goal] >= levels[middle] and bool((part[open_] == part[goal]).any())
+        low, high = (middle, high) if joined else (low, middle - 1)
+    return float(levels[low])
+
+
+def _least(key: Key, amount: float, problem: Problem, solve_again: SolveAgain) -> float | None:
+    """The value that is looser by an amount, or by little more, with which there is a plan."""
+    for extra in EXTRA:
+        wanted = amount * (1.0 + extra)
+        if not 0.0 < wanted <= key.most:
+            return None
+        value = key.loosened(wanted)
+        if solve_again(key.changed(problem, value)) is Verdict.VERIFIED:
+            return value
+    return None
+
+
+def _crossing(problem: Problem) -> Problem:
+    """The problem with a bound that may be missed at a price."""
+    rule = replace(problem.constraints.rule, slack_max_db=None)
+    return replace(problem, constraints=replace(problem.constraints, rule=rule))
+
+
+def _about(problem: Problem, key: Key, value: float | None) -> Relaxation:
+    return Relaxation(
+        key.name, key.unit, key.asked, (), None, "", value, True, problem.robots[0].name
+    )
+
 
 BISECTIONS = 12
 """Of the clearance, where the lattice needs more room than there is."""

@@ -118,7 +118,7 @@ def saved_from(file: Path, said: Mapping[str, Any]) -> Saved:
     """As :func:`read_saved`, of a JSON file that has been read."""
     data, former = without_former_forms(file, said)
     if data.get("format") != FORMAT:
-        message = f"{data.get('format')!r} is not known, this version reads up to {FORMAT}"
+        message = f"is {data['format']!r}, should be {FORMAT}" if "format" in data else "is missing"
         raise damaged(file, "format", message)
     if data.get("robots") == []:
         record = _record(file, data, NoPlanRecord)

@@ -13,7 +13,7 @@ from terms_scene import TRACKING, terms_problem
 
 from planopt.planning.check.check import check
 from planopt.planning.explain.explain import explain, explain_no_plan
-from planopt.planning.files.saved import save_solution, write_record
+from planopt.planning.files.saved import save_solution, write_result
 from planopt.planning.files.solution_json import no_plan_json
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
@@ -161,7 +161,7 @@ def test_no_plan(tmp_path):
     assert keys == ["constraints.clearance_m", "world.obstacles (wall)"]
     file = tmp_path / "plan.json"
     data = no_plan_json(problem, 0, "obstacles cut it off", explanation)
-    write_record(data, problem, file)
+    write_result(data, problem, file)
     saved = json.loads(file.read_text())
     assert blamed(tmp_path, saved) == []
     saved["explanation"][0]["relaxed_value"] = 0.8

@@ -6,8 +6,8 @@ import pytest
 
 from planopt import load
 from planopt.errors import InputError
-from planopt.planning.check import library_remarks as module
-from planopt.planning.check.library_remarks import library_remarks
+from planopt.planning.check import check as module
+from planopt.planning.check.check import library_remarks
 from planopt.problems.overrides import with_overrides
 
 

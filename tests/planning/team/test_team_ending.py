@@ -167,16 +167,16 @@ def test_a_run_goes_on_while_one_robot_does() -> None:
 
 
 def test_places_that_the_others_measured_are_not_left() -> None:
-    """A joint team is done once all places are measured by anyone; a decoupled robot is not."""
-    problem = terms_problem(LEARNING, max_steps=99)
-    problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=8.0))
+    """A joint team is done once the map is good enough by anyone; a decoupled robot is not."""
+    term = {"kind": "mapping", "form": "path", "variance_threshold_db2": 6.0}
+    problem = terms_problem(term, max_steps=99)
     robot = problem.robots[0]
-    x, y = np.meshgrid(np.arange(0.0, 41.0, 4.0), np.arange(0.0, 41.0, 4.0))
+    x, y = np.meshgrid(np.arange(0.0, 41.0, 3.0), np.arange(0.0, 41.0, 3.0))
     everywhere = np.column_stack([x.ravel(), y.ravel()])
     (before,) = situation_of(problem)[0].stations
     knowing = before.extend(Measurements(everywhere, np.full(len(everywhere), -50.0)))
     circling = [HERE, HERE + 0.1] * 20
-    track = [*everywhere, *circling]
+    track = [HERE, *everywhere, *circling]
     one = driven(problem, circling, [False] * (len(circling) - 1))
     other = driven(problem, track, [False] * (len(track) - 1), posteriors=[knowing])
     for coordination, outcome in (("joint", Outcome.COMPLETED), ("decoupled", Outcome.STALLED)):

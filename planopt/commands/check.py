@@ -31,6 +31,7 @@ def check(
         if result.certificate is None
         else certificate_json(result.certificate)
     )
+    planned = planned_in_words(certificate["min_clearance_m"], certificate["min_connectivity"])
     rule = None if result.certificate is None else result.certificate.rule
     data = {
         "verdict": result.verdict.value,
@@ -40,7 +41,7 @@ def check(
     }
     lines = [
         f"{path}: {result.verdict.value}",
-        f"  {planned_in_words(certificate['min_clearance_m'], certificate['min_connectivity'])}",
+        *([] if result.certificate is None else [f"  {planned}"]),
         *apart_in_words(certificate["min_separation_m"], certificate["min_moving_clearance_m"]),
         *([] if rule is None else [f"  {rule.words}"]),
         *(f"  {reason}" for reason in result.reasons),

@@ -17,13 +17,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from planopt.planning.team.team_loop import simulate_team
 
 from planopt import load
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.objectives.mapping import path_information
+from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.problem import Problem
@@ -79,7 +79,7 @@ def drive(form: str, coordination: str, seed: int, steps: int) -> Record:
     """Drive one run, and pool what all robots measured."""
     problem = team_problem(form, coordination, steps)
     prepared = prepare(problem, seed)
-    run = simulate_team(problem, seed=seed, prepared=prepared)
+    run = simulate(problem, seed=seed, prepared=prepared)
     prior = prepared.belief.posterior
     first = len(prior.measurements)
     new = [belief.posterior.measurements.take(slice(first, None)) for belief in run.beliefs]

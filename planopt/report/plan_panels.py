@@ -72,7 +72,7 @@ def draw_plan_power(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> No
             label=BAND_WORDS if number == 0 else None,
         )
         _draw_curve(panel, plan, number, plan.mean_dbm)
-    if problem.task == "track" or problem.constraints.p_min > 0.0:
+    if any(term.sensor for term in problem.terms) or problem.constraints.p_min > 0.0:
         threshold = problem.stations[0].threshold_dbm
         panel.axhline(threshold, color=BLACK, linestyle="dashed", label="threshold")
     dress(panel, "predicted power", TIME, "power [dBm]")

@@ -45,6 +45,9 @@ def test_library_problems(name, written, tmp_path, capsys):
     out = tmp_path / "out"
     code, found = run(capsys, "simulate", written(name), "--seed", 3, "--out", out)
     assert code == 0 and found["outcome"] == "captured" and found["faults"] == []
+    assert sum(found["rungs"].values()) == found["metrics"]["steps"]
+    assert found["verified_rate"] == (None if name == "pursuit_obstacles" else 1.0)
+    assert found["step_s"]["p50"] <= found["step_s"]["p95"] <= found["step_s"]["max"]
     assert found["capture_time_s"] == max(each["capture_time_s"] for each in found["evaders"])
     assert run(capsys, "check", out) == (0, run(capsys, "check", out)[1])
     assert {path.name for path in out.iterdir()} == {"run.json", "steps.csv", "records.csv"}

@@ -145,6 +145,21 @@ class Term:
         return None
 
     @property
+    def ends_connected(self) -> bool:
+        """Whether a run for this term is over once all robots are connected."""
+        return False
+
+    @property
+    def pays_standing(self) -> bool:
+        """Whether the value of standing changes from step to step while packets arrive."""
+        return False
+
+    @property
+    def may_stand(self) -> bool:
+        """Whether a robot that stands, by verified plans, may be doing its best."""
+        return self.task == "custom"
+
+    @property
     def tries_connection(self) -> bool:
         """Whether the value depends on where connection was tried before."""
         return False

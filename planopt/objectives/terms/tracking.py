@@ -98,6 +98,11 @@ class TrackingTerm(Term):
         return self.form != "additive"
 
     @property
+    def pays_standing(self) -> bool:
+        """The target moves on, and packets tell of it from where the robot is."""
+        return True
+
+    @property
     def sensor(self) -> Sensor:
         """Its variance grows away from the best distance."""
         return Sensor(self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m)

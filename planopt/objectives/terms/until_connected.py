@@ -57,6 +57,11 @@ class UntilConnectedTerm(Term):
         return True
 
     @property
+    def ends_connected(self) -> bool:
+        """The search is over then."""
+        return True
+
+    @property
     def tries_connection(self) -> bool:
         """Places that were tried are not tried again."""
         return True

@@ -14,6 +14,13 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.left_to_learn import learns, left_to_learn
+from planopt.planning.worth.pending import (
+    NOTHING_PENDING,
+    Pending,
+    anticipated,
+    counts_others,
+    places_of_others,
+)
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import build_lattice
@@ -171,8 +178,8 @@ def terms_ending(
     robots
         All of them.
     """
-    steps = len(connected)
-    if problem.task == "connect" and bool(connected[-1].all()):
+    steps, asked = len(connected), problem.terms[0]
+    if asked.ends_connected and bool(connected[-1].all()):
         return Outcome.COMPLETED, f"connected after step {steps}"
     last = steps >= problem.planner.max_steps
     stuck = [
@@ -182,14 +189,18 @@ def terms_ending(
     ]
     if stuck and (last or len(stuck) == len(robots)):
         if learns(problem):
-            stuck = [(robot, why) for robot, why in stuck if _has_left(robot)]
+            stuck = [
+                (robot, why)
+                for robot, why in stuck
+                if _has_left(robot, _told(problem, robots, robot))
+            ]
         if stuck:
             return Outcome.STALLED, _in_words(problem, stuck)
         if not last:
             return Outcome.COMPLETED, f"nothing left to learn after step {steps}"
     if not last:
         return None
-    if problem.task == "connect":
+    if asked.ends_connected:
         return Outcome.STEP_LIMIT, f"not connected after planner.max_steps {steps}"
     return Outcome.COMPLETED, f"all {steps} steps driven"
 
@@ -197,24 +208,36 @@ def terms_ending(
 def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:
     """Why a robot will do nothing more for its task, in words; None if it may.
 
-    What a plan for tracking rests on changes while a robot stands; it does its task as long as
+    The inputs of a plan for tracking change while a robot stands; it does its task as long as
     packets arrive. For other terms standing still may be the best, if plans are verified.
     """
-    recent = slice(-STALL_STEPS, None)
-    if problem.task == "track" and connected[recent].any():
+    recent, asked = slice(-STALL_STEPS, None), problem.terms[0]
+    if asked.pays_standing and connected[recent].any():
         return None
-    if problem.task == "custom" and not learns(problem):
+    if asked.may_stand and not learns(problem):
         verdicts = [plan.verdict for plan in robot.plans[recent]]
         if any(verdict is Verdict.VERIFIED for verdict in verdicts):
             return None
-    apart = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
-    alone = not apart and problem.task != "track" and problem.planner.name != "random"
+    beside = problem.constraints.separation_m > 0.0 or counts_others(problem)
+    apart = len(problem.robots) > 1 and beside
+    alone = not apart and not asked.pays_standing and problem.planner.name != "random"
     return standstill(robot.problem, robot.states, robot.learnt, robot.plans[-1], alone=alone)
 
 
-def _has_left(robot: Progress) -> bool:
-    """Whether a robot could still learn something somewhere."""
+def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
+    """Where the other robots have been, if that counts."""
+    if not counts_others(problem):
+        return NOTHING_PENDING
+    driven = [np.array(each.states)[1:, :2] for each in robots]
+    number = next(number for number, each in enumerate(robots) if each is robot)
+    return Pending((), places_of_others(driven, number))
+
+
+def _has_left(robot: Progress, told: Pending) -> bool:
+    """Whether a robot could still learn something somewhere, that the others have not."""
     problem, states = robot.problem, robot.states
+    spacing = problem.channel.measure_spacing_m
+    posteriors = anticipated(robot.posteriors, told, states[-1][:2], spacing)
     lattice = build_lattice(
         problem.workspace,
         states[0][:2],
@@ -222,7 +245,7 @@ def _has_left(robot: Progress) -> bool:
         problem.constraints.clearance_m + CLEARANCE_PAD_M,
     )
     index = index_obstacles(problem.workspace)
-    return len(left_to_learn(problem, index, lattice, states[-1][:2], robot.posteriors)) > 0
+    return len(left_to_learn(problem, index, lattice, states[-1][:2], posteriors)) > 0
 
 
 def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:

@@ -34,7 +34,7 @@ def way_to_unmeasured(situation: Situation, ground: Ground) -> NDArray[np.float6
     """
     problem, here = situation.problem, situation.position_m
     lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m
-    left = left_to_learn(problem, ground.index, lattice, here, situation.stations)
+    left = left_to_learn(problem, ground.index, lattice, here, situation.anticipated)
     if not len(left):
         return None
     ways = WaysFrom(problem, ground, here)

@@ -77,7 +77,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         *_captures(driven),
         *faults(driven),
     ]
-    kept = {key: data.get(key) for key in ("wall_s", "problem_file")}
+    kept = {key: data.get(key) for key in ("wall_s", "step_s", "problem_file")}
     found = {"problem": problem.name, **run_json(driven), "faults": faults(driven), **kept}
     return reasons + in_words(file.name, disagreements(data, found))
 

@@ -93,6 +93,8 @@ def run_json(driven: Driven) -> dict[str, Any]:
         "reason": _reason(driven),
         "capture_time_s": finite(pursuit.capture_time_s),
         "metrics": _metrics(driven),
+        "rungs": {driven.planner: len(times_s) - 1},
+        "verified_rate": _verified_rate(driven),
         "guarantee": guarantee_json(driven),
         "evaders": [
             {
@@ -234,6 +236,12 @@ def _reason(driven: Driven) -> str:
     steps = len(pursuit.times_s) - 1
     knew = "" if pursuit.uses else ", and no record ever came"
     return f"{free} not caught in {steps} steps, nearest {nearest_m:.3g} m{knew}"
+
+
+def _verified_rate(driven: Driven) -> float | None:
+    """Share of the chases, by each theorem that applies, whose stages are all within bounds."""
+    kept = [each.kept for each in stages(driven)]
+    return float(np.mean(kept)) if kept else None
 
 
 def _metrics(driven: Driven) -> dict[str, Any]:

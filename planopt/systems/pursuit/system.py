@@ -6,6 +6,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from planopt.errors import NoPlanError
 from planopt.problems.save import obstacle_table
 from planopt.problems.systems import Answer, Request, System, SystemProblem
@@ -36,14 +38,21 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
         data: dict[str, Any] = {
             **{"problem": problem.name, "horizon": planner.horizon, "planner": planner.name},
             **{"seed": request.seed, "outcome": "no_plan", "reason": str(error), **nothing},
-            **{"metrics": {}, "evaders": [], "robots": [], "wall_s": None},
+            **{"metrics": {}, "rungs": {}, "verified_rate": None, "evaders": [], "robots": []},
+            **{"wall_s": None, "step_s": None},
         }
         return Answer(None, data, (f"{problem.name}: no plan: {error}",), NOT_CAUGHT, failure=error)
-    began = time.perf_counter()
-    driven = drive(content, planner, request.seed, request.on_step)
+    ends_s = [time.perf_counter()]
+
+    def after_step() -> None:
+        ends_s.append(time.perf_counter())
+        request.on_step()
+
+    driven = drive(content, planner, request.seed, after_step)
     broken = faults(driven)
     data = {"problem": problem.name, **run_json(driven), "faults": broken}
-    data["wall_s"] = time.perf_counter() - began
+    data["wall_s"] = ends_s[-1] - ends_s[0]
+    data["step_s"] = _step_s(ends_s)
     code = NOT_CAUGHT if driven.pursuit.outcome != "captured" else NOT_VERIFIED if broken else 0
     return Answer(
         driven,
@@ -55,6 +64,15 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
         if content.given.report.figures
         else None,
     )
+
+
+def _step_s(ends_s: list[float]) -> dict[str, float] | None:
+    """Wall times of steps; None if there was none."""
+    if len(ends_s) < 2:
+        return None
+    lasts_s = np.diff(np.array(ends_s))
+    p50, p95 = np.percentile(lasts_s, [50, 95]).tolist()
+    return {"p50": p50, "p95": p95, "max": float(lasts_s.max())}
 
 
 def tables(problem: SystemProblem) -> dict[str, Any]:

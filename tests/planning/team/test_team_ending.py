@@ -11,6 +11,7 @@ import shapely
 from terms_scene import CONNECT, LEARNING, SENDING, TRACKING, judge_of, situation_of, terms_problem
 
 import planopt.planning.baselines.one_step as one_step_module
+from planopt.channel.measurements import Measurements
 from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
@@ -151,8 +152,8 @@ def test_below_the_threshold_nothing_is_left() -> None:
 
 
 def test_a_run_goes_on_while_one_robot_does() -> None:
-    """But at its end the robot that stands is named."""
-    problem = terms_problem(LEARNING, max_steps=2)
+    """But at its end the robot that stands is named, if nothing can set it going again."""
+    problem = terms_problem(LEARNING, max_steps=2, coordination="decoupled")
     robot = problem.robots[0]
     both = replace(problem, robots=(robot, replace(robot, name="other")))
     still, going = standing(problem), driven(problem, [HERE, HERE + 1.0], [True])
@@ -160,6 +161,31 @@ def test_a_run_goes_on_while_one_robot_does() -> None:
     outcome, reason = terms_ending(both, no_packet(2, 2), [still, going])
     assert outcome is Outcome.STALLED
     assert reason.startswith(f"{robot.name}: standing still") and "other" not in reason
+    # What the others plan may leave it something to do.
+    joint = replace(both, planner=replace(both.planner, coordination="joint"))
+    assert terms_ending(joint, no_packet(2, 2), [still, going])[0] is Outcome.COMPLETED
+
+
+def test_places_that_the_others_measured_are_not_left() -> None:
+    """A joint team is done once the map is good enough by anyone; a decoupled robot is not."""
+    term = {"kind": "mapping", "form": "path", "variance_threshold_db2": 6.0}
+    problem = terms_problem(term, max_steps=99)
+    robot = problem.robots[0]
+    x, y = np.meshgrid(np.arange(0.0, 41.0, 3.0), np.arange(0.0, 41.0, 3.0))
+    everywhere = np.column_stack([x.ravel(), y.ravel()])
+    (before,) = situation_of(problem)[0].stations
+    knowing = before.extend(Measurements(everywhere, np.full(len(everywhere), -50.0)))
+    circling = [HERE, HERE + 0.1] * 20
+    track = [HERE, *everywhere, *circling]
+    one = driven(problem, circling, [False] * (len(circling) - 1))
+    other = driven(problem, track, [False] * (len(track) - 1), posteriors=[knowing])
+    for coordination, outcome in (("joint", Outcome.COMPLETED), ("decoupled", Outcome.STALLED)):
+        team = replace(
+            problem,
+            robots=(robot, replace(robot, name="other")),
+            planner=replace(problem.planner, coordination=coordination),
+        )
+        assert terms_ending(team, no_packet(39, 2), [one, other])[0] is outcome
 
 
 def test_standing_beside_a_target_is_no_stall() -> None:

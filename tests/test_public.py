@@ -1,7 +1,9 @@
 """The package's public names."""
 
+import pkgutil
 import subprocess
 import sys
+from types import ModuleType
 
 import pytest
 
@@ -13,6 +15,13 @@ def test_every_public_name_is_there() -> None:
     for name in planopt.__all__:
         assert getattr(planopt, name) is not None
     assert set(planopt.__all__) <= set(dir(planopt))
+
+
+@pytest.mark.parametrize("package", [planopt, planopt.channel, planopt.objectives])
+def test_no_public_name_is_a_module(package: ModuleType) -> None:
+    """Else importing the module would put it in the place of the function or class."""
+    modules = {each.name for each in pkgutil.iter_modules(package.__path__) if not each.ispkg}
+    assert not modules & set(package.__all__)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -13,6 +13,7 @@ from planopt.channel.connection.outage import longest_outage as longest_outage
 from planopt.channel.connection.several_stations import SharedShadowing as SharedShadowing
 from planopt.channel.connection.several_stations import connected_to_any as connected_to_any
 from planopt.channel.connection.several_stations import strongest_station as strongest_station
+from planopt.channel.derivatives import posterior_derivatives as posterior_derivatives
 from planopt.channel.estimation.channel_fit import ChannelFit as ChannelFit
 from planopt.channel.estimation.fit import fit_channel as fit_channel
 from planopt.channel.estimation.profile_likelihood import profile_likelihood as profile_likelihood
@@ -49,7 +50,6 @@ from planopt.channel.path_loss_estimate import estimate_theta as estimate_theta
 from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
-from planopt.channel.posterior_derivatives import posterior_derivatives as posterior_derivatives
 from planopt.channel.prediction import Prediction as Prediction
 from planopt.channel.readings import predict_readings as predict_readings
 from planopt.channel.sensitivity import mean_squared_error_db2 as mean_squared_error_db2

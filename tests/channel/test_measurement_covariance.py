@@ -14,6 +14,7 @@ from varied_measurements import (
     varied,
 )
 
+from planopt.channel.derivatives import posterior_derivatives
 from planopt.channel.fields.conditional_field import conditional_field, conditional_values_db
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
@@ -29,7 +30,6 @@ from planopt.channel.measurement_covariance import (
 from planopt.channel.nearest.nearby import predict_nearby
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.posterior import at_time, condition, extend
-from planopt.channel.posterior_derivatives import posterior_derivatives
 from planopt.errors import InputError
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))

@@ -4,11 +4,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from planopt.channel.derivatives import posterior_derivatives
 from planopt.channel.mean_model import MIN_DISTANCE_M
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.channel.posterior_derivatives import posterior_derivatives
 from planopt.errors import InputError
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
@@ -103,7 +103,7 @@ def test_blocks_do_not_show(monkeypatch):
     """The same whatever is worked on at once."""
     posterior = condition(PARAMETERS, measured())
     whole = posterior_derivatives(posterior, PLACES)
-    monkeypatch.setattr("planopt.channel.posterior_derivatives.ELEMENTS", 20 * 7)
+    monkeypatch.setattr("planopt.channel.derivatives.ELEMENTS", 20 * 7)
     parts = posterior_derivatives(posterior, PLACES)
     np.testing.assert_allclose(parts.deviation_hessian, whole.deviation_hessian, rtol=1e-10)
     np.testing.assert_allclose(parts.mean_gradient, whole.mean_gradient, rtol=1e-10)
@@ -112,7 +112,7 @@ def test_blocks_do_not_show(monkeypatch):
 def test_measured_place_is_an_error(monkeypatch):
     """At the cusp there is no derivative; the error counts over all blocks."""
     data = measured()
-    monkeypatch.setattr("planopt.channel.posterior_derivatives.ELEMENTS", 20 * 4)
+    monkeypatch.setattr("planopt.channel.derivatives.ELEMENTS", 20 * 4)
     places = np.concatenate([PLACES[:9], data.positions_m[3:4], PLACES[9:]])
     with pytest.raises(InputError, match="position 9 is where measurement 3 was taken"):
         posterior_derivatives(condition(PARAMETERS, data), places)

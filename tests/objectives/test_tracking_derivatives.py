@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, PATH, drawn
 
+from planopt.channel.derivatives import posterior_derivatives
 from planopt.channel.posterior import condition
-from planopt.channel.posterior_derivatives import posterior_derivatives
 from planopt.objectives.tracking import Tracking, tracking_stage_rewards
 from planopt.objectives.tracking_derivatives import (
     connectivity_derivatives,

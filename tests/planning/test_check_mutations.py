@@ -142,6 +142,8 @@ def edited(value: Any, key: str) -> Any:
         return not value
     if isinstance(value, int):
         return value + 1
+    if key.startswith("step_s."):
+        return value + 1e3  # out of order, however slow the machine was
     if isinstance(value, float):
         return value + 0.0625 * max(1.0, abs(value))
     if isinstance(value, str):

@@ -13,6 +13,7 @@ from planopt import load
 from planopt.errors import NoPlanError
 from planopt.planning.scene import build_scene, first_moves
 from planopt.planning.solve import solve
+from planopt.world.workspace import Obstacle
 
 ROOM = shapely.Polygon(
     [(30, 10), (39, 10), (39, 20), (30, 20)], [[(31, 11), (38, 11), (38, 19), (31, 19)]]
@@ -83,8 +84,11 @@ def test_boxed_in_start():
 
 def test_goal_too_near_to_an_obstacle():
     """Nearer than the clearance: the goal can never be stood on."""
+    problem = small_problem()
+    beside = (Obstacle("beside", shapely.box(35.2, 14, 37, 16)),)
+    near = replace(problem, workspace=replace(problem.workspace, obstacles=beside))
     with pytest.raises(NoPlanError, match=r"robots\[0\]\.goal_m .* constraints\.clearance_m 0\.5"):
-        build_scene(small_problem(shapely.box(35.2, 14, 37, 16)))
+        build_scene(near)
 
 
 def test_solve_says_so_too():

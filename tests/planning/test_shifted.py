@@ -54,5 +54,6 @@ def test_what_cannot_be_driven_today(last):
     assert shifted(last, small_problem(shapely.Point(x, y).buffer(0.1), horizon=5)) is None
     assert shifted(last, at=last.positions_m[1] + (0.0, 3.0)) is None
     assert shifted(last, slow) is None
-    assert shifted(last, small_problem(bounds_m=(0.0, 0.0, x, 30.0), horizon=5)) is None
+    narrow = replace(PROBLEM.workspace, bounds_m=(0.0, 0.0, float(x), 30.0))
+    assert shifted(last, replace(PROBLEM, workspace=narrow)) is None
     assert shifted(last, small_problem(horizon=4)) is None

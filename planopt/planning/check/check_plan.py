@@ -50,6 +50,7 @@ from planopt.planning.solution import Solution
 from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import braked_motion
 
@@ -163,6 +164,11 @@ def rebuilt_solution(
             for key, fault in provenance_faults(own, plan, None)
         ]
         reasons += _effort_faults(plan, where)
+        paths = [steps.positions_m for steps in saved.steps]
+        reasons += [
+            f"{PLAN_FILE}, key {where}aim.{fault}"
+            for fault in pending_faults(aims[number], paths, number, problem.planner.rounds)
+        ]
         case = Case(problem, number, posteriors, plan, moving)
         own_explanation = [one for one in explanation if one.robot == plan.robot]
         reasons += [
@@ -171,6 +177,35 @@ def rebuilt_solution(
         plans.append(plan)
     belief = belief_again(learnt, posteriors)
     return Solution(problem, record.seed, belief, tuple(plans), tuple(aims), explanation), reasons
+
+
+def pending_faults(
+    aim: Aim, paths_m: Sequence[NDArray[np.float64]], number: int, rounds: int
+) -> list[str]:
+    """Return what is wrong with the plans that a robot says it was told.
+
+    Parameters
+    ----------
+    aim
+        What robot `number` planned for.
+    paths_m
+        ``(N + 1, 2)`` each: the plans that all robots made in this step.
+    number
+        The robot's.
+    rounds
+        How often robots plan in a step. After the first round a robot may have been told a plan
+        that was exchanged for a better one, which no file has.
+    """
+    if rounds > 1:
+        return []
+    others = [path[1:] for other, path in enumerate(paths_m) if other != number]
+    return [
+        f"pending_m[{index}] is not the plan of another robot in this step"
+        for index, told in enumerate(aim.pending.planned_m)
+        if not any(
+            told.shape == path.shape and np.abs(told - path).max() <= EXACT for path in others
+        )
+    ]
 
 
 def of_robot(problem: Problem, robot: str, objections: Sequence[str]) -> list[str]:

@@ -21,7 +21,7 @@ from planopt.planning.check.check_belief import (
     learnt_again,
     taken_on_the_way,
 )
-from planopt.planning.check.check_plan import of_robot
+from planopt.planning.check.check_plan import of_robot, pending_faults
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import provenance_faults
 from planopt.planning.check.rebuilt import Asked, Effort, Place, rebuilt_plan
@@ -305,6 +305,11 @@ def _driven(
             driven_m = [made.positions_m[1:step] for made in saved.steps]
             told = replace(aim.pending, driven_m=places_of_others(driven_m, number))
             aim = replace(aim, pending=told)
+        paths = [made[step - 1].path_m for made in released_by]
+        reasons += [
+            f"{key}[{step - 1}].aim.{fault}"
+            for fault in pending_faults(aim, paths, number, own.planner.rounds)
+        ]
         under = circumstances_of(own, known, history, moving)
         asked = Asked(own, place, known, states[step - 1], aim, under)
         plan = rebuilt_plan(

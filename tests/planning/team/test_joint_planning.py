@@ -116,3 +116,22 @@ def test_files_from_before_joint_planning_are_decoupled(tmp_path: Path):
         del data["problem_file"]["planner"][key]
     file.write_text(json.dumps(data))
     assert check(tmp_path).reasons == ()
+
+
+@pytest.mark.parametrize("name", ["plan", "run"])
+def test_told_plans_must_be_those_of_other_robots(name, tmp_path: Path):
+    """Places that nobody planned would let a robot claim any value: they are rejected by name."""
+    problem = team(MAPPING, count=2)
+    if name == "plan":
+        save_solution(solve(problem, seed=2), tmp_path)
+    else:
+        save_run(simulate(problem, seed=2), tmp_path)
+    file = tmp_path / f"{name}.json"
+    data = json.loads(file.read_text())
+    robots = data["robots"] if name == "plan" else data["plans"][1]["released"]
+    told = [robot["aim"] for robot in robots if robot["aim"].get("pending_m")]
+    told[0]["pending_m"][0][-1][0] += 0.01
+    file.write_text(json.dumps(data))
+    assert any(
+        "pending_m[0] is not the plan of another robot" in r for r in check(tmp_path).reasons
+    )

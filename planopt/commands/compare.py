@@ -92,7 +92,11 @@ def compare(
             json=json,
             replaced=COMPARISON,
             file=COMPARISON_FILE,
-            not_for_it={"--costs-to-go": costs_to_go, "--calibration": calibration},
+            not_for_it={
+                "--costs-to-go": costs_to_go,
+                "--calibration": calibration,
+                "--workers": None if workers == 1 else str(workers),
+            },
         )
     if calibration is not None:
         asked = with_overrides(asked, calibration=calibration)

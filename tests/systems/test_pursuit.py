@@ -284,6 +284,7 @@ def test_compare(written, tmp_path, capsys):
         assert times[planner, horizon, 8] == again["capture_time_s"]
     logs = [np.log(times["receding", 5, seed] / times["drive", 1, seed]) for seed in (7, 8, 9)]
     assert found["rows"][2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
-    assert run(capsys, "compare", file, "--horizons", "1", "--planners", "nlp")[0] == 2
+    for words in (("--planners", "nlp"), ("--workers", "2"), ("--costs-to-go", "geodesic")):
+        assert run(capsys, "compare", file, "--horizons", "1", *words)[0] == 2
     with pytest.raises(InputError, match="horizon"):
         planopt.load_system(file).simulate(planner="receding", horizon=0)

@@ -292,8 +292,8 @@ def _in_words(
     binding = " and ".join(data["binding"])
     lines = [
         f"{problem.name}: {data['verdict']}, {content.method.words}",
-        f"  slot {1e3 * data['slot_width_s']:.4g} ms, rounds every {data['rate_divisor']} rounds' "
-        f"lengths, {data['bits_per_axis']} bits an axis: {data['cost_w']:.6g} W",
+        f"  slot width {1e3 * data['slot_width_s']:.4g} ms, rate divisor {data['rate_divisor']}, "
+        f"{data['bits_per_axis']} bits an axis: {data['cost_w']:.6g} W",
         f"  binding: {binding or 'nothing, the optimum is inside all limits'}",
     ]
     if data["bound"] is not None:

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from step_deadlines import motion_problems
 
 from planopt import load
 from planopt.errors import NoPlanError
@@ -21,7 +22,6 @@ from planopt.planning.loop.clairvoyant import clairvoyant_path
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
-from planopt.problems.library import list_problems
 from planopt.studies.compare import mean_interval
 
 HEADER = (
@@ -64,15 +64,15 @@ class Record:
 def reach_problems() -> list[str]:
     """Names of the library's problems that have a goal and a free path to it."""
     names: list[str] = []
-    for entry in list_problems():
-        problem = load(entry.name)
+    for name in motion_problems():
+        problem = load(name)
         if problem.task != "reach":
             continue
         try:
             build_scene(problem)
         except NoPlanError:
             continue
-        names.append(entry.name)
+        names.append(name)
     return names
 
 

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from planopt import InputError, NoPlanError, list_problems, load, simulate
+from planopt import NoPlanError, Problem, list_problems, load, simulate
 from planopt.planning.run import summary_of
+from planopt.problems.systems import load_any
 
 LATE_SHARE = 1.2
 """A step is late that takes more than this share of the deadline."""
@@ -119,14 +120,8 @@ def main() -> None:
 
 def motion_problems() -> list[str]:
     """Names of the library's problems that are planned in steps."""
-    found: list[str] = []
-    for entry in list_problems():
-        try:
-            load(entry.name)
-        except InputError:  # of another system
-            continue
-        found.append(entry.name)
-    return found
+    names = [entry.name for entry in list_problems()]
+    return [name for name in names if isinstance(load_any(name), Problem)]
 
 
 if __name__ == "__main__":

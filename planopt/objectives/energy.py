@@ -1,4 +1,4 @@
-"""Energy to move and to transmit: costs, in joules (equations 4.14 and 4.15)."""
+"""Energy to transmit: a cost, in joules (equation 4.15)."""
 
 from __future__ import annotations
 
@@ -8,35 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.places import leg_lengths_m, require_places
+from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.targets.rounding import Derivatives
 
 WATT_PER_MILLIWATT = 1e-3
 NEPERS_PER_DB = math.log(10.0) / 10.0
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Power P = k_1 v + k_2 while the robot is on its way (equation 4.14).
-
-    Attributes
-    ----------
-    per_metre_j_m
-        k_1.
-    standing_w
-        k_2, also drawn while it stands.
-    step_s
-        Duration of a step.
-    start_m
-        Where the robot stands.
-    """
-
-    per_metre_j_m: float
-    standing_w: float
-    step_s: float
-    start_m: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -80,19 +58,6 @@ class Radio:
     def k_b(self) -> float:
         """K_b = -1.5 / ln(5 BER)."""
         return -1.5 / math.log(5.0 * self.bit_error_rate)
-
-
-def energy_rate_j_m(motion: Motion, speed_m_s: float) -> float:
-    """Energy of a metre at constant speed, k_1 + k_2 / v."""
-    return motion.per_metre_j_m + motion.standing_w / speed_m_s
-
-
-def motion_energy_j(path_m: NDArray[np.float64], settings: Motion) -> float:
-    """k_1 times length plus k_2 times duration of `path_m` (h, 2), from the start on."""
-    places = require_places(path_m)
-    whole = np.vstack([np.asarray(settings.start_m, dtype=np.float64), places])
-    length = float(leg_lengths_m(whole).sum())
-    return settings.per_metre_j_m * length + settings.standing_w * settings.step_s * len(places)
 
 
 def expected_transmit_power_w(

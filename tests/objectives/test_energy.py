@@ -4,40 +4,37 @@ import dataclasses
 
 import numpy as np
 import pytest
-from path_scene import CHANNEL, PATH, START, drawn
+from path_scene import CHANNEL, PATH, drawn
 
 from planopt.channel.joint import sample_power
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.objectives.energy import (
-    Motion,
     Radio,
-    energy_rate_j_m,
     expected_transmit_power_w,
-    motion_energy_j,
     transmission_derivatives,
     transmission_energy_j,
     transmission_stage_costs_j,
 )
+from planopt.objectives.terms.motion_energy import MotionEnergyTerm
 from planopt.targets.rounding import Derivatives
 
 POSTERIOR = condition(CHANNEL, drawn(15))
-MOTION = Motion(3.5, 0.3, 2.0, START)
+MOTION = MotionEnergyTerm(weight=1.0, per_metre_j_m=3.5, power_w=0.3)
 RADIO = Radio(2.0, 1e-6, -100.0, 20.0, 0.5)
 
 
 def test_motion_by_hand():
-    """3 m in two steps of 2 s: 3.5 * 3 + 0.3 * 4 J; standing still costs k_2 alone."""
-    path = np.array([[11.0, 12.0], [11.0, 14.0]])
-    assert motion_energy_j(path, MOTION) == pytest.approx(3.5 * 3.0 + 0.3 * 4.0)
-    assert motion_energy_j(np.tile(START, (3, 1)), MOTION) == pytest.approx(0.3 * 6.0)
+    """Steps of 2 s: 3.5 J a metre and 0.3 W while moving; standing still costs nothing."""
+    spent = -MOTION.move_reward(np.array([1.0, 2.0, 0.0]), 2.0)
+    np.testing.assert_allclose(spent, [3.5 + 0.6, 7.0 + 0.6, 0.0])
 
 
 def test_motion_at_constant_speed_costs_the_rate():
-    """Length times k_1 + k_2 / v."""
-    path = np.array(START) + np.arange(1, 9)[:, None] * np.array([0.9, 1.2])
-    assert motion_energy_j(path, MOTION) == pytest.approx(12.0 * energy_rate_j_m(MOTION, 0.75))
-    assert energy_rate_j_m(MOTION, 1.0) == pytest.approx(3.8)
+    """A metre costs k_1 + k_2 / v."""
+    for speed in (0.5, 0.75, 2.0):
+        spent = -MOTION.move_reward(np.array([2.0 * speed]), 2.0)
+        np.testing.assert_allclose(spent / (2.0 * speed), 3.5 + 0.3 / speed)
 
 
 def test_power_for_a_known_channel_keeps_the_bit_error_rate():

@@ -50,13 +50,11 @@ class MotionEnergyTerm(Term):
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
         """Return minus the energy of a path."""
         lengths = np.linalg.norm(np.diff(np.vstack([at.position_m, path_m]), axis=0), axis=1)
-        moving = np.count_nonzero(lengths > at.standstill_m) * at.step_s
-        return -float(self.per_metre_j_m * lengths.sum() + self.power_w * moving)
+        return -float(self._spent_j(lengths, at.standstill_m, at.step_s).sum())
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return minus the energy of each path."""
-        moving = (paths.legs_m > paths.at.standstill_m).sum(axis=1) * paths.at.step_s
-        return -(self.per_metre_j_m * paths.legs_m.sum(axis=1) + self.power_w * moving)
+        return -self._spent_j(paths.legs_m, paths.at.standstill_m, paths.at.step_s).sum(axis=1)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
         """Return minus the energy of the length; that of moving at all hardly depends on where."""
@@ -78,5 +76,11 @@ class MotionEnergyTerm(Term):
 
     def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
         """Return minus the energy of each move."""
-        moving = np.where(lengths_m > 0.0, step_s, 0.0)
-        return -(self.per_metre_j_m * lengths_m + self.power_w * moving)
+        return -self._spent_j(lengths_m, 0.0, step_s)
+
+    def _spent_j(
+        self, lengths_m: NDArray[np.float64], standstill_m: float, step_s: float
+    ) -> NDArray[np.float64]:
+        """Energy of each step (...); one no longer than `standstill_m` draws no power (4.14)."""
+        moving_s = np.where(lengths_m > standstill_m, step_s, 0.0)
+        return self.per_metre_j_m * lengths_m + self.power_w * moving_s

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from step_deadlines import Timed, line_of, main, motion_problems, read_log, timed
+from step_deadlines import Timed, line_of, main, read_log, timed
+
+from planopt.studies.bench.cases import library_names
 
 
 def test_line_counts_late_steps() -> None:
@@ -39,7 +41,7 @@ def test_study_prints_and_remembers(
 
 def test_no_path_is_left_out() -> None:
     """The problem without a free path is in the library, and has no steps to time."""
-    assert "munich_courtyard" in motion_problems()
+    assert "munich_courtyard" in library_names()
     assert timed("munich_courtyard", 0, None) is None
 
 

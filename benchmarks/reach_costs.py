@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from step_deadlines import motion_problems
 
 from planopt import load
 from planopt.errors import NoPlanError
@@ -22,6 +21,7 @@ from planopt.planning.loop.clairvoyant import clairvoyant_path
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
+from planopt.studies.bench.cases import library_names
 from planopt.studies.compare import mean_interval
 
 HEADER = (
@@ -64,7 +64,7 @@ class Record:
 def reach_problems() -> list[str]:
     """Names of the library's problems that have a goal and a free path to it."""
     names: list[str] = []
-    for name in motion_problems():
+    for name in library_names():
         problem = load(name)
         if problem.task != "reach":
             continue

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from planopt import NoPlanError, Problem, list_problems, load, simulate
+from planopt import NoPlanError, load, simulate
 from planopt.planning.run import summary_of
-from planopt.problems.systems import load_any
+from planopt.studies.bench.cases import library_names
 
 LATE_SHARE = 1.2
 """A step is late that takes more than this share of the deadline."""
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--log", type=Path, required=True)
     asked = parser.parse_args()
-    names = asked.problems or motion_problems()
+    names = asked.problems or library_names()
     known = {(each.problem, each.seed, each.budget_s) for each in read_log(asked.log)}
     for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
         for name in names:
@@ -116,12 +116,6 @@ def main() -> None:
     for name in sorted({each.problem for each in records}):
         print(line_of(name, [each for each in records if each.problem == name], asked.budget))
     print(line_of("all", records, asked.budget))
-
-
-def motion_problems() -> list[str]:
-    """Names of the library's problems that are planned in steps."""
-    names = [entry.name for entry in list_problems()]
-    return [name for name in names if isinstance(load_any(name), Problem)]
 
 
 if __name__ == "__main__":

@@ -12,9 +12,9 @@ from planopt import load
 from planopt.cli import main
 from planopt.problems.library import list_problems
 from planopt.problems.save import problem_from_dict, problem_to_dict
-from planopt.problems.systems import SYSTEMS
+from planopt.studies.bench.cases import library_names
 
-NAMES = [entry.name for entry in list_problems() if entry.task not in SYSTEMS]
+NAMES = library_names()
 
 
 @pytest.mark.parametrize("name", NAMES)

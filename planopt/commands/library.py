@@ -38,8 +38,9 @@ def schema(
     """Print the JSON schema of problem files; --json prints it on one line."""
     from json import dumps
 
+    from planopt.problems.load import SYSTEMS
     from planopt.problems.schema import json_schema
-    from planopt.problems.systems import SYSTEMS, system_of
+    from planopt.problems.systems import system_of
 
     system = system_of(task)
     if task is not None and system is None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Generator
 from pathlib import Path
+from typing import cast
 
 from pydantic import ValidationError
 
@@ -15,6 +18,13 @@ from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
 from planopt.problems.schema import ProblemFile
+from planopt.problems.tables import Table
+
+SYSTEMS = {
+    "pursuit": "planopt.systems.pursuit.system",
+    "pursuit_design": "planopt.systems.pursuit_design.system",
+}
+"""The module of each system, by task; its attribute ``SYSTEM`` is the :class:`System`."""
 
 
 def load(path_or_name: Path | str) -> Problem:
@@ -37,8 +47,6 @@ def load(path_or_name: Path | str) -> Problem:
         is not allowed, an obstacle is no polygon, a named file is missing, or a start or goal is
         not free.
     """
-    from planopt.problems.systems import task_of_system  # imports this module
-
     path = find_problem(path_or_name)
     require_text(str(path.absolute()), "the path")
     data = read_toml(path)
@@ -72,13 +80,29 @@ def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Pro
     InputError
         As :func:`load`, except that the truth's map and the log need not be there.
     """
-    try:
-        tables = ProblemFile.model_validate(data)
-    except ValidationError as error:
-        raise input_error(error, ProblemFile, file=file) from None
-    try:
-        problem = build(tables, folder, file)
+    with located(ProblemFile, file):
+        problem = build(ProblemFile.model_validate(data), folder, file)
         check(problem)
+    return problem
+
+
+@contextlib.contextmanager
+def located(model: type[Table], file: Path | None) -> Generator[None]:
+    """Turn what validating tables of `model` raises into errors that name the key and the file."""
+    try:
+        yield
+    except ValidationError as error:
+        raise input_error(error, model, file=file) from None
     except InputError as error:
         raise error if file is None else error.located(file) from None
-    return problem
+
+
+def task_of_system(data: object) -> str | None:
+    """Return the task in the tables of a problem file if it is a system's."""
+    task = _entry(_entry(data, "problem"), "task")
+    return task if isinstance(task, str) and task in SYSTEMS else None
+
+
+def _entry(table: object, key: str) -> object:
+    """An entry of what may be no table at all."""
+    return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None

@@ -1,7 +1,7 @@
 """Systems: kinds of problems beside motion planning, with tables and answers of their own.
 
 ``[problem] task`` names the kind. A system is one :class:`System` in a module of its own, imported
-when a problem of its task is met; a new one needs its module and an entry in :data:`SYSTEMS`.
+when a problem of its task is met; a new one needs its module and an entry in `SYSTEMS`.
 """
 
 from __future__ import annotations
@@ -12,21 +12,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import ValidationError
-
 from planopt.errors import InputError, NoPlanError
 from planopt.problems.library import find_problem
+from planopt.problems.load import SYSTEMS, located, task_of_system
 from planopt.problems.load import load as load_motion
-from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
 from planopt.problems.tables import Table
-
-SYSTEMS = {
-    "pursuit": "planopt.systems.pursuit.system",
-    "pursuit_design": "planopt.systems.pursuit_design.system",
-}
-"""The module of each system, by task; its attribute ``SYSTEM`` is the :class:`System`."""
 
 ACTIONS = ("solve", "simulate", "compare")
 """What may be asked of a system; each has some of them."""
@@ -261,12 +253,6 @@ def system_of(task: str | None) -> System | None:
     return None if module is None else cast("System", import_module(module).SYSTEM)
 
 
-def task_of_system(data: object) -> str | None:
-    """Return the task in the tables of a problem file if it is a system's."""
-    task = _entry(_entry(data, "problem"), "task")
-    return task if isinstance(task, str) and task in SYSTEMS else None
-
-
 def system_from_tables(data: object, *, folder: Path, file: Path | None) -> SystemProblem | None:
     """Return the problem in tables, validated; None if its task is no system's.
 
@@ -287,13 +273,9 @@ def system_from_tables(data: object, *, folder: Path, file: Path | None) -> Syst
     system = system_of(task_of_system(data))
     if system is None:
         return None
-    try:
+    with located(system.model, file):
         given: Any = system.model.model_validate(data)
         content = system.build(given, folder)
-    except ValidationError as error:
-        raise input_error(error, system.model, file=file) from None
-    except InputError as error:
-        raise error if file is None else error.located(file) from None
     named = given.problem
     return SystemProblem(named.name, named.task, named.description, system, content, given, file)
 
@@ -309,8 +291,3 @@ def judge_saved(file: Path, data: Mapping[str, Any]) -> list[str] | None:
     tables = data.get("problem_file")
     problem = system_from_tables(tables, folder=file.absolute().parent, file=file)
     return None if problem is None else problem.system.check(file, data, problem)
-
-
-def _entry(table: object, key: str) -> object:
-    """An entry of what may be no table at all."""
-    return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None

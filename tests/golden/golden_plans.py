@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 
 from planopt import NoPlanError, load, simulate, solve
-from planopt.problems.library import list_problems
-from planopt.problems.systems import SYSTEMS
+from planopt.studies.bench.cases import library_names
 
 RECORD = Path(__file__).with_name("golden_plans.json")
-PROBLEMS = tuple(entry.name for entry in list_problems() if entry.task not in SYSTEMS)
+PROBLEMS = tuple(library_names())
 SEEDS = (0, 1, 2)
 
 DRIVEN_STEPS = 6

@@ -9,11 +9,10 @@ import shapely
 
 from planopt.errors import InputError
 from planopt.problems.library import list_problems
-from planopt.problems.load import load
+from planopt.problems.load import SYSTEMS, load
 from planopt.problems.objective import TermsObjective
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
-from planopt.problems.systems import SYSTEMS
 from planopt.world.workspace import Obstacle
 
 NAN, INF = float("nan"), float("inf")

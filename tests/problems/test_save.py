@@ -13,11 +13,10 @@ import pytest
 from planopt.channel.multipath.multipath_models import Nakagami, Rician
 from planopt.errors import InputError
 from planopt.problems.channel_setup import LoggedMeasurements
-from planopt.problems.library import list_problems
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
-from planopt.problems.systems import SYSTEMS
+from planopt.studies.bench.cases import library_names
 
 Tables = dict[str, Any]
 Build = Callable[[object], Problem]
@@ -28,7 +27,7 @@ def there_and_back(problem: Problem) -> Problem:
     return problem_from_dict(json.loads(json.dumps(problem_to_dict(problem))), file=problem.file)
 
 
-@pytest.mark.parametrize("name", [e.name for e in list_problems() if e.task not in SYSTEMS])
+@pytest.mark.parametrize("name", library_names())
 def test_library_problems_survive_json_exactly(name: str) -> None:
     """Every number, name, ring and hole of a library problem comes back bit for bit."""
     problem = load(name)

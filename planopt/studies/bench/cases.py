@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 from planopt.errors import InputError
 from planopt.problems.library import list_problems
-from planopt.problems.load import load
+from planopt.problems.load import SYSTEMS, load
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem
-from planopt.problems.systems import SYSTEMS
 
 PLAN, RUN = "plan", "run"
 """Kinds of cases: one plan from the start, or a closed loop."""

@@ -23,9 +23,9 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.search.coupled_starts import driven_ways
 from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.planning.search.start_search import Start
-from planopt.planning.search.straight_starts import driven_ways
 from planopt.planning.worth.situation import Situation
 
 GOALS_MS = {5: 15.0, 10: 30.0, 20: 80.0}

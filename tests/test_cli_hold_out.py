@@ -87,7 +87,7 @@ def test_reliability(log: Path, capsys) -> None:
 
 def test_many_groups_are_dealt_into_few_folds(log: Path, monkeypatch, capsys) -> None:
     """Shares of them are held out at once, whole groups together."""
-    monkeypatch.setattr("planopt.commands.hold_out.MOST_FOLDS", 2)
+    monkeypatch.setattr("planopt.commands.fit.MOST_FOLDS", 2)
     assert run(log, "--hold-out", "day,t_s:100", "--json") == 0
     held_out = json.loads(capsys.readouterr().out)["held_out"]
     assert (held_out["groups"], held_out["folds"]) == (16, 2)

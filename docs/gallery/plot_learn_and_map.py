@@ -17,7 +17,7 @@ import numpy as np
 
 from planopt import load
 from planopt.planning.loop.closed_loop import simulate
-from planopt.report.team_figure import draw_team_run
+from planopt.report.result_figures import draw_team_run
 
 
 def shortened(name, steps):

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from planopt import load
 from planopt.planning.loop.closed_loop import simulate
-from planopt.report.team_figure import draw_team_run
+from planopt.report.result_figures import draw_team_run
 
 problem = load("outdoor_track")
 problem = replace(problem, planner=replace(problem.planner, max_steps=50))

@@ -1,8 +1,15 @@
-"""The failure ladder over starts: polish, guard and proof of one after the other."""
+"""The failure ladder over starts: polish, guard and proof of one after the other.
+
+Whether one more start is worth a polish once others have been polished.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate, with_effort
@@ -13,7 +20,6 @@ from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.search.good_place import ways_to_good_place
 from planopt.planning.search.local_ranking import can_climb
-from planopt.planning.search.next_start import is_worth_following
 from planopt.planning.search.start_search import COUPLED_STARTS, Start
 from planopt.planning.shifted import shifted_path
 from planopt.planning.start_polish import StartPolish
@@ -21,6 +27,33 @@ from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
+
+CLOSE_SHARE = 0.01
+"""Ways that have climbed gain a few percent more when polished, all about as much: one that is
+behind by more than this share of the best seldom ends ahead of it."""
+
+MERGED_STEPS = 2.0
+"""A start that is nowhere farther than so many longest steps from a polished path leads to it."""
+
+
+def is_worth_following(
+    start: Start, best: Start, polished_m: Sequence[NDArray[np.float64]], longest_m: float
+) -> bool:
+    """Whether `start`, that has climbed, may lead to something better.
+
+    Parameters
+    ----------
+    start, best
+        The one in question, and the best of all starts.
+    polished_m
+        Paths (N, 2) that have been polished.
+    longest_m
+        Longest step.
+    """
+    if start.worth < best.worth - CLOSE_SHARE * abs(best.worth):
+        return False
+    return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in polished_m)
+
 
 DRIVEN_ROUNDS = 12
 """At most so often the best drive is polished again, about its own sides of obstacles: lines about

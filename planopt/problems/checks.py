@@ -1,23 +1,260 @@
-"""What a problem must satisfy beyond the ranges of single keys.
+"""Check a problem beyond the ranges of single keys; each error carries the key to change.
 
-These checks need geometry, or two tables at once; each has a file of its own. Each error carries
-the key to change.
+These checks need geometry, or two tables at once: robots start apart from each other and from
+moving obstacles and can stop so; a calibrated law of connection goes only with rules that are
+computed from single probabilities; the tables of a channel fit each other; starts and goals are
+clear of obstacles; the ground truth and the lattice fit into memory.
 """
 
 from __future__ import annotations
 
+import numpy as np
+import shapely
+
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term, TermSetting
-from planopt.problems.check_apart import check_apart
-from planopt.problems.check_calibration import check_calibration
-from planopt.problems.check_channel import check_channel
+from planopt.problems.channel_setup import (
+    ArrayTruth,
+    FunctionTruth,
+    ModelTruth,
+    SampledMeasurements,
+)
 from planopt.problems.check_motion import check_stopping
-from planopt.problems.check_place import check_bounds, check_place
-from planopt.problems.check_size import check_size
 from planopt.problems.check_stations import check_stations
 from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import check_rule
-from planopt.world.clearance import index_obstacles
+from planopt.robots.braked_motion import standing_motion
+from planopt.world.clearance import (
+    ObstacleIndex,
+    clearance_m,
+    containing_obstacle,
+    index_obstacles,
+    inside_bounds,
+)
+from planopt.world.footprints import LARGEST_COORDINATE_M
+from planopt.world.lattice_size import node_estimate
+from planopt.world.least_distance import CLOSE_M, step_distances_m
+from planopt.world.moving_obstacle import centres_at
+
+
+def check_apart(problem: Problem) -> None:
+    """Robots start apart from each other, and from where moving obstacles are at time 0."""
+    separation = problem.constraints.separation_m
+    starts = np.array([robot.start_m for robot in problem.robots])
+    for number, robot in enumerate(problem.robots):
+        for other in range(number):
+            distance = float(np.linalg.norm(starts[number] - starts[other]))
+            if distance < separation:
+                raise InputError(
+                    f"is {list(robot.start_m)}, {distance:.3g} m from the start of "
+                    f"{problem.robots[other].name}, less than the separation of {separation:g} m",
+                    file=problem.file,
+                    key=f"robots[{number}].start_m",
+                    remedy="move it, or lessen constraints.separation_m",
+                )
+            _check_stopping_apart(problem, number, other)
+        for obstacle in problem.workspace.moving:
+            centre = centres_at(obstacle, np.zeros(1))[0]
+            distance = float(np.linalg.norm(starts[number] - centre)) - obstacle.radius_m
+            if distance < problem.constraints.clearance_m:
+                raise InputError(
+                    f"is {list(robot.start_m)}, {distance:.3g} m from where the moving obstacle "
+                    f"{obstacle.name} is at time 0, less than the clearance of "
+                    f"{problem.constraints.clearance_m:g} m",
+                    file=problem.file,
+                    key=f"robots[{number}].start_m",
+                    remedy="move it, or lessen constraints.clearance_m",
+                )
+
+
+def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
+    """Robots that move at the start keep apart if all stop, so that there is always a way out."""
+    separation, step_s = problem.constraints.separation_m, problem.planner.step_s
+    moving = {
+        one: standing_motion(robot.dynamics, robot.start_state, step_s)
+        for one, robot in ((one, problem.robots[one]) for one in (number, other))
+    }
+    steps = max(motion.steps for motion in moving.values())
+    if separation == 0.0 or steps == 0:
+        return
+    distance = float(step_distances_m(moving[number], moving[other], steps).min())
+    if distance + CLOSE_M < separation:
+        fast, slow = (number, other) if moving[number].steps else (other, number)
+        raise InputError(
+            f"is {list(problem.robots[fast].start_rest)}: stopping from there leads within "
+            f"{distance:.3g} m of {problem.robots[slow].name}, less than the separation of "
+            f"{separation:g} m",
+            file=problem.file,
+            key=f"robots[{fast}].start_velocity_m_s",
+            remedy="lessen it, start elsewhere, or lessen constraints.separation_m",
+        )
+
+
+KEY = "channel.calibration"
+NORMAL = "leave the key out"
+
+
+def check_calibration(problem: Problem) -> None:
+    """Raise what keeps a calibrated problem from being planned with.
+
+    Raises
+    ------
+    InputError
+        All parameters are to count as uncertain besides, or a term of the objective rests on the
+        normal law of several places together.
+    """
+    if problem.channel.calibration == "none":
+        return
+    if problem.constraints.rule.parameter_uncertainty == "all":
+        raise InputError(
+            f'is "{problem.channel.calibration}", which takes the parameters as estimated, and '
+            'constraints.parameter_uncertainty is "all"',
+            file=problem.file,
+            key=KEY,
+            remedy=f"{NORMAL}, or ask for path_loss: outcomes show what the estimate misses",
+        )
+    for number, term in enumerate(problem.terms):
+        words = term.calibration_fault
+        if words is not None:
+            raise InputError(
+                f'is "{problem.channel.calibration}", and {words}',
+                file=problem.file,
+                key=KEY,
+                remedy=f"{NORMAL}, or change objective.terms[{number}]",
+            )
+
+
+MAX_TRUTH_CELLS = 4_000_000
+"""A drawn truth of more cells than this would not fit the memory of a small machine."""
+
+
+def check_channel(problem: Problem) -> None:
+    """Measurements come from something, and no place without signal counts as connected."""
+    truth = problem.channel.truth
+    measurements = problem.channel.measurements
+    if truth is None:
+        if isinstance(measurements, SampledMeasurements) and measurements.count > 0:
+            raise InputError(
+                "measurements cannot be taken from a truth that is not given",
+                file=problem.file,
+                key="channel.measurements.count",
+                remedy="add [channel.truth], or give the file of a log",
+            )
+        return
+    if isinstance(truth, ModelTruth | FunctionTruth):
+        _check_cells(problem, truth.cell_m)
+    for index, station in enumerate(problem.stations):
+        if isinstance(truth, ArrayTruth | FunctionTruth):
+            floor_dbm, remedy = truth.floor_dbm, "lower channel.truth.floor_dbm"
+        else:
+            floor_db = truth.floor_db
+            floor_dbm = None if floor_db is None else station.transmit_power_dbm + floor_db
+            remedy = "the floor is transmit_power_dbm + channel.truth.floor_db"
+        if floor_dbm is not None and floor_dbm >= station.threshold_dbm:
+            raise InputError(
+                f"is {station.threshold_dbm:g}, not above the receiver's floor of {floor_dbm:g} "
+                "dBm, so that places without signal would count as connected",
+                file=problem.file,
+                key=f"stations[{index}].threshold_dbm",
+                remedy=remedy,
+            )
+
+
+def _check_cells(problem: Problem, cell_m: float) -> None:
+    """Refuse cells so small that the truth would not fit into memory."""
+    if not 0.0 < cell_m <= LARGEST_COORDINATE_M:
+        raise InputError(
+            f"is {cell_m!r}, which is no cell side",
+            file=problem.file,
+            key="channel.truth.cell_m",
+            remedy="give metres above 0",
+        )
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    cells = (x_max - x_min) / cell_m * (y_max - y_min) / cell_m
+    if cells > MAX_TRUTH_CELLS:
+        raise InputError(
+            f"is {cell_m:g}, which makes {cells:.3g} cells, more than {MAX_TRUTH_CELLS:.3g}",
+            file=problem.file,
+            key="channel.truth.cell_m",
+            remedy="larger cells, or smaller bounds",
+        )
+
+
+def check_bounds(problem: Problem) -> None:
+    """The workspace has an inside."""
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    if not (x_min < x_max and y_min < y_max):
+        raise InputError(
+            f"is {list(problem.workspace.bounds_m)}, should have x_min < x_max and y_min < y_max",
+            file=problem.file,
+            key="world.bounds_m",
+            remedy="[x_min, y_min, x_max, y_max]",
+        )
+
+
+def check_place(
+    problem: Problem, index: ObstacleIndex, place: tuple[float, float], key: str
+) -> None:
+    """A place where a robot must stand: in bounds and clear of every obstacle."""
+    positions_m = np.array([place])
+    if not inside_bounds(problem.workspace, positions_m).all():
+        raise InputError(
+            f"is {list(place)}, outside the bounds {list(problem.workspace.bounds_m)}",
+            file=problem.file,
+            key=key,
+            remedy="move it, or widen world.bounds_m",
+        )
+    around = containing_obstacle(index, positions_m[0])
+    if around is not None:
+        raise InputError(
+            f"is {list(place)}, inside the obstacle {around.name}",
+            file=problem.file,
+            key=key,
+            remedy="move it",
+        )
+    distance = float(clearance_m(index, positions_m)[0])
+    if distance < problem.constraints.clearance_m:
+        nearest = index.obstacles[int(index.tree.nearest(shapely.Point(place)))]
+        raise InputError(
+            f"is {list(place)}, {distance:.3g} m from the obstacle {nearest.name}, less than "
+            f"the clearance of {problem.constraints.clearance_m:g} m",
+            file=problem.file,
+            key=key,
+            remedy="move it, or lessen constraints.clearance_m",
+        )
+
+
+NODE_BYTES, STAGE_BYTES = 1700, 8
+"""Memory of a node of the lattice, and of a node at one stage of the horizon, as measured."""
+
+LARGEST_LATTICE_BYTES = 4 * 10**9
+"""Limit of the memory that the lattices of all robots take together."""
+
+
+def check_size(problem: Problem) -> None:
+    """Refuse a step so short for the bounds that the search would take many gigabytes.
+
+    Raises
+    ------
+    InputError
+        The estimate is above `LARGEST_LATTICE_BYTES`.
+    """
+    horizon = problem.planner.horizon
+    nodes = sum(
+        node_estimate(problem.workspace, robot.speed_max_m_s * problem.planner.step_s)
+        for robot in problem.robots
+    )
+    needed = nodes * (NODE_BYTES + STAGE_BYTES * horizon)
+    if needed > LARGEST_LATTICE_BYTES:
+        raise InputError(
+            f"is {problem.planner.step_s:g}, which for these bounds and speeds makes a lattice of "
+            f"{nodes:.2g} nodes; with a horizon of {horizon} it would take "
+            f"{needed / 1e9:.2g} GB, more than {LARGEST_LATTICE_BYTES / 1e9:g} GB",
+            file=problem.file,
+            key="planner.step_s",
+            remedy="lengthen the step, or narrow world.bounds_m, or lower planner.horizon",
+        )
+
 
 LEAST_STEP_M = 1e-3
 """Shorter steps are lost in the tolerances of planning."""

@@ -1,17 +1,218 @@
-"""The figure of a whole result: the plans of a solution, or a run."""
+"""The figure of a whole result: the plans of a solution, or a run.
+
+One plan: its map, what it is predicted to receive on the way, and what is proven of it.
+
+Several robots on one map: a run with its time series, or their plans of one moment.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.planning.plan import Plan
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
-from planopt.report.plan_figure import draw_plan
+from planopt.problems.problem import Problem
+from planopt.report.moving_marks import draw_moving
+from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.plan_map import draw_plan_map
+from planopt.report.plan_panels import (
+    draw_plan_connectivity,
+    draw_plan_power,
+    plan_series_of,
+    team_plan_words,
+)
+from planopt.report.plan_words import plan_words
 from planopt.report.run_figure import draw_run
-from planopt.report.team_figure import draw_team_plan, draw_team_run
+from planopt.report.style import (
+    NOTE_PT,
+    head,
+    legend_below,
+    spaced,
+)
+from planopt.report.team_map import (
+    draw_expected_target,
+    draw_measured,
+    draw_plans,
+    draw_target,
+    draw_team_ground,
+    draw_tracks,
+    layers_of,
+)
+from planopt.report.team_series import TIME, series_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
+
+WORDS_WIDTH, WORDS_LINES = 66, 13
+"""Letters on a line, and lines, that there is room for under the curves."""
+
+
+def draw_plan(solution: Solution) -> Figure:
+    """Draw a plan on the predicted chance of a connection, with its predictions and certificate."""
+    from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
+
+    problem, plan = solution.problem, solution.plan
+    figure = new_figure(14.0, 8.0)
+    cells = GridSpec(1, 2, figure=figure, width_ratios=[1.6, 1.0])
+    side = GridSpecFromSubplotSpec(3, 1, cells[0, 1], height_ratios=[1.0, 1.0, 1.1])
+    ground = add_panel(figure, cells[0, 0])
+    entries = draw_plan_map(figure, ground, solution)
+    draw_plan_power(add_panel(figure, side[0, 0]), problem, [plan])
+    draw_plan_connectivity(add_panel(figure, side[1, 0]), problem, [plan])
+    words = add_panel(figure, side[2, 0])
+    words.set_axis_off()
+    lines = [
+        piece
+        for line in plan_words(plan, problem.constraints)
+        for piece in wrap(line, WORDS_WIDTH, subsequent_indent="    ")
+    ]
+    if len(lines) > WORDS_LINES:
+        lines = [*lines[: WORDS_LINES - 1], "..."]
+    words.text(
+        0.0, 1.0, "\n".join(lines), va="top", fontsize=NOTE_PT, linespacing=1.35, in_layout=False
+    )
+    legend_below(figure, entries, 6)
+    head(figure, f"{problem.name}: plan of {len(plan.t_s) - 1} steps, {spaced(plan.verdict)}")
+    return figure
+
+
+COLUMNS = 5
+"""Of the legend."""
+
+
+def draw_team_run(run: Run) -> Figure:
+    """Draw where a team drove on what the first robot believed at the end, and its time series.
+
+    Robots are told apart by colour and marker. Panels that a problem has nothing for are left out:
+    a target only where one is tracked, connections only where they count.
+
+    Parameters
+    ----------
+    run
+        From :func:`planopt.simulate`.
+    """
+    problem = run.problem
+    tracks = [one.log.positions_m for one in run.runs]
+    plans = [released[-1] for released in run.plans if released]
+    shown = [*tracks, *(plan.positions_m for plan in plans)]
+    if run.target is not None:
+        shown.append(run.target.true_m)
+    drawers = series_of(run)
+    figure, maps, others = _sheet(problem, [share for _, share in drawers])
+    entries = draw_team_ground(figure, maps, problem, run.beliefs[0], np.concatenate(shown))
+    before = run.beliefs[0].posterior.measurements.positions_m[: run.first_measurements]
+    for number, panel in enumerate(maps):
+        drawn = draw_measured(panel, before, "measured before")
+        drawn += draw_moving(panel, problem, len(tracks[0]) - 1, predicted=False)
+        drawn += draw_tracks(panel, problem, run.runs)
+        if plans:
+            drawn += draw_plans(panel, problem, plans, 1)
+        if run.target is not None:
+            drawn += draw_target(panel, run.target)
+        if number == 0:
+            entries = [*entries, *drawn]
+    for panel, (draw, _) in zip(others, drawers, strict=True):
+        draw(panel, run)
+    t_s = run.runs[0].log.t_s
+    half_step = problem.planner.step_s / 2.0
+    _one_time_axis(others, float(t_s[0]) - half_step, float(t_s[-1]) + half_step)
+    legend_below(figure, entries, COLUMNS)
+    head(
+        figure,
+        f"{problem.name}: horizon {problem.planner.horizon}, {problem.planner.name} planner, "
+        f"seed {run.seed}, {len(t_s) - 1} steps",
+    )
+    return figure
+
+
+def draw_team_plan(
+    problem: Problem,
+    plans: Sequence[Plan],
+    belief: Belief,
+    target_m: NDArray[np.float64] | None,
+) -> Figure:
+    """Draw the plans of one moment, their predictions along the way and their certificates.
+
+    Parameters
+    ----------
+    problem
+        What was asked.
+    plans
+        One of each robot, in the problem's order.
+    belief
+        What the map is drawn from.
+    target_m
+        ``(N, 2)`` where the target is expected after each step; None without target.
+    """
+    shown = [plan.positions_m for plan in plans]
+    if target_m is not None:
+        shown.append(target_m)
+    drawers = plan_series_of(problem, target_m)
+    words = team_plan_words(plans)
+    figure, maps, others = _sheet(problem, [*(1.0 for _ in drawers), 0.3 + 0.11 * len(words)])
+    entries = draw_team_ground(figure, maps, problem, belief, np.concatenate(shown))
+    for number, panel in enumerate(maps):
+        drawn = draw_measured(panel, belief.posterior.measurements.positions_m, "measured")
+        drawn += draw_moving(panel, problem, len(plans[0].t_s) - 1, predicted=True)
+        drawn += draw_plans(panel, problem, plans, 0)
+        if target_m is not None:
+            drawn += draw_expected_target(panel, target_m)
+        if number == 0:
+            entries = [*entries, *drawn]
+    for panel, draw in zip(others, drawers, strict=False):
+        draw(panel, plans)
+    t_s = plans[0].t_s
+    _one_time_axis(others[:-1], float(t_s[0]), float(t_s[-1]))
+    others[-1].set_axis_off()
+    others[-1].text(
+        0.0, 1.0, "\n".join(words), va="top", fontsize=NOTE_PT, linespacing=1.35, in_layout=False
+    )
+    legend_below(figure, entries, COLUMNS)
+    head(
+        figure,
+        f"{problem.name}: plans of {len(t_s) - 1} steps, {problem.planner.name} planner",
+    )
+    return figure
+
+
+def _sheet(problem: Problem, shares: Sequence[float]) -> tuple[Figure, list[Panel], list[Panel]]:
+    """A figure with panels for the maps and for curves of these shares of the height.
+
+    Curves are beside one map, and below two.
+    """
+    from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
+
+    count = len(layers_of(problem))
+    if count == 1:
+        figure = new_figure(15.0, max(7.6, 1.2 + 1.65 * sum(shares)))
+        cells = GridSpec(1, 2, figure=figure, width_ratios=[1.2, 1.0])
+        spots: list[SubplotSpec] = [cells[0, 0]]
+        below = cells[0, 1]
+    else:
+        curves_in = 0.6 + 1.5 * sum(shares)
+        figure = new_figure(13.0, 6.5 + curves_in)
+        cells = GridSpec(2, count, figure=figure, height_ratios=[5.0, curves_in])
+        spots = [cells[0, column] for column in range(count)]
+        below = cells[1, :]
+    rows = GridSpecFromSubplotSpec(len(shares), 1, below, height_ratios=list(shares))
+    maps = [add_panel(figure, spot) for spot in spots]
+    return figure, maps, [add_panel(figure, rows[row, 0]) for row in range(len(shares))]
+
+
+def _one_time_axis(panels: Sequence[Panel], begin_s: float, end_s: float) -> None:
+    """Give panels above each other the same times, named under the last."""
+    for panel in panels:
+        panel.set_xlim(begin_s, end_s)
+        panel.set_xlabel("")
+    panels[-1].set_xlabel(TIME)
 
 
 def draw_solution(solution: Solution) -> Figure:

@@ -4,6 +4,10 @@ x' = v cos(heading), y' = v sin(heading), heading' = w. The way of a step is str
 arc, exactly: with the half turn z = w h / 2 its chord is v h sin(z)/z long, in the direction
 heading + z. It lies in the triangle of its ends and the point where the tangents at them meet,
 v h tan(z) / (2 z) ahead; a step that may turn far is cut into arcs of which each turns little.
+
+Sine, cosine and sin(z)/z of NumPy arrays (real or complex) and of CasADi expressions alike.
+
+No branches: what stands here has derivatives everywhere, at zero too.
 """
 
 from __future__ import annotations
@@ -17,8 +21,36 @@ from numpy.typing import NDArray
 
 from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components, Disc
-from planopt.robots.elementary import cosine, sinc, sine
 from planopt.world.ways import Arc, StepWay
+
+HALVINGS = 3
+"""sin(z)/z is a product of cosines down to z / 8, and a series from there."""
+
+
+def sine(angle: Any) -> Any:
+    """Sine of an angle in rad."""
+    return angle.sin() if hasattr(angle, "sin") else np.sin(angle)
+
+
+def cosine(angle: Any) -> Any:
+    """Cosine of an angle in rad."""
+    return angle.cos() if hasattr(angle, "cos") else np.cos(angle)
+
+
+def sinc(angle: Any) -> Any:
+    """sin(z) / z, 1 at zero, to round-off for angles of up to about 3 rad.
+
+    From sin(z) = 2 sin(z/2) cos(z/2), applied three times, and the series of the rest.
+    """
+    rest = angle / 2.0**HALVINGS
+    square = rest * rest
+    series = 1.0 - square / 6.0 * (
+        1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0 * (1.0 - square / 110.0)))
+    )
+    for halving in range(1, HALVINGS + 1):
+        series = series * cosine(angle / 2.0**halving)
+    return series
+
 
 PIECE_TURN_RAD = math.pi / 4.0
 """A step is cut into arcs that turn no more than this: its hull is then near to the arc."""

@@ -413,7 +413,7 @@ VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.
 GRID, PATHS = "planopt.planning.proof.grid", "planopt.planning.proof.goal_paths"
 STEPS = "planopt.planning.proof.rules.single_steps"
 MOTION = "planopt.planning.proof.motion"
-DETOURS, ROUND = "planopt.planning.proof.detours", "planopt.world.shortest_ways"
+DETOURS, ROUND = "planopt.planning.proof.reachability", "planopt.world.shortest_ways"
 MODULES = (VERIFY, STEPS, REACHABILITY, DETOURS, ROUND, PATHS, GRID, MOTION)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from planopt.errors import InputError
-from planopt.problems.check_channel import MAX_TRUTH_CELLS
+from planopt.problems.checks import MAX_TRUTH_CELLS
 from planopt.problems.problem import Problem
 
 Tables = dict[str, Any]

@@ -188,7 +188,7 @@ def test_maps_are_read_by_station(tmp_path: Path) -> None:
 
 def _load_with(folder: Path, change: Change) -> Problem:
     """As :func:`changed`, with the files looked for."""
-    from planopt.problems.check_files import check_files
+    from planopt.problems.load import check_files
 
     problem = changed(change, folder)
     check_files(problem)

@@ -8,7 +8,7 @@ import shapely
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 
 from planopt.planning.plan import Verdict
-from planopt.report.plan_figure import WORDS_LINES, draw_plan
+from planopt.report.result_figures import WORDS_LINES, draw_plan
 from planopt.report.style import BAND_Z
 
 

@@ -11,7 +11,7 @@ from planopt.commands.pictures import picture_run, picture_solution
 from planopt.planning.plan import Verdict
 from planopt.planning.solution import Solution
 from planopt.planning.worth.aim import Aim
-from planopt.report.team_figure import draw_team_plan, draw_team_run
+from planopt.report.result_figures import draw_team_plan, draw_team_run
 
 ALWAYS = {"x [m]", "y [m]", "RMS error [dB]", "time [s]"}
 

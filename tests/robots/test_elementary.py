@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from planopt.robots.elementary import sinc
+from planopt.robots.unicycle import sinc
 
 
 def test_sinc_is_numpys() -> None:

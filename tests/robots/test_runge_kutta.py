@@ -6,9 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from planopt.robots.elementary import cosine, sine
 from planopt.robots.runge_kutta import runge_kutta
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.unicycle import Unicycle, cosine, sine
 
 
 def wheels(state, control):

@@ -1,16 +1,30 @@
-"""Explain a problem that has no verified plan: which keys are at odds, and what would help."""
+"""Explain a problem that has no verified plan: which keys are at odds, and what would help.
+
+Why no path leads to the goal, and what would open one.
+
+The clearance, an obstacle, steps too long for the lattice, or a hard bound on connectivity.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import cast
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.explain.case import Case
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explain.explanation import Relaxation, towards
+from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
-from planopt.planning.explain.no_way import explain_blocked, explain_no_way
+from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.ground import first_moves
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Verdict
@@ -23,7 +37,214 @@ from planopt.planning.solve import solve_on
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.planning.team.team_seeds import team_seeds
+from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
 from planopt.problems.problem import Problem
+from planopt.world.road_map import RoadMap
+
+EXTRA = (1e-3, 0.02, 0.1, 0.3)
+"""Shares by which a bit more than the widest path asks for is tried, one after the other."""
+
+SolveAgain = Callable[[Problem], Verdict]
+"""Solves a changed problem and says what its plan is worth."""
+
+
+def explain_blocked(
+    problem: Problem,
+    road_map: RoadMap,
+    first: NDArray[np.intp],
+    goal: int,
+    margins: NodeMargins,
+    solve_again: SolveAgain,
+) -> tuple[Relaxation, ...]:
+    """What would open a path to the goal, each change by itself.
+
+    Parameters
+    ----------
+    problem
+        With a bound that may not be missed, which no path keeps.
+    road_map, first, goal
+        Where the robot may drive, nodes that it can come to by its first step, and the goal's.
+    margins
+        Connectivity at its nodes by the problem's threshold and p_min.
+    solve_again
+        Judges the changed problems.
+    """
+    threshold = problem.stations[0].threshold_dbm
+    chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
+    lacking_db = MARGIN_PAD_DB - widest(road_map, first, goal, margins.margin_db)
+    slack_db = problem.constraints.rule.slack_max_db or 0.0
+    found: list[Relaxation] = []
+    for key in connection_keys(problem):
+        amount = lacking_db - slack_db
+        if key.name == "constraints.p_min":
+            amount = key.asked - widest(road_map, first, goal, chance)
+        value = _least(key, amount, problem, solve_again)
+        if value is not None:
+            found.append(_about(problem, key, value))
+    [slack] = [key for key in connection_keys(problem) if key.name == "constraints.slack_max_db"]
+    if solve_again(_crossing(problem)) is Verdict.VERIFIED:
+        found.append(_about(problem, slack, None))
+    return tuple(found)
+
+
+def widest(
+    road_map: RoadMap, first: NDArray[np.intp], goal: int, score: NDArray[np.float64]
+) -> float:
+    """Return the largest score that all nodes of some path to the goal have.
+
+    Parameters
+    ----------
+    road_map, first, goal
+        As :func:`explain_blocked` takes them.
+    score
+        ``(n,)`` of the nodes.
+    """
+    count = len(score)
+    end, move = np.nonzero(road_map.sources < count)
+    begin = road_map.sources[end, move]
+    least = np.minimum(score[begin], score[end])
+    levels = np.unique(score)
+    low, high = 0, len(levels) - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        kept = least >= levels[middle]
+        graph = csr_matrix((np.ones(int(kept.sum())), (begin[kept], end[kept])), (count, count))
+        _, part = cast("tuple[int, NDArray[np.int32]]", connected_components(graph, directed=False))
+        open_ = first[score[first] >= levels[middle]]
+        joined = score[goal] >= levels[middle] and bool((part[open_] == part[goal]).any())
+        low, high = (middle, high) if joined else (low, middle - 1)
+    return float(levels[low])
+
+
+def _least(key: Key, amount: float, problem: Problem, solve_again: SolveAgain) -> float | None:
+    """The value that is looser by an amount, or by little more, with which there is a plan."""
+    for extra in EXTRA:
+        wanted = amount * (1.0 + extra)
+        if not 0.0 < wanted <= key.most:
+            return None
+        value = key.loosened(wanted)
+        if solve_again(key.changed(problem, value)) is Verdict.VERIFIED:
+            return value
+    return None
+
+
+def _crossing(problem: Problem) -> Problem:
+    """The problem with a bound that may be missed at a price."""
+    rule = replace(problem.constraints.rule, slack_max_db=None)
+    return replace(problem, constraints=replace(problem.constraints, rule=rule))
+
+
+def _about(problem: Problem, key: Key, value: float | None) -> Relaxation:
+    return Relaxation(
+        key.name, key.unit, key.asked, (), None, "", value, True, problem.robots[0].name
+    )
+
+
+BISECTIONS = 12
+"""Of the clearance, where the lattice needs more room than there is."""
+
+MOST_OBSTACLES = 60
+"""With more, it is not tried which of them could go."""
+
+SHORTER = 0.9
+STEPS_TRIED = 20
+"""The lattice is made finer by this factor, so many times at most."""
+
+
+def explain_no_way(problem: Problem, solve_again: SolveAgain) -> tuple[Relaxation, ...]:
+    """What would open a way to the goal, each change by itself.
+
+    Parameters
+    ----------
+    problem
+        For which :func:`planopt.planning.scene.build_scene` found none.
+    solve_again
+        Judges the changed problems.
+    """
+    found = [_clearance(problem, solve_again)]
+    if is_joined(problem, problem.constraints.clearance_m):
+        found.append(_step(problem, solve_again))
+    else:
+        found += _obstacles(problem, solve_again)
+    return tuple(relaxation for relaxation in found if relaxation is not None)
+
+
+def _clearance(problem: Problem, solve_again: SolveAgain) -> Relaxation | None:
+    """The largest clearance with which a way is found."""
+    widest = widest_clearance_m(problem)
+    asked = problem.constraints.clearance_m
+    if widest is None:
+        return None
+    fits = towards(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
+    if not _is_open(_with_clearance(problem, fits)):
+        low, high = 0.0, fits
+        if not _is_open(_with_clearance(problem, low)):
+            return None
+        for _ in range(BISECTIONS):
+            middle = towards(0.5 * (low + high), DIGITS, down=True)
+            low, high = (
+                (middle, high) if _is_open(_with_clearance(problem, middle)) else (low, middle)
+            )
+        fits = low
+    return Relaxation(
+        "constraints.clearance_m",
+        "m",
+        asked,
+        (),
+        asked - fits,
+        "m",
+        fits,
+        solve_again(_with_clearance(problem, fits)) is Verdict.VERIFIED,
+        problem.robots[0].name,
+    )
+
+
+def _obstacles(problem: Problem, solve_again: SolveAgain) -> list[Relaxation | None]:
+    """Every obstacle without which there is a way."""
+    obstacles = problem.workspace.obstacles
+    if len(obstacles) > MOST_OBSTACLES:
+        return []
+    found: list[Relaxation | None] = []
+    for obstacle in obstacles:
+        rest = tuple(other for other in obstacles if other is not obstacle)
+        changed = replace(problem, workspace=replace(problem.workspace, obstacles=rest))
+        if is_joined(changed, problem.constraints.clearance_m) and _is_open(changed):
+            verified = solve_again(changed) is Verdict.VERIFIED
+            key = f"world.obstacles ({obstacle.name})"
+            name = problem.robots[0].name
+            found.append(Relaxation(key, "", None, (), None, "", None, verified, name))
+    return found
+
+
+def _step(problem: Problem, solve_again: SolveAgain) -> Relaxation | None:
+    """A shorter step, which makes the lattice fine enough for a way that there is."""
+    asked = problem.planner.step_s
+    for power in range(1, STEPS_TRIED + 1):
+        step_s = towards(asked * SHORTER**power, DIGITS, down=True)
+        changed = replace(problem, planner=replace(problem.planner, step_s=step_s))
+        try:
+            if not _is_open(changed):
+                continue
+        except InputError:
+            return None  # the lattice would have too many nodes
+        verified = solve_again(changed) is Verdict.VERIFIED
+        name = problem.robots[0].name
+        return Relaxation(
+            "planner.step_s", "s", asked, (), asked - step_s, "s", step_s, verified, name
+        )
+    return None
+
+
+def _with_clearance(problem: Problem, clearance_m: float) -> Problem:
+    return replace(problem, constraints=replace(problem.constraints, clearance_m=clearance_m))
+
+
+def _is_open(problem: Problem) -> bool:
+    try:
+        build_scene(problem)
+    except NoPlanError:
+        return False
+    return True
 
 
 @one_blas_thread()

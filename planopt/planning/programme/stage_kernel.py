@@ -1,7 +1,7 @@
 """The chance constraint of every stage with exact gradient and Hessian, all stages at once.
 
 The constraint of a stage is ``mean - z_p deviation - threshold >= 0`` in dB (equation 3.2), with
-mean and deviation of :mod:`planopt.planning.worth.stage_prediction`.
+mean and deviation of :mod:`planopt.planning.worth.serving_stages`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,24 @@
 """Starts where the places of a way belong together: a fan of ways, the best of which climb.
 
 Terms whose slopes are not known batched are bent at random instead.
+
+Straight and bent ways in all directions: starts for objectives that no lattice search adds up.
+
+All ways are driven at once. Where the next step of one is about to leave the free space it turns
+aside as little as needed and goes on from there, along a wall or out of a corner. Afterwards every
+segment is checked exactly, and a way stands still from where it would not be clear. Of what moves,
+steps keep clear as long as there is a way aside.
+
+Ways by the station: there path loss changes most, within a step, where no fan happens to lead.
+
+A measurement beside the station tells far more of path loss than any other, and path loss is least
+known there, so that what is learnt or mapped has a narrow maximum at it. A way that comes within a
+step of it need not end there when it is polished.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +26,233 @@ from numpy.typing import NDArray
 from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.ground import Ground
 from planopt.planning.search.local_ranking import LocalRanking, can_climb
-from planopt.planning.search.rough_clearance import rough_clearance
-from planopt.planning.search.straight_starts import driven_ways, straight_starts
-from planopt.planning.search.via_station import commands_via
+from planopt.planning.search.moving_moves import steps_apart
+from planopt.planning.search.rough_clearance import RoughClearance, rough_clearance
 from planopt.planning.search.way_climb import climb_ways
 from planopt.planning.search.way_search import APART_STEPS, distinct, search_ways
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
+from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+from planopt.world.clearance import ObstacleIndex, inside_bounds, segments_clear
 from planopt.world.moving_discs import ways_gap_m
+
+HEADINGS = 16
+"""Directions of the fan."""
+
+TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
+"""How far a way turns in all, in units of pi, evenly over its steps."""
+
+ASIDE_RAD = tuple(
+    side * turn for turn in (0.0, 0.4, 0.8, 1.2, 1.6, 2.2, 2.8) for side in (1.0, -1.0)
+)[1:]
+"""Ways out where the way ahead is not free, the smallest first."""
+
+SAMPLES = (0.5, 1.0)
+"""Where on a step the raster is looked up, as shares of it."""
+
+
+def straight_starts(
+    situation: Situation, index: ObstacleIndex, rough: RoughClearance, horizon: int
+) -> NDArray[np.float64]:
+    """Ways (c, N, 2) at full speed, every one of them free.
+
+    Parameters
+    ----------
+    situation
+        Where the robot is, and its limits.
+    index
+        The obstacles.
+    rough
+        A raster of distances to them.
+    horizon
+        N.
+    """
+    heading, turn = (
+        grid.ravel()
+        for grid in np.meshgrid(
+            2.0 * math.pi * np.arange(HEADINGS) / HEADINGS,
+            math.pi * np.asarray(TURNS_RAD if horizon > 1 else TURNS_RAD[:1]) / max(horizon - 1, 1),
+        )
+    )
+    turns = np.tile(turn, (horizon, 1))
+    turns[0] = heading
+    return driven_ways(situation, index, rough, turns, np.ones(turns.shape))
+
+
+def driven_ways(
+    situation: Situation,
+    index: ObstacleIndex,
+    rough: RoughClearance,
+    turn_rad: NDArray[np.float64],
+    speed: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Drive c ways at once; ``(c, N, 2)``.
+
+    Parameters
+    ----------
+    situation, index, rough
+        As in :func:`straight_starts`.
+    turn_rad
+        ``(N, c)`` before each step, the first one from the x axis.
+    speed
+        ``(N, c)`` as a share of the largest.
+    """
+    problem = situation.problem
+    clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    longest = problem.step_length_m - STEP_PAD_M
+    shares = np.asarray(SAMPLES)[:, None]
+    heading = np.cumsum(turn_rad, axis=0)
+    moves = _direction(heading) * (longest * speed)[:, :, None]
+    ways = np.empty((turn_rad.shape[1], len(turn_rad) + 1, 2))
+    ways[:, 0] = situation.position_m
+    np.cumsum(moves.transpose(1, 0, 2), axis=1, out=ways[:, 1:])
+    ways[:, 1:] += situation.position_m
+    places = ways[:, :-1, None] + moves.transpose(1, 0, 2)[:, :, None] * shares
+    free = np.asarray(rough.is_free(places, clear).all(axis=2))
+    for k in range(len(turn_rad) if len(situation.circumstances.moving) else 0):
+        free[:, k] &= steps_apart(situation.circumstances.moving, k, ways[:, k], ways[:, k + 1])
+    rest = np.flatnonzero(~free.all(axis=1))
+    if len(rest):
+        first = int(free[rest].argmin(axis=1).min())
+        ways[rest] = _turned_aside(
+            situation, rough, ways[rest], heading[:, rest], speed[:, rest], first
+        )
+    return _stopped(situation, index, rough, ways, clear)
+
+
+def _turned_aside(
+    situation: Situation,
+    rough: RoughClearance,
+    ways_m: NDArray[np.float64],
+    heading_rad: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    first: int,
+) -> NDArray[np.float64]:
+    """The ways (c, N + 1, 2), turned aside where they are not free; until step `first` they are.
+
+    `heading_rad` and `speed` (N, c) are those commanded.
+    """
+    problem = situation.problem
+    clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    longest = problem.step_length_m - STEP_PAD_M
+    aside, shares = np.asarray(ASIDE_RAD), np.asarray(SAMPLES)[:, None]
+    ways, turned = ways_m.copy(), np.zeros(len(ways_m))
+    for k in range(first, len(speed)):
+        heading = heading_rad[k] + turned
+        step = longest * speed[k]
+        ahead = _direction(heading) * step[:, None]
+        ways[:, k + 1] = ways[:, k] + ahead
+        places = ways[:, k, None] + ahead[:, None] * shares
+        ahead_free = rough.is_free(places, clear).all(axis=1)
+        ahead_free &= steps_apart(situation.circumstances.moving, k, ways[:, k], ways[:, k + 1])
+        blocked = np.flatnonzero(~ahead_free)
+        if not len(blocked):
+            continue
+        angles = heading[blocked, None] + aside
+        moves = _direction(angles) * step[blocked, None, None]
+        places = ways[blocked, k][:, None, None] + moves[:, :, None] * shares
+        free = rough.is_free(places, clear).all(axis=2)
+        begins = np.broadcast_to(ways[blocked, k][:, None], moves.shape)
+        free &= steps_apart(situation.circumstances.moving, k, begins, begins + moves)
+        chosen = free.argmax(axis=1)
+        rows = np.arange(len(blocked))
+        turned[blocked] += aside[chosen]
+        ways[blocked, k + 1] = ways[blocked, k] + moves[rows, chosen]
+    return ways
+
+
+def _stopped(
+    situation: Situation,
+    index: ObstacleIndex,
+    rough: RoughClearance,
+    ways_m: NDArray[np.float64],
+    clear_m: float,
+) -> NDArray[np.float64]:
+    """The ways (c, N + 1, 2) without their first place, standing from where they are not free."""
+    count, places = len(ways_m), int(ways_m.shape[1])
+    starts, ends = ways_m[:, :-1].reshape(-1, 2), ways_m[:, 1:].reshape(-1, 2)
+    free = inside_bounds(situation.problem.workspace, ends)
+    # No place of a step is farther from its middle than half of it, nor the raster off by a cell.
+    far = clear_m + 0.5 * situation.problem.step_length_m + rough.cell_m
+    near = free & ~rough.is_free(0.5 * (starts + ends), far)
+    free[near] = segments_clear(index, starts[near], ends[near], clear_m)
+    free = free.reshape(count, places - 1)
+    # The first step that is not free: until then all of them were.
+    reached = np.logical_and.accumulate(free, axis=1).sum(axis=1, dtype=np.intp)
+    until = np.minimum(np.arange(1, places, dtype=np.intp), reached[:, None])
+    return ways_m[np.arange(count)[:, None], until]
+
+
+def _direction(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+ONWARD = 8
+"""Directions in which ways go on from there."""
+
+DETOURS = 2
+"""Ways there take so many steps more than need be, at most: arcs, to either side."""
+
+HALVINGS = 40
+"""Bisections of the bend of an arc."""
+
+Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Turns and speeds ``(N, c)``."""
+
+
+def commands_via(
+    start_m: NDArray[np.float64], place_m: NDArray[np.float64], horizon: int, longest_m: float
+) -> Commands | None:
+    """Ways to a place, straight or in an arc, from there on in all directions or waiting.
+
+    None where it is out of reach.
+
+    Parameters
+    ----------
+    start_m, place_m
+        ``(2,)``.
+    horizon, longest_m
+        N, and the longest step.
+    """
+    offset = (place_m - start_m) / longest_m
+    chord, heading = float(np.hypot(*offset)), math.atan2(offset[1], offset[0])
+    fewest = max(1, math.ceil(chord))
+    if fewest > horizon:
+        return None
+    ways = [_onward(heading, 0.0, chord / fewest, fewest, horizon)]
+    for steps in range(fewest + 1, min(fewest + DETOURS, horizon) + 1):
+        bend = arc_turn(chord, steps)
+        ways += [_onward(heading, side * bend, 1.0, steps, horizon) for side in (1.0, -1.0)]
+    turns, speeds = zip(*ways, strict=True)
+    return np.concatenate(turns, axis=1), np.concatenate(speeds, axis=1)
+
+
+def arc_turn(chord: float, steps: int) -> float:
+    """The turn before each but the first of `steps` unit steps whose ends are `chord` apart.
+
+    ``chord = sin(steps a / 2) / sin(a / 2)``, which falls from `steps` to 0 as a grows from 0 to
+    that of a closed polygon.
+    """
+    low, high = 0.0, 2.0 * math.pi / steps
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        far = math.sin(0.5 * steps * middle) > chord * math.sin(0.5 * middle)
+        low, high = (middle, high) if far else (low, middle)
+    return low
+
+
+def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
+    """There in `steps` steps of a speed, `heading` that of the chord; then on, or waiting."""
+    ways = ONWARD + 1 if steps < horizon else 1
+    turn, speeds = np.zeros((horizon, ways)), np.ones((horizon, ways))
+    turn[0] = heading - 0.5 * bend * (steps - 1)
+    turn[1:steps] = bend
+    speeds[:steps] = speed
+    if steps < horizon:
+        turn[steps, :ONWARD] = 2.0 * math.pi * np.arange(ONWARD) / ONWARD
+        speeds[steps:, ONWARD] = 0.0
+    return turn, speeds
+
 
 SEED = 0
 """Every search begins anew from it: the same situation has the same starts."""

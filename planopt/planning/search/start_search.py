@@ -1,4 +1,9 @@
-"""Where the polish of a sum of terms starts from: the best ways found by search, all told apart."""
+"""Where the polish of a sum of terms starts from: the best ways found by search, all told apart.
+
+Where the best paths of a lattice search end, apart from each other.
+
+Tracing the best path to a node back through the values of a lattice search.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +16,12 @@ from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.programme.goal_cost import GoalCharge
 from planopt.planning.search.coupled_starts import CoupledStarts
-from planopt.planning.search.ends_apart import best_ends
 from planopt.planning.search.guide import Guide, find_guided
+from planopt.planning.search.lattice_window import REACH
 from planopt.planning.search.move_table import move_table
 from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
-from planopt.planning.search.path_back import path_to
-from planopt.planning.search.reward_lattice import RewardSearch
+from planopt.planning.search.reward_lattice import LatticeValues, RewardSearch
 from planopt.planning.search.stage_rewards import StageRewards, move_values
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth
@@ -26,8 +30,73 @@ from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
+from planopt.world.lattice import MOVES
 from planopt.world.lattice_size import LONGEST_MOVE
 from planopt.world.moving_discs import ways_gap_m
+
+
+def best_ends(found: LatticeValues, count: int, apart: int) -> list[tuple[int, int]]:
+    """The nodes (iy, ix) of the highest values after the last step, best first.
+
+    Parameters
+    ----------
+    found
+        What the search found.
+    count
+        How many, fewer if there are no more.
+    apart
+        Nodes along either axis that each is more than away from every better one.
+    """
+    left = found.values[-1].copy()
+    top, beside = (part.start - REACH for part in found.windows[-1])
+    ends: list[tuple[int, int]] = []
+    while len(ends) < count:
+        row, column = (int(i) for i in np.unravel_index(int(np.argmax(left)), left.shape))
+        if not np.isfinite(left[row, column]):
+            break
+        ends.append((row + top, column + beside))
+        left[
+            max(row - apart, 0) : row + apart + 1, max(column - apart, 0) : column + apart + 1
+        ] = -np.inf
+    return ends
+
+
+MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
+"""(dx, dy) of each move."""
+
+
+def path_to(found: LatticeValues, end: tuple[int, int]) -> NDArray[np.intp]:
+    """Nodes (N, 2) as (iy, ix) of the best path that ends at `end`."""
+    nodes = [end]
+    for stage in range(len(found.values) - 2, -1, -1):
+        blocked = None
+        if found.moving is not None:
+            row, column = np.array(nodes[-1]).reshape(2, 1)
+            blocked = found.moving.blocked(stage + 1, row, column)[:, 0]
+        nodes.append(_best_source(found, stage, nodes[-1], blocked))
+    return np.array(nodes[::-1], dtype=np.intp)
+
+
+def _best_source(
+    found: LatticeValues, stage: int, node: tuple[int, int], blocked: NDArray[np.bool_] | None
+) -> tuple[int, int]:
+    """Which of the 21 nodes (iy, ix) its best value came from, by a move not `blocked`."""
+    # One by one: for so few, arrays cost several times as much.
+    (rows, columns), value, closed = found.windows[stage], found.values[stage], found.table.closed
+    height, width = value.shape
+    best, source = -np.inf, node
+    for move, (dx, dy) in enumerate(MOVES_BY_NUMBER):
+        if blocked is not None and blocked[move]:
+            continue
+        row, column = node[0] - dy + REACH, node[1] - dx + REACH
+        inside_row, inside_column = row - rows.start, column - columns.start
+        if 0 <= inside_row < height and 0 <= inside_column < width:
+            arriving = value.item(inside_row, inside_column) + closed.item(move, row, column)
+            arriving += found.move_value.item(move)
+            if arriving > best:
+                best, source = arriving, (row - REACH, column - REACH)
+    return source
+
 
 STARTS = 2
 """Starts that are handed on, best first."""

@@ -10,7 +10,7 @@ import shapely
 from scenes import belief_of, small_problem
 
 from planopt.errors import NoPlanError
-from planopt.planning.explain.no_way import explain_no_way
+from planopt.planning.explain.explain import explain_no_way
 from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.plan import Verdict
 from planopt.planning.reach_planner import ReachPlanner

@@ -6,7 +6,7 @@ import numpy as np
 
 from planopt.channel.nearest.neighbours import NeighbourModel
 from planopt.planning.programme.stage_kernel import StageMargins, margins_of
-from planopt.planning.worth.stage_prediction import StagePredictor
+from planopt.planning.worth.serving_stages import StagePredictor
 
 
 def stage_margins(

@@ -9,12 +9,11 @@ import pytest
 from scenes import WALL, good_everywhere, search_of, small_problem
 
 from planopt.planning.ground import build_ground, first_moves
-from planopt.planning.search.ends_apart import best_ends
 from planopt.planning.search.lattice_search import search_lattice
 from planopt.planning.search.move_table import move_table
 from planopt.planning.search.moving_moves import MovingMoves, steps_apart
-from planopt.planning.search.path_back import path_to
 from planopt.planning.search.reward_lattice import search_rewards
+from planopt.planning.search.start_search import best_ends, path_to
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES
 from planopt.world.moving_discs import NOTHING_MOVES, path_distances_m

@@ -9,11 +9,10 @@ import pytest
 from scenes import CUP, WALL, small_problem
 
 from planopt.planning.ground import build_ground, first_moves
-from planopt.planning.search.ends_apart import best_ends
 from planopt.planning.search.lattice_window import REACH
 from planopt.planning.search.move_table import move_table
-from planopt.planning.search.path_back import path_to
 from planopt.planning.search.reward_lattice import search_rewards
+from planopt.planning.search.start_search import best_ends, path_to
 from planopt.world.lattice import MOVES
 
 

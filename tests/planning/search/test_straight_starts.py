@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, judge_of, situation_of, terms_problem
 
-from planopt.planning.search.rough_clearance import rough_clearance
-from planopt.planning.search.straight_starts import (
+from planopt.planning.search.coupled_starts import (
     HEADINGS,
     TURNS_RAD,
     driven_ways,
     straight_starts,
 )
+from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.world.clearance import clearance_m, inside_bounds, swept_clearance_m
 
 

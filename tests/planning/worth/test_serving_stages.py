@@ -18,8 +18,7 @@ from planopt.channel.prediction import Prediction, bound_quantile, connection_pr
 from planopt.objectives.tracking_derivatives import connectivity_derivatives
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.proof.serving import Serving
-from planopt.planning.worth.serving_stages import ServingStages, stage_predictor
-from planopt.planning.worth.stage_prediction import StagePredictor
+from planopt.planning.worth.serving_stages import ServingStages, StagePredictor, stage_predictor
 
 PATH = np.array([[12.0, 9.0], [16.3, 11.2], [21.1, 13.0], [27.7, 12.1], [33.4, 8.2]])
 P_MIN = 0.8

@@ -26,15 +26,22 @@ def test_first_plan_and_own_loop_are_short() -> None:
         assert len(code.strip().splitlines()) <= lines
 
 
-@pytest.mark.parametrize(
-    "file",
-    [
-        *(ROOT / name for name in ("README.md", "CHANGELOG.md")),
-        *sorted((ROOT / "docs").glob("*.md")),
-        *sorted((ROOT / "docs" / "theory").glob("*.md")),
-    ],
-    ids=lambda path: path.name,
-)
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs" / "theory").glob("*.md")),
+]
+
+
+@pytest.mark.parametrize("file", PAGES, ids=lambda path: path.name)
+def test_modules_that_a_page_names_are_there(file: Path) -> None:
+    """By name, or by the end of the path: modules that were moved or merged are named anew."""
+    modules = [path.as_posix() for path in ROOT.glob("*/**/*.py") if ".venv" not in path.parts]
+    for name in re.findall(r"`([a-z_0-9/]+\.py)`", file.read_text(encoding="utf-8")):
+        assert any(module.endswith(f"/{name}") for module in modules), name
+
+
+@pytest.mark.parametrize("file", PAGES, ids=lambda path: path.name)
 def test_links(file: Path) -> None:
     """Files that a page links to are there."""
     text = file.read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.candidate import Candidate
+from planopt.planning.leaving import leaving_path
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Plan, Rung, Termination
 from planopt.planning.proof.circumstances import Circumstances
@@ -108,16 +109,26 @@ class Judge:
         )
 
     def standing(self, horizon: int) -> Candidate:
-        """Stand still for N = `horizon` steps, or go on as reserved where that is not sound.
+        """Stand still for N = `horizon` steps; if that is not sound go on as reserved, or leave.
 
         Every robot's plan keeps clear of what the others have reserved, so that this is the last
-        resort that no other robot is in the way of.
+        resort that no other robot is in the way of. A robot that is where it must not be moves
+        away (:func:`planopt.planning.leaving.leaving_path`).
         """
         place = np.tile(self.position_m, (horizon, 1))
         standing = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
-        if standing.sound or self.reserved_m is None or np.array_equal(self.reserved_m, place):
+        if standing.sound:
             return standing
-        return self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
+        rest = standing
+        if self.reserved_m is not None and not np.array_equal(self.reserved_m, place):
+            rest = self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
+            if rest.sound:
+                return rest
+        moving = self.circumstances.moving
+        path = leaving_path(self.problem, self.index, moving, self.position_m)
+        if path is None:
+            return rest
+        return self.judged(self.candidate(path, Rung.LEAVE, Termination.NO_PATH))
 
     def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
         """Write a judged candidate out as a plan."""

@@ -26,7 +26,7 @@ from planopt.planning.team.team_seeds import team_seeds
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 from planopt.short_repr import wrapped
-from planopt.world.clearance import containing_obstacle, index_obstacles, inside_bounds
+from planopt.world.clearance import containing_obstacle, index_obstacles
 
 
 class Planner:
@@ -201,7 +201,10 @@ class Planner:
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
         names = ("x_m", "y_m") if robot.dynamics is None else robot.dynamics.state_names
         state = _numbers(key, given, (len(names),), ", ".join(names))
-        if not inside_bounds(self.problem.workspace, state[None, :2]).all():
+        # Drift may carry a robot out of bounds; it is led back. A step out is another frame.
+        nearest = np.clip(state[:2], *np.reshape(self.problem.workspace.bounds_m, (2, 2)))
+        reach = 0.0 if robot.dynamics is not None else self._robots.owns[number].step_length_m
+        if float(np.linalg.norm(state[:2] - nearest)) > reach:
             raise InputError(
                 f"is {state.tolist()}, outside the bounds {list(self.problem.workspace.bounds_m)}",
                 key=key,

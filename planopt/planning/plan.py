@@ -48,7 +48,8 @@ class Rung(StrEnum):
 
     ``reserved`` is the rest of the last plan, verified or not, where standing still would be in the
     way of what moves: the other robots keep clear of it. ``direct`` is the shortest path to a goal,
-    whatever the connection, of a robot that has wandered long enough.
+    whatever the connection, of a robot that has wandered long enough. ``leave`` is a step away
+    from where a robot must not be: too near to something, or out of bounds.
     """
 
     PLAN = "plan"
@@ -58,6 +59,7 @@ class Rung(StrEnum):
     SHIFTED = "shifted"
     RESERVED = "reserved"
     DIRECT = "direct"
+    LEAVE = "leave"
     STOP = "stop"
 
 

@@ -44,6 +44,7 @@ RUNG_LOOKS = {
     Rung.SHIFTED: ("v", SKY),
     Rung.RESERVED: ("P", BLACK),
     Rung.DIRECT: (">", BLACK),
+    Rung.LEAVE: ("<", VERMILLION),
     Rung.STOP: ("X", VERMILLION),
 }
 """Marker and colour of every rung of the failure ladder."""

@@ -22,7 +22,7 @@ UNSOLVED = {
         Rung.DIRECT,
     ),
     Termination.STOPPED: (Rung.SHIFTED, Rung.RESERVED),
-    Termination.NO_PATH: (Rung.STOP,),
+    Termination.NO_PATH: (Rung.STOP, Rung.LEAVE),
 }
 """Terminations of plans for which no solver ran, and the rungs that these come from."""
 
@@ -34,7 +34,7 @@ SOLVED_RESIDUAL, LARGEST_RESIDUAL = 1.0, 1e12
 distance from the bounds that its multipliers are multiplied by, and of any path, for each unit of
 the objective: those of the problem library are below 0.03."""
 
-WITHOUT_SEARCH = (Rung.SHIFTED, Rung.RESERVED, Rung.STOP)
+WITHOUT_SEARCH = (Rung.SHIFTED, Rung.RESERVED, Rung.LEAVE, Rung.STOP)
 """Rungs whose paths no search found."""
 
 POLISHED = (Rung.PLAN, Rung.COLD_RETRY, Rung.RELAXED)
@@ -67,6 +67,8 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
         faults.append(
             "the path does not stand still" if plan.drive is None else "the robot does not stop"
         )
+    if rung is Rung.LEAVE and (plan.verdict is not Verdict.VIOLATED or not _is_one_step(plan)):
+        faults.append("the path is no single step from where the robot must not be")
     if rung is Rung.SHIFTED and (
         previous is None
         or previous.verdict is not Verdict.VERIFIED
@@ -96,6 +98,11 @@ def _is_stop(problem: Problem, plan: Plan, previous: Plan | None) -> bool:
     if np.abs(braking - plan.drive.inputs).max() <= EXACT:
         return True
     return previous is not None and _is_shifted(problem, plan, previous)
+
+
+def _is_one_step(plan: Plan) -> bool:
+    """Whether a plan moves in its first step alone."""
+    return bool(np.abs(np.diff(plan.positions_m[1:], axis=0)).max(initial=0.0) <= EXACT)
 
 
 def _is_shifted(problem: Problem, plan: Plan, previous: Plan) -> bool:

@@ -126,10 +126,12 @@ class Planner:
             Measurements since the last call, as for :func:`planopt.solve`; those nearer than
             ``channel.measure_spacing_m`` to an earlier one are left out.
         connected
-            Whether it is connected now, for constraints over a whole run. Left out, the last
-            measurement says, and without one the prediction.
+            Whether it is connected now: constraints over a whole run count it, and what it sees of
+            a target reaches the station then. Left out, the last measurement says, and without one
+            the prediction.
         target_m
-            ``(2,)`` where it sees the target now; left out if it does not.
+            ``(2,)`` where it sees the target now; left out if it does not. The first call takes
+            none in: it plans from the problem's first estimate.
 
         Returns
         -------
@@ -187,9 +189,12 @@ class Planner:
         places = [None] * count if target_m is None else target_m
         seen = np.array([self._seen(place) for place in places])
         if self._is_placed:
-            if connected is None:
-                connected = [self._was_connected(*both) for both in enumerate(measured)]
-            self._robots.observe(now, measured, connected, seen)
+            links = (
+                [self._was_connected(*both) for both in enumerate(measured)]
+                if connected is None
+                else _links(connected)
+            )
+            self._robots.observe(now, measured, links, seen)
         else:
             self._robots.place(now, measured)
             self._is_placed = True
@@ -231,7 +236,7 @@ class Planner:
         """Whether a robot is connected now, by its last measurements or by its last plan."""
         stations = self.problem.stations
         heard = [
-            bool(taken.power_dbm[-1] >= station.threshold_dbm)
+            bool(taken.power_dbm[-1] >= station.threshold_dbm and not taken.censored[-1])
             for station, taken in zip(stations, measured, strict=False)
             if len(taken)
         ]
@@ -239,6 +244,16 @@ class Planner:
             return any(heard)
         plans = self._robots.plans[number]
         return bool(plans and plans[-1].connectivity[1] >= 0.5)
+
+
+def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
+    """Return which robots are connected, from truth values alone."""
+    for number, value in enumerate(given):
+        if not isinstance(value, bool | np.bool_):
+            raise InputError(
+                f"is {value!r}", key=f"connected[{number}]", remedy="give True or False"
+            )
+    return [bool(value) for value in given]
 
 
 def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:

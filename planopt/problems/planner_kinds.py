@@ -36,7 +36,7 @@ class PlannerKind:
         with the method ``plan`` of :class:`planopt.planning.planners.Planner`. Or where that is:
         ``module:name``, imported when it is needed.
     reaches_goals
-        Whether it plans for the task ``reach``.
+        Whether it plans for the task ``reach``; only planopt's own do.
     has_dynamics
         Whether it plans for robots with dynamics other than the single integrator.
     searches
@@ -105,7 +105,7 @@ def register_planner(kind: PlannerKind) -> None:
     Raises
     ------
     InputError
-        The name is no word, or one of planopt's own.
+        The name is no word, or one of planopt's own, or the planner is said to reach goals.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def register_planner(kind: PlannerKind) -> None:
             key="name",
             remedy=f"letters, digits, _ and -, and none of {', '.join(OWN)}",
         )
-    _registered[kind.name] = kind
+    _registered[kind.name] = _without_goals(kind)
 
 
 def unregister_planner(name: str) -> None:
@@ -166,7 +166,20 @@ def planner_kind(name: str) -> PlannerKind:
         ) from None
     kind = found if isinstance(found, PlannerKind) else PlannerKind(name, found)
     package = getattr(point, "dist", None)
-    return replace(kind, name=name, version=kind.version or getattr(package, "version", ""))
+    version = kind.version or getattr(package, "version", "")
+    return _without_goals(replace(kind, name=name, version=version))
+
+
+def _without_goals(kind: PlannerKind) -> PlannerKind:
+    """The planner, which must not be said to reach goals: these are left to planopt's own."""
+    if kind.reaches_goals:
+        raise InputError(
+            f"{kind.name} is said to plan for the task reach, "
+            f"which only {names_with('reaches_goals')} do",
+            key="reaches_goals",
+            remedy="leave it False; a goal can be a term of the task custom",
+        )
+    return kind
 
 
 def names_with(trait: str) -> str:

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar, cast
 from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.errors import InputError
+from planopt.objectives.terms.term import Term, outside_terms, register
 from planopt.problems.planner_kinds import (
     PlannerKind,
     register_planner,
@@ -103,8 +104,8 @@ def run_study(
         )
     parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
     task = cast("Callable[..., object]", delayed(_group_results))
-    outside = registered_planners()
-    jobs = [task(study, group, record, outside, os.getpid()) for group in groups]
+    outside = registered_planners(), outside_terms()
+    jobs = [task(study, group, record, *outside, os.getpid()) for group in groups]
     return iter(cast("Iterable[list[Finished[Result]]]", parallel(jobs)))
 
 
@@ -113,6 +114,7 @@ def _group_results(
     group: Sequence[Item],
     record: FinishedRuns | None,
     planners: Sequence[PlannerKind],
+    terms: Sequence[type[Term]],
     parent: int,
 ) -> list[Finished[Result]]:
     """Do the items of a group, but for those that are finished."""
@@ -120,6 +122,8 @@ def _group_results(
         _end_with_parent(parent)
         for kind in planners:
             register_planner(kind)
+        for term in terms:
+            register(term)
     shared: list[Shared] = []
     results: list[Finished[Result]] = []
     for item in group:

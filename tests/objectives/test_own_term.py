@@ -1,6 +1,9 @@
 """A term of one's own by a class, against the same expression written by casadi_term."""
 
+import subprocess
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import casadi as ca
@@ -76,3 +79,39 @@ def test_an_expression_that_is_none_is_refused(near_term):
     problem = replace(terms_problem(LEARNING), objective=TermsObjective((BadTerm(2.0),)))
     with pytest.raises(InputError, match=r"objective.terms\[0\].*not that of a number"):
         solve(problem, seed=0)
+
+
+SCRIPT = """
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+import planopt
+from planopt.objectives import OwnTerm
+
+
+@dataclass(frozen=True)
+class EastTerm(OwnTerm):
+    kind: ClassVar[str] = "east"
+
+    def expression(self, path):
+        return ca.sum1(path.positions_m[:, 0])
+
+
+if __name__ == "__main__":
+    problem = planopt.load("outdoor_map")
+    settings = replace(problem.planner, max_steps=2)
+    problem = replace(problem, objective=EastTerm(), planner=settings)
+    found = planopt.compare_horizons(problem, [2], seeds=range(2), workers=2)
+    print(len(found.runs))
+"""
+
+
+def test_workers_know_terms_of_a_script(tmp_path: Path):
+    """A class that only the script has reaches the processes of its comparison."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr

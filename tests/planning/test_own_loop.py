@@ -161,6 +161,30 @@ def test_a_state_that_is_none(log: Measurements, state, words: str) -> None:
     assert planner.step(first.next_position_m).verdict is Verdict.VERIFIED
 
 
+@pytest.mark.parametrize("connected", ["yes", 1.0, float("nan"), 2, None])
+def test_links_are_truth_values(log: Measurements, connected) -> None:
+    """Anything else is refused before anything is taken in."""
+    problem = shortened("open_field", 10)
+    planner = Planner(problem, measurements=log, horizon=2)
+    first = planner.step(problem.robots[0].start_m)
+    with pytest.raises(InputError, match=r"connected\[0\]"):
+        planner.step_all([first.next_position_m], connected=[connected])
+    assert "steps driven: 0" in repr(planner)
+    assert planner.step(first.next_position_m, connected=np.bool_(True)).verdict is Verdict.VERIFIED
+
+
+def test_a_power_at_the_floor_is_no_connection(log: Measurements) -> None:
+    """A censored power lies below its value: at the threshold the robot is not connected."""
+    problem = shortened("open_field", 10)
+    (x, y), threshold = problem.robots[0].start_m, problem.stations[0].threshold_dbm
+    for censored in (False, True):
+        planner = Planner(problem, measurements=log, horizon=2)
+        first = planner.step((x, y))
+        heard = Measurements([first.next_position_m], [threshold], censored=[censored])
+        planner.step(first.next_position_m, heard)
+        assert planner._robots.connected[-1, 0] == (not censored)
+
+
 def test_inside_an_obstacle() -> None:
     """A robot cannot be there: the place or the map is wrong."""
     problem = shortened("outdoor_map", 10)

@@ -115,3 +115,9 @@ def test_a_planner_that_cannot_be_imported() -> None:
 def test_own_planners_can_all_be_made() -> None:
     """Each name of planopt's own leads to something that makes a planner."""
     assert all(callable(kind.maker()) for kind in OWN.values())
+
+
+def test_goals_are_left_to_planopt():
+    """A planner that says it reaches goals would never be asked: it is refused."""
+    with pytest.raises(InputError, match="reaches_goals"):
+        register_planner(PlannerKind("courier", Eastward, reaches_goals=True))

@@ -278,5 +278,11 @@ def registered_terms() -> tuple[type[Term], ...]:
     return tuple(_kinds[kind] for kind in sorted(_kinds))
 
 
+def outside_terms() -> tuple[type[Term], ...]:
+    """Return the known classes of terms that are not planopt's, for worker processes."""
+    home = f"{own_terms.__name__}."
+    return tuple(term for term in registered_terms() if not term.__module__.startswith(home))
+
+
 def _name(term: type[Term]) -> str:
     return f"{term.__module__}.{term.__qualname__}"

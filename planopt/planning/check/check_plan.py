@@ -51,6 +51,7 @@ from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.pending import counts_others
 from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import braked_motion
 
@@ -175,6 +176,7 @@ def rebuilt_solution(
             f"{PLAN_FILE}, key {fault}" for fault in explanation_faults(case, own_explanation)
         ]
         plans.append(plan)
+    reasons += [f"{PLAN_FILE}, key robots: {fault}" for fault in order_faults(problem, aims)]
     belief = belief_again(learnt, posteriors)
     return Solution(problem, record.seed, belief, tuple(plans), tuple(aims), explanation), reasons
 
@@ -206,6 +208,17 @@ def pending_faults(
             told.shape == path.shape and np.abs(told - path).max() <= EXACT for path in others
         )
     ]
+
+
+def order_faults(problem: Problem, aims: Sequence[Aim]) -> list[str]:
+    """Return what is wrong with how many plans each robot says it was told in one step.
+
+    Robots plan in turn, whoever begins: one of them was told no plan, another one plan, and so on.
+    """
+    told = sorted(len(aim.pending.planned_m) for aim in aims)
+    if not counts_others(problem) or problem.planner.rounds > 1 or told == list(range(len(told))):
+        return []
+    return [f"robots were told {told} plans, should be {list(range(len(told)))} in some order"]
 
 
 def of_robot(problem: Problem, robot: str, objections: Sequence[str]) -> list[str]:

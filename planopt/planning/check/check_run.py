@@ -21,7 +21,7 @@ from planopt.planning.check.check_belief import (
     learnt_again,
     taken_on_the_way,
 )
-from planopt.planning.check.check_plan import of_robot, pending_faults
+from planopt.planning.check.check_plan import of_robot, order_faults, pending_faults
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import provenance_faults
 from planopt.planning.check.rebuilt import Asked, Effort, Place, rebuilt_plan
@@ -184,6 +184,9 @@ def rebuilt_run(
         for belief, track, true_dbm in zip(saved.beliefs, tracks, true, strict=True)
     ]
     ended, reasons = _ended(problem, connected, driven, [one.learnt for one in taken])
+    for step, aims in enumerate(zip(*(one.aims for one in driven), strict=True)):
+        faults = order_faults(problem, aims)
+        reasons += [f"{RUN_FILE}, key plans[].released[{step}]: {fault}" for fault in faults]
     run = Run(
         problem=problem,
         seed=record.seed,

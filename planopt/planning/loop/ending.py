@@ -131,8 +131,9 @@ def standstill(
         Whether nothing else that plans depend on changes while the robot stands.
     """
     stood = bool(np.linalg.norm((track[-1] - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
-    # Same place, same belief, and nothing that moves: the next plan would be this one again.
+    # Place, belief, obstacles and time are the same: so would be the next plan.
     again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
+    again &= problem.planner.budget_s is None
     if stood and not learnt[-1] and again:
         return f"standing still with nothing new to learn{_detail(plan)}"
     if not any(learnt[-STALL_STEPS:]) and _circling(track, problem.step_length_m):

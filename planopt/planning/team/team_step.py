@@ -141,7 +141,8 @@ def _again_in_turn(
     """One more round: each robot plans beside all plans of the others, and keeps the better plan.
 
     With F the worth of all plans together, F(p_i | others) = F(all) - F(others). A plan is
-    exchanged only for a verified one of larger F(p_i | others), so F(all) never falls.
+    exchanged only for a verified one, and a verified one only for one of larger F(p_i | others), so
+    that F(all) never falls among verified plans.
     """
     plans, aims = list(plans), list(aims)
     for number, member in enumerate(crew):
@@ -161,7 +162,8 @@ def _again_in_turn(
         )
         before = moment.beliefs[number], aim, moment.histories[number]
         old = member.worth(plans[number], *before)
-        if plan.verdict is Verdict.VERIFIED and plan.objective > old:
+        better = plan.objective > old or plans[number].verdict is not Verdict.VERIFIED
+        if plan.verdict is Verdict.VERIFIED and better:
             plans[number], aims[number] = plan, aim
     return beside_each_other(problem, moment.driven, plans), aims
 

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,10 @@ from planopt.objectives.mapping import path_information
 from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
+from planopt.planning.team import team_step
+from planopt.planning.team.team_step import TeamMoment
 
 MAPPING = {"kind": "mapping", "form": "information"}
 
@@ -135,3 +139,35 @@ def test_told_plans_must_be_those_of_other_robots(name, tmp_path: Path):
     assert any(
         "pending_m[0] is not the plan of another robot" in r for r in check(tmp_path).reasons
     )
+
+
+def test_robots_cannot_have_been_told_less(tmp_path: Path):
+    """The second robot of two was told the first one's plan: a file without it is rejected."""
+    save_solution(solve(team(MAPPING, count=2), seed=2), tmp_path)
+    file = tmp_path / "plan.json"
+    data = json.loads(file.read_text())
+    del data["robots"][1]["aim"]["pending_m"]
+    file.write_text(json.dumps(data))
+    assert any("told [0, 0] plans" in reason for reason in check(tmp_path).reasons)
+
+
+def test_a_verified_plan_replaces_one_that_is_not():
+    """In a further round, whatever the worth of the plan that is not verified."""
+    problem = team(MAPPING, count=2)
+    plans = solve(problem, seed=2).plans
+    bad = replace(plans[0], verdict=Verdict.VIOLATED, objective=plans[0].objective + 1.0)
+    moment = TeamMoment(
+        [None] * 2,
+        [plan.positions_m[0] for plan in plans],
+        [None] * 2,
+        [SimpleNamespace(steps=0)] * 2,
+        [None] * 2,
+        [np.zeros((0, 2))] * 2,
+    )
+
+    def member(plan):
+        return SimpleNamespace(plan=lambda *_: (plan, None), worth=lambda made, *_: made.objective)
+
+    crew = [member(plan) for plan in plans]
+    found, _ = team_step._again_in_turn(problem, crew, moment, [bad, plans[1]], [None, None])
+    assert [plan.verdict for plan in found] == [Verdict.VERIFIED] * 2

@@ -47,7 +47,7 @@ class Planner:
     horizon, planner, cost_to_go
         Override the problem's planner settings.
     budget_s
-        Deadline: the seconds that a step should take at most.
+        Seconds that the plan of a robot should take at most, in each round of a team.
     seed
         Of everything that is drawn.
 
@@ -249,7 +249,7 @@ class Planner:
 def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
     """Return which robots are connected, from truth values alone."""
     for number, value in enumerate(given):
-        if not isinstance(value, bool | np.bool_):
+        if type(value) not in (bool, np.bool_):
             raise InputError(
                 f"is {value!r}", key=f"connected[{number}]", remedy="give True or False"
             )

@@ -15,6 +15,7 @@ from planopt.errors import InputError
 from planopt.planning.given import (
     GivenMeasurements,
     measurements_by_station,
+    with_drawn_starts,
     with_measurements,
 )
 from planopt.planning.loop.target_watch import expected_target, watch_target
@@ -87,6 +88,7 @@ class Planner:
         if budget_s is not None:
             problem = replace(problem, planner=replace(problem.planner, budget_s=budget_s))
         problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
+        problem = with_drawn_starts(problem, seed)
         scene = build_scene(problem) if problem.task == "reach" else None
         belief = prepare(problem, seed, given).belief
         seeds = team_seeds(problem, seed)

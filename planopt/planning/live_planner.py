@@ -250,12 +250,13 @@ class Planner:
 
 def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
     """Return which robots are connected, from truth values alone."""
-    for number, value in enumerate(given):
+    values: Sequence[object] = list(given)
+    for number, value in enumerate(values):
         if not isinstance(value, bool | np.bool_):
             raise InputError(
                 f"is {value!r}", key=f"connected[{number}]", remedy="give True or False"
             )
-    return [bool(value) for value in given]
+    return [bool(value) for value in values]
 
 
 def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:

@@ -366,7 +366,7 @@ def _corridors(
 def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
     """A normal that separates a seed (3, 2) from a side that it touches.
 
-    None if neither the side's own line nor that of the seed does; that of a single place always does.
+    None if neither the side nor a flat triangle lies on such a line; with a single place one does.
     """
     if ((seed - part[0]) @ outward <= touch_m).all():
         return outward

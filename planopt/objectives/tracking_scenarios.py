@@ -81,7 +81,7 @@ def scenario_gain(
         The target for h steps or more: for these every robot stands at the end of its path.
     """
     received = received_from(stations, paths_m, drawn_errors(stations, paths_m), settings)
-    return removed(received, settings)
+    return float(removed(received, settings))
 
 
 def scenario_gains(
@@ -134,8 +134,8 @@ def received_from(
     errors
         Of :func:`drawn_errors`, or of the first draws alone.
     """
-    lost = np.ones(errors.shape[1:])
-    received = np.zeros((lost.shape[1], len(settings.tracking.weight)))
+    lost = np.ones_like(errors[0])
+    received = np.zeros((errors.shape[2], len(settings.tracking.weight)))
     for (posterior, threshold), error in zip(stations, errors, strict=True):
         for number, path in enumerate(paths_m):
             power = factored_near(posterior, path).predict(path)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.given import GivenMeasurements, with_measurements
+from planopt.planning.given import GivenMeasurements, with_drawn_starts, with_measurements
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import Scene, build_scenes
@@ -87,6 +87,7 @@ def solve_on(
 def _solved(
     problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None
 ) -> Solution:
+    problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
     robots = Stepper(problem, belief, plan_step(problem, scenes, seeds), watch)

@@ -166,8 +166,9 @@ class Couriers:
             ):
                 self._arrived.append(number)
         alone = self._alone(outlooks)
-        first = sorted(self._order, key=lambda number: number in self._arrived)
-        order, tried, waiting = first, list[list[int]](), list[Course]()
+        order: list[int] = sorted(self._order, key=lambda number: number in self._arrived)
+        tried: list[list[int]] = []
+        waiting: list[Course] = []
         while order not in tried:
             tried.append(order)
             found, late = self._in_order(at, order, alone)
@@ -177,7 +178,7 @@ class Couriers:
             if len(found) == len(order) and not waiting:
                 self._order = order
                 waiting = [found[number] for number in range(len(order))]
-            order = [late, *(other for other in order if other != late)]
+            order = [late, *[other for other in order if other != late]]
         return waiting or None
 
     def _in_order(
@@ -196,7 +197,8 @@ class Couriers:
 
     def _alone(self, outlooks: Sequence[Outlook]) -> list[Course]:
         """Return the course of each robot if it were alone, all over equally many steps."""
-        problem, paths = self._problem, list[tuple[NDArray[np.float64], NDArray[np.float64]]]()
+        problem = self._problem
+        paths: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         for outlook in outlooks:
             start, here = outlook.start, outlook.state[None, :2]
             horizon = problem.planner.horizon

@@ -224,6 +224,6 @@ def draw_solution(solution: Solution) -> Figure:
 
 
 def draw_driven(run: Run) -> Figure:
-    """Draw where the robots drove: one to a goal on the ground truth, else on what they believed."""
+    """Draw where robots drove: one to a goal on the ground truth, else on what they believed."""
     alone = run.problem.task == "reach" and len(run.runs) == 1
     return draw_run(run) if alone else draw_team_run(run)

@@ -46,7 +46,7 @@ def simulate(
     measurements: GivenMeasurements | None = None,
     scenes: Sequence[Scene] | None = None,
     prepared: Prepared | None = None,
-    on_start: Callable[[Plan], None] | None = None,
+    on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
     """Drive a problem's robots in the true channel.
@@ -69,7 +69,7 @@ def simulate(
         Geometry of each robot that is to reach a goal, ground truth and first belief if they are
         there already, for many runs of one seed.
     on_start
-        Called with the first robot's first plan, before the first step.
+        Called with the first plan of each robot, before the first step.
     on_step
         Called after every step with its number, for progress display.
 
@@ -111,7 +111,7 @@ def simulate(
             break
         step, watch = len(robots.connected) + 1, robots.watches[-1]
         if step == 1 and on_start is not None:
-            on_start(step_plans[0])
+            on_start(step_plans)
         states = [plan.next_state for plan in step_plans]
         here = np.array([state[:2] for state in states])
         robots.observe(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.coverage.cost import UNIFORM, coverage
 from planopt.coverage.density import Density
-from planopt.coverage.geodesic import GeodesicRegion, geodesic_region
+from planopt.coverage.geodesic import GeodesicRegion, geodesic_region, nearest_place
 from planopt.coverage.geodesic_cells import (
     geodesic_cells,
     geodesic_distances_m,
@@ -63,6 +63,10 @@ class Ground(Protocol):
 
     def allows(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether agents may be at places ``(k, 2)``; (k,)."""
+        ...
+
+    def nearest(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places ``(k, 2)``, each as it is or the nearest place that agents may be at."""
         ...
 
     def cover(self, agents_m: NDArray[np.float64]) -> Cover:
@@ -118,6 +122,13 @@ class ConvexGround:
         """Return whether places are in the region or on its border."""
         return self.region.contains(places_m)
 
+    def nearest(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places, those outside moved to the border."""
+        moved = np.array(places_m, dtype=np.float64)
+        for which in np.flatnonzero(~self.region.contains(moved)):
+            moved[which] = nearest_place(shapely.Polygon(self.region.corners_m), moved[which])
+        return moved
+
     def cover(self, agents_m: NDArray[np.float64]) -> Cover:
         """Return the exact cost and the centroids of the Voronoi cells."""
         found = coverage(voronoi_cells(self.region, agents_m), self.density, self.sensing_range_m)
@@ -163,6 +174,10 @@ class GeodesicGround:
     def allows(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether places are free and keep the clearance."""
         return self.region.contains(places_m)
+
+    def nearest(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places, those that are not allowed moved to the nearest that are."""
+        return self.region.nearest(places_m)
 
     def cover(self, agents_m: NDArray[np.float64]) -> Cover:
         """Return the cost over the region's nodes, and free steps that lower it."""

@@ -86,16 +86,11 @@ def test_agents_at_one_place_leave_each_other(square: ConvexRegion, walled: Geod
         (ConvexGround(square), (0.0, 0.0)),
         (walled, (45.0, 20.0)),
     ):
-        agents, scattered_ = (
-            np.tile(np.array(place), (6, 1)),
-            ground.hull.corners_m[:1]
-            + np.array(
-                [[10.0, 10.0], [22.0, 50.0], [45.0, 20.0], [50.0, 55.0], [80.0, 20.0], [90.0, 50.0]]
-            ),
-        )
+        agents = np.tile(np.array(place), (6, 1))
+        others = np.array([[10, 10], [22, 50], [45, 20], [50, 55], [80, 20], [90, 50]], dtype=float)
         costs, apart = list[float](), list[float]()
         for _ in range(80):
-            for each, found in ((agents, costs), (scattered_, apart)):
+            for each, found in ((agents, costs), (others, apart)):
                 aims = coverage_aims(ground, each, nobody)
                 found.append(aims.cost)
                 each[:] = law_moves(each, aims.targets_m, nobody, Gains(), 1.0)

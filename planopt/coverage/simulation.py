@@ -128,12 +128,26 @@ class Scene:
     settled_m: float
     stop_when_settled: bool = True
 
-    def is_changing(self, time_s: float) -> bool:
-        """Return whether an event, or an agent's time, is still to begin or end after a time."""
+    def has_settled(self, time_s: float, residual_m: float, known: NDArray[np.bool_]) -> bool:
+        """Return whether agents are settled for good.
+
+        They are near their targets, know of all events that are there and of no others, and nothing
+        is to begin, to end or to move on.
+
+        Parameters
+        ----------
+        time_s, residual_m
+            Now, and the largest distance of an agent to its target.
+        known
+            ``(k,)`` which events are known.
+        """
+        there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
+        if residual_m > self.settled_m or (known != there).any():
+            return False
         ends = [each for event in self.events for each in (event.appears_s, event.ends_s)]
         every = np.concatenate((ends, self.joins_s, self.leaves_s))
         moving = any(any(e.velocity_m_s) and e.is_there(time_s) for e in self.events)
-        return moving or bool(((every > time_s) & (every < self.duration_s)).any())
+        return not moving and not ((every > time_s) & (every < self.duration_s)).any()
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,11 +257,8 @@ def simulate_network(
                 last, asked = now, wanted
         targets, cost = _aims(scene, watches, here, states)
         residual = float(np.linalg.norm(targets - here, axis=1).max())
-        settled = residual <= scene.settled_m and not scene.is_changing(time_s)
-        settled = settled and all(
-            watch.is_known == event.is_there(time_s)
-            for watch, event in zip(watches, scene.events, strict=True)
-        )
+        known = np.array([watch.is_known for watch in watches], dtype=np.bool_)
+        settled = scene.has_settled(time_s, residual, known)
         rows.append(
             _Row(states.copy(), targets, cost, residual, counts, asked, watches, tuple(sent))
         )
@@ -409,14 +420,20 @@ def _aims(
         team = states[who] == number
         if not team.any():
             continue
-        place = watches[number].place_m
-        ends = np.repeat(place[None], int(team.sum()), axis=0)
-        if scene.stand_off_m is not None:
-            ends = ring_places(agents[team], place, scene.stand_off_m)
+        ends = event_places(agents[team], watches[number].place_m, scene.stand_off_m)
         share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
         own[team] = scene.ground.steered(agents[team], scene.ground.nearest(ends), share)
     targets[who] = own
     return targets, cost
+
+
+def event_places(
+    agents_m: NDArray[np.float64], event_m: NDArray[np.float64], stand_off_m: float | None
+) -> NDArray[np.float64]:
+    """Return where agents ``(k, 2)`` that respond to an event should stand: at it, or round it."""
+    if stand_off_m is not None:
+        return ring_places(agents_m, event_m, stand_off_m)
+    return np.repeat(event_m[None], len(agents_m), axis=0)
 
 
 def _run(

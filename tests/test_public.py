@@ -66,7 +66,7 @@ def test_problems_of_a_system_are_sent_to_their_own_methods() -> None:
         lambda problem: planopt.compare_horizons(problem, [1]),
     ]
     for action in actions:
-        with pytest.raises(planopt.InputError, match="is a SystemProblem.*methods solve and simu"):
+        with pytest.raises(planopt.InputError, match=r"is a SystemProblem.*methods solve and simu"):
             action(system)
     assert len(repr(system).splitlines()) <= 5
     assert repr(system.simulate()).startswith("pursuit_static: captured")

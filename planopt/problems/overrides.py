@@ -87,7 +87,7 @@ def require_motion(problem: Problem) -> None:
         "problem",
         problem,
         Problem,
-        "load or make a Problem; one of planopt.load_system has methods solve and simulate of its own",
+        "load or make a Problem; one of load_system has methods solve and simulate of its own",
     )
 
 

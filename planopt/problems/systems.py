@@ -38,6 +38,8 @@ class Request:
         Of a comparison.
     on_step
         Called after every step of a run, or every run of a comparison.
+    animation
+        Whether a run is drawn as an animation as well.
     """
 
     seed: int = 0
@@ -45,6 +47,7 @@ class Request:
     planners: Sequence[str] = ()
     seeds: Sequence[int] = ()
     on_step: Callable[[], None] = lambda: None
+    animation: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,8 @@ class System:
         Names of the files that answers write beside the JSON file, pictures included.
     solve, simulate, compare
         Answer a request; None for what the task has not.
+    animates
+        Whether runs are drawn as an animation when that is asked for.
     check
         Judge a saved answer from its JSON file, what that says and its problem: reasons against
         it, none if it holds.
@@ -111,6 +116,7 @@ class System:
     solve: Callable[[SystemProblem, Request], Answer] | None = None
     simulate: Callable[[SystemProblem, Request], Answer] | None = None
     compare: Callable[[SystemProblem, Request], Answer] | None = None
+    animates: bool = False
 
 
 @dataclass(frozen=True, eq=False)

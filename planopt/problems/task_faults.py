@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from planopt.objectives.terms.term import registered_terms
 from planopt.problems.planner_kinds import names_with, planner_kind
+from planopt.problems.rule_kinds import rule_kind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,22 +28,22 @@ def task_fault(tables: ProblemFile) -> str | None:
 
 def _reach_fault(tables: ProblemFile) -> str | None:
     """What keeps tables from being a problem that is to reach a goal."""
-    if len(tables.robots) > 1:
-        return "task reach is for exactly one robot"
-    if tables.robots[0].goal_m is None:
-        return "task reach needs robots[0].goal_m"
+    for number, robot in enumerate(tables.robots):
+        if robot.goal_m is None:
+            return f"task reach needs robots[{number}].goal_m"
     if tables.objective.terms:
         return "task reach has no objective.terms"
     if tables.targets:
         return "task reach has no targets"
-    if tables.constraints.p_min == 0.0 and tables.constraints.connectivity != "data":
+    rule = rule_kind(tables.constraints.connectivity)
+    if tables.constraints.p_min == 0.0 and not rule.asks_without_p_min:
         return "task reach needs constraints.p_min above 0"
     if not planner_kind(tables.planner.name).reaches_goals:
         return (
             f"planner.name {tables.planner.name} is not for task reach: use "
             f"{names_with('reaches_goals')}"
         )
-    return _dynamics_fault(tables)
+    return _same_name("robots", tables.robots) or _dynamics_fault(tables)
 
 
 def _terms_fault(tables: ProblemFile) -> str | None:

@@ -18,7 +18,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import ARRIVED, RunSummary, summary_of
-from planopt.planning.scene import Scene, build_scene
+from planopt.planning.scene import Scene, build_scenes
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Row
@@ -220,14 +220,14 @@ def _apply(problem: Problem, setting: Setting) -> Problem:
 _Asked = tuple[Problem, int]
 """A problem with the settings of a run, and its seed."""
 
-Shared = tuple[Prepared, Scene | None]
-"""First belief of a seed, and the scene where there is a goal: the same for all settings."""
+Shared = tuple[Prepared, tuple[Scene, ...] | None]
+"""First belief of a seed, and the scenes where there are goals: the same for all settings."""
 
 
 def _shared(asked: _Asked) -> Shared:
     problem, seed = asked
     prepared = prepare(problem, seed)
-    return prepared, build_scene(problem) if problem.task == "reach" else None
+    return prepared, build_scenes(problem)
 
 
 def _key(asked: _Asked) -> dict[str, Any]:
@@ -237,5 +237,5 @@ def _key(asked: _Asked) -> dict[str, Any]:
 def _drive(asked: _Asked, shared: Shared) -> RunSummary:
     """Drive a closed loop and summarise it."""
     problem, seed = asked
-    prepared, scene = shared
-    return summary_of(simulate(problem, seed=seed, scene=scene, prepared=prepared))
+    prepared, scenes = shared
+    return summary_of(simulate(problem, seed=seed, scenes=scenes, prepared=prepared))

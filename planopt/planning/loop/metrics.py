@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
-from planopt.planning.history import data_of_steps_mbit
 from planopt.planning.holes import Hole, holes_along
 from planopt.planning.loop.log import (
     ChannelLog,
@@ -19,6 +18,7 @@ from planopt.planning.loop.log import (
     TargetLog,
 )
 from planopt.planning.plan import Plan
+from planopt.planning.proof.rules.proven import proven_rule
 from planopt.planning.team.least_distances import (
     driven_motion,
     least_moving_clearances_m,
@@ -51,18 +51,23 @@ ANY = (-np.inf, np.inf)
 
 
 def metrics_of(
-    log: StepLog, plans: Sequence[Plan], outcome: Outcome, learnt: Sequence[bool]
+    log: StepLog,
+    plans: Sequence[Plan],
+    outcome: Outcome,
+    learnt: Sequence[bool],
+    arrival: int = -1,
 ) -> Metrics:
     """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
-    Shares are over the steps driven, the start not counted; a run of no step counts as wholly
-    connected. The polish gain is the mean over the steps.
+    A robot that reached its goal arrived after step number `arrival`. Shares are over the steps
+    driven, the start not counted; a run of no step counts as wholly connected.
+    The polish gain is the mean over the steps.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
     gains = [plan.polish_gain for plan in plans]
     return Metrics(
-        goal_time_s=float(log.t_s[-1]) if outcome is Outcome.REACHED else float("nan"),
+        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else float("nan"),
         path_m=float(lengths.sum()),
         true_connected_share=float(connected.mean()) if connected.size else 1.0,
         longest_outage_m=longest_outage_m(lengths, connected),
@@ -127,25 +132,8 @@ def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
     where there are none). ``least_connected_share``: of the steps, for the average.
     ``longest_outage_s``. ``data_mbit``: delivered by the deadline.
     """
-    rule, step_s = problem.constraints.rule, problem.planner.step_s
     connected = [log.connected[1:] for log in logs]
-    match rule.connectivity:
-        case "stated_times":
-            stated = np.unique(np.rint(np.array(rule.connected_times_s) / step_s)).astype(np.intp)
-            kept = [now[stated[stated <= len(now)] - 1] for now in connected]
-            least = min(float(now.mean()) if now.size else 1.0 for now in kept)
-            return {"stated_times_connected": least}
-        case "average":
-            least = min(float(now.mean()) if now.size else 1.0 for now in connected)
-            return {"least_connected_share": least}
-        case "outage":
-            longest = max(longest_outage_m(np.full(len(now), step_s), now) for now in connected)
-            return {"longest_outage_s": longest}
-        case "data":
-            delivered = [float(data_of_steps_mbit(problem, 0, len(now)) @ now) for now in connected]
-            return {"data_mbit": min(delivered)}
-        case _:
-            return {}
+    return proven_rule(problem.constraints.rule).run_metrics(problem, connected)
 
 
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:

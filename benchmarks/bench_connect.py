@@ -15,3 +15,11 @@ def test_searches_connect(benchmark, name):
     found = benchmark.pedantic(lambda: list(searches(problem, [1], 2, 5)), rounds=1)
     assert [search.outcome for search in found] == ["completed"] * 2
     assert sum(search.driven_m for search in found) < 2.0 * sum(own.shortest_m for own in found)
+
+
+def test_the_plain_search_connects(benchmark):
+    """What searches are compared with, from one start."""
+    problem = load("connect_rooftop")
+    found = benchmark.pedantic(lambda: list(searches(problem, [], 1, 5, plain=True)), rounds=1)
+    assert [search.outcome for search in found] == ["completed"]
+    assert len(found[0].step_s) * problem.step_length_m >= found[0].driven_m

@@ -3,7 +3,9 @@
 ``python benchmarks/connect_search.py connect_rooftop connect_street`` drives 20 seeded starts of
 each problem at horizons 1, 5, 10 and 20. A start is a node of the problem's lattice that is out of
 contact by its mean power, at least `LEAST_M` of path from the nearest node that is connected by
-its mean power, which is what the driven length is compared with.
+its mean power, which is what the driven length is compared with. ``--plain`` drives instead to the
+nearest node that is likely connected, by the same posterior, and replans at every step: what a
+search without an objective of its own makes of the same measurements.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from planopt.channel.fields.truth import measure
+from planopt.channel.posterior import extend
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.true_serving import true_serving_dbm
@@ -28,6 +32,9 @@ from planopt.problems.problem import Problem
 
 LEAST_M = 30.0
 """Starts are at least so far from the nearest connected node, by the shortest path."""
+
+LIKELY = 0.5
+"""Probability of connection from which on the plain search drives to a place."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +87,17 @@ def seeded_starts(
     return road_map.nodes_m[chosen], away[chosen]
 
 
-def searches(problem: Problem, horizons: Iterable[int], count: int, seed: int) -> Iterable[Search]:
-    """Drive from `count` seeded starts at every horizon."""
+def searches(
+    problem: Problem, horizons: Iterable[int], count: int, seed: int, *, plain: bool = False
+) -> Iterable[Search]:
+    """Drive from `count` seeded starts at every horizon, or by the plain search."""
     starts, shortest = seeded_starts(problem, count, seed)
     for number, (start, away) in enumerate(zip(starts, shortest, strict=True)):
         robot = replace(problem.robots[0], start_m=(float(start[0]), float(start[1])))
         placed = replace(problem, robots=(robot,))
+        if plain:
+            yield plain_search(placed, number, float(away), seed + number)
+            continue
         prepared = prepare(placed, seed + number)
         for horizon in horizons:
             clock = [time.process_time()]
@@ -104,6 +116,42 @@ def searches(problem: Problem, horizons: Iterable[int], count: int, seed: int) -
                 run.metrics.path_m,
                 np.diff(clock),
             )
+
+
+def plain_search(problem: Problem, number: int, away_m: float, seed: int) -> Search:
+    """Drive to the nearest node whose predicted probability is at least `LIKELY`, until connected.
+
+    Where there is none, to the most probable of all. Nodes that were visited are left out.
+    """
+    start = np.asarray(problem.robots[0].start_m)
+    prepared, road_map = prepare(problem, seed), build_ground(problem, start).road_map
+    threshold = problem.stations[0].threshold_dbm
+    graph = csr_matrix(
+        (road_map.edge_length_m, road_map.edge_to, road_map.edge_start),
+        shape=(len(road_map.nodes_m),) * 2,
+    )
+    here = int(np.argmin(np.linalg.norm(road_map.nodes_m - start, axis=1)))
+    belief, visited, driven_m, clock = prepared.belief.posterior, [here], 0.0, [time.process_time()]
+    for _ in range(problem.planner.max_steps):
+        length, before = dijkstra(graph, indices=here, return_predecessors=True)
+        length[visited] = np.inf
+        open_nodes = np.flatnonzero(np.isfinite(length))
+        chance = belief.connectivity(road_map.nodes_m[open_nodes], threshold)
+        likely = open_nodes[chance >= LIKELY]
+        goal = likely[length[likely].argmin()] if len(likely) else open_nodes[chance.argmax()]
+        path = [int(goal)]
+        while before[path[-1]] != here:
+            path.append(int(before[path[-1]]))
+        within = [node for node in path if length[node] <= problem.step_length_m + 1e-9]
+        following = within[0] if within else path[-1]
+        driven_m, here = driven_m + float(length[following]), following
+        visited.append(here)
+        clock.append(time.process_time())
+        heard = measure(prepared.truths[0], road_map.nodes_m[here][None])
+        if heard.power_dbm[0] >= threshold and not heard.censored[0]:
+            return Search(number, 0, "completed", away_m, driven_m, np.diff(clock))
+        belief = extend(belief, heard)
+    return Search(number, 0, "step_limit", away_m, driven_m, np.diff(clock))
 
 
 def summary(found: list[Search]) -> str:
@@ -126,13 +174,14 @@ def main() -> None:
     parser.add_argument("--horizons", default="1,5,10,20")
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--plain", action="store_true", help="the plain search, without horizon")
     parser.add_argument("--each", action="store_true", help="print every run")
     args = parser.parse_args()
-    horizons = [int(part) for part in args.horizons.split(",")]
+    horizons = [0] if args.plain else [int(part) for part in args.horizons.split(",")]
     for name in args.problems:
         problem = load(name)
         found: list[Search] = []
-        for search in searches(problem, horizons, args.starts, args.seed):
+        for search in searches(problem, horizons, args.starts, args.seed, plain=args.plain):
             found.append(search)
             if args.each:
                 print(

@@ -31,6 +31,7 @@ class MetricName:
 
 METRIC_NAMES = {
     "goal_time_s": MetricName("time to goal", "s", 1.0, 1),
+    "capture_time_s": MetricName("time to capture", "s", 1.0, 2),
     "path_m": MetricName("driven length", "m", 1.0, 1),
     "realised_cost_m": MetricName("realised cost", "m", 1.0, 1),
     "clairvoyant_cost_m": MetricName("clairvoyant cost", "m", 1.0, 1),

@@ -73,7 +73,7 @@ def compare(
     workers: int = 1,
     backend: str = "loky",
     on_run: Callable[[RunSummary], None] | None = None,
-    finished: Path | None = None,
+    finished: Path | str | None = None,
 ) -> Comparison:
     """Run every setting of every problem on every seed and tabulate.
 
@@ -132,7 +132,7 @@ def compare(
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     _check_seeds(chosen)
     variants = _variants(given, horizons, planners, costs_to_go, sweep)
-    kept = None if finished is None else FinishedRuns(finished)
+    kept = None if finished is None else FinishedRuns(Path(finished))
     study: Study[_Asked, Shared, RunSummary] = Study(
         kind=RunSummary,
         prepare=_shared,

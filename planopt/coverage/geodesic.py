@@ -78,6 +78,13 @@ class GeodesicRegion:
         """Return whether places ``(k, 2)`` are in the free area or on its border; (k,)."""
         return _near(self.free, places_m, self.slack_m)
 
+    def nearest(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places ``(k, 2)`` as they are if they are free, else the nearest free places."""
+        moved = np.array(places_m, dtype=np.float64)
+        for which in np.flatnonzero(~self.contains(moved)):
+            moved[which] = nearest_place(self.free, moved[which])
+        return moved
+
     def sees(self, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether the straight lines between free places ``(k, 2)`` are free; (k,)."""
         return ~_meets(self.free_border, starts_m, ends_m)
@@ -273,6 +280,12 @@ def _meets(
     """Whether straight lines between places (k, 2) meet a border; (k,)."""
     lines = shapely.linestrings(np.stack((starts_m, ends_m), axis=1))
     return np.asarray(shapely.intersects(border, lines), dtype=np.bool_)
+
+
+def nearest_place(area: shapely.Polygon, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the place of an area that is nearest to a place (2,)."""
+    link = shapely.shortest_line(area, shapely.Point(place_m))  # pyright: ignore[reportUnknownMemberType]
+    return np.asarray(shapely.get_coordinates(link), dtype=np.float64)[0]
 
 
 def _near(

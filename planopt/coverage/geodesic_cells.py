@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from planopt.coverage.geodesic import GeodesicRegion
+from planopt.coverage.geodesic import GeodesicRegion, nearest_place
 from planopt.errors import InputError
 
 HALVINGS = 8
@@ -201,6 +201,38 @@ def geodesic_distances_m(
     return found
 
 
+def geodesic_paths(
+    region: GeodesicRegion, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the length of the shortest path of each agent to a place of its own, and where to.
+
+    Parameters
+    ----------
+    region
+        The region.
+    agents_m, places_m
+        ``(n, 2)`` each, both in the free area.
+
+    Returns
+    -------
+    length_m, first_m
+        ``(n,)`` lengths, and ``(n, 2)`` the end of each path's first straight part: a corner, or
+        the place itself if the agent sees it.
+    """
+    agents = _checked(region, agents_m)
+    length, first = np.linalg.norm(places_m - agents, axis=1), places_m.copy()
+    blind = np.flatnonzero(~region.sees(agents, places_m))
+    if len(blind) and len(region.corners_m):
+        corners = _to_corners(region, agents[blind])
+        last = np.linalg.norm(places_m[blind][:, None] - region.corners_m, axis=2)
+        last[~region.sees_each(places_m[blind], region.corners_m)] = np.inf
+        through = corners.length_m + last
+        best, own = through.argmin(axis=1), np.arange(len(blind))
+        length[blind] = through[own, best]
+        first[blind] = region.corners_m[corners.first[own, best]]
+    return length, first
+
+
 def _checked(region: GeodesicRegion, agents_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Agents as an array (n, 2) of free places."""
     agents = np.asarray(agents_m, dtype=np.float64)
@@ -282,7 +314,7 @@ def _reached(
     fine = region.allows(starts, ends)
     for which in np.flatnonzero(~fine):
         start, end = starts[which], ends[which]
-        nearest = _nearest_of(region.allowed, end)
+        nearest = nearest_place(region.allowed, end)
         if region.allows(start[None], nearest[None])[0]:
             ends[which] = nearest
             continue
@@ -292,9 +324,3 @@ def _reached(
         places = np.concatenate((start[None], shapely.get_coordinates(touching)))
         ends[which] = places[int(np.linalg.norm(places - start, axis=1).argmax())]
     return ends
-
-
-def _nearest_of(area: shapely.Polygon, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The place of an area that is nearest to a place (2,)."""
-    link = shapely.shortest_line(area, shapely.Point(place))  # pyright: ignore[reportUnknownMemberType]
-    return np.asarray(shapely.get_coordinates(link), dtype=np.float64)[0]

@@ -15,6 +15,7 @@ from planopt.errors import InputError
 from planopt.planning.given import (
     GivenMeasurements,
     measurements_by_station,
+    with_drawn_starts,
     with_measurements,
 )
 from planopt.planning.loop.target_watch import expected_target, watch_target
@@ -87,6 +88,7 @@ class Planner:
         if budget_s is not None:
             problem = replace(problem, planner=replace(problem.planner, budget_s=budget_s))
         problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
+        problem = with_drawn_starts(problem, seed)
         scene = build_scene(problem) if problem.task == "reach" else None
         belief = prepare(problem, seed, given).belief
         seeds = team_seeds(problem, seed)
@@ -248,12 +250,13 @@ class Planner:
 
 def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
     """Return which robots are connected, from truth values alone."""
-    for number, value in enumerate(given):
+    values: Sequence[object] = list(given)
+    for number, value in enumerate(values):
         if not isinstance(value, bool | np.bool_):
             raise InputError(
                 f"is {value!r}", key=f"connected[{number}]", remedy="give True or False"
             )
-    return [bool(value) for value in given]
+    return [bool(value) for value in values]
 
 
 def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:

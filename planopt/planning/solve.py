@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.given import GivenMeasurements, with_measurements
+from planopt.planning.given import GivenMeasurements, with_drawn_starts, with_measurements
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import Scene, build_scene
@@ -83,6 +83,7 @@ def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = 
 
 
 def _solved(problem: Problem, belief: Belief, seed: int, scene: Scene | None) -> Solution:
+    problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
     robots = Stepper(problem, belief, plan_step(problem, scene, seeds), watch)

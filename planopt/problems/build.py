@@ -119,6 +119,7 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
         truth=None if table.truth is None else _truth(table.truth, folder),
         measurements=_measurements(table.measurements, folder),
         fit_method=table.fit.method,
+        given=table.fit.given,
         measure_spacing_m=table.measurements.spacing_m,
         calibration=table.calibration,
     )

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
+from typing import Annotated, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
+from planopt.errors import InputError
 from planopt.plain_values import make_plain, part_of
+from planopt.problems.tables import Decibels
 from planopt.short_repr import short_repr
 
 CalibrationName = Literal["none", "platt"]
@@ -171,6 +174,49 @@ class LoggedMeasurements:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GivenParameters:
+    """Parameters of the channel that are known, so that they are not estimated.
+
+    Attributes
+    ----------
+    shadow_std_db, decorrelation_m, multipath_std_db
+        As in :class:`planopt.channel.parameters.ChannelParameters`.
+    k_pl_db, n_pl
+        Path loss; ``k_pl_db`` is a gain, to which a station's transmit power is added. Both None:
+        path loss is estimated from the measurements, with its uncertainty.
+    """
+
+    shadow_std_db: Annotated[
+        float, Field(ge=0, le=100, description="xi, deviation of shadowing in dB.")
+    ]
+    decorrelation_m: Annotated[
+        float,
+        Field(gt=0, le=1e6, description="beta, decorrelation distance of shadowing in metres."),
+    ]
+    multipath_std_db: Annotated[
+        float, Field(ge=0, le=100, description="omega, deviation of multipath in dB.")
+    ]
+    k_pl_db: Annotated[
+        Decibels | None,
+        Field(
+            description="K_PL as a path gain at one metre in dB; left out, with n_pl: path loss is "
+            "estimated."
+        ),
+    ] = None
+    n_pl: Annotated[
+        float | None, Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")
+    ] = None
+
+    def __post_init__(self) -> None:
+        if (self.k_pl_db is None) != (self.n_pl is None):
+            raise InputError(
+                "has one of k_pl_db and n_pl",
+                key="channel.fit.given",
+                remedy="give both, or none to have path loss estimated",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class ChannelSetup:
     """Where the truth and the first measurements come from and how the channel is fitted.
 
@@ -182,6 +228,8 @@ class ChannelSetup:
         The first measurements.
     fit_method
         How parameters are estimated from them.
+    given
+        Parameters that are known; None where all are estimated.
     measure_spacing_m
         On the way a robot measures again only at this distance from every earlier measurement:
         fading at one place keeps its value, so measuring it twice teaches nothing.
@@ -194,6 +242,7 @@ class ChannelSetup:
         default_factory=SampledMeasurements
     )
     fit_method: FitMethod = "reml"
+    given: GivenParameters | None = None
     measure_spacing_m: float = 2.0
     calibration: CalibrationName = "none"
 

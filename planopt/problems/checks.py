@@ -44,7 +44,8 @@ def check_apart(problem: Problem) -> None:
     for number, robot in enumerate(problem.robots):
         for other in range(number):
             distance = float(np.linalg.norm(starts[number] - starts[other]))
-            if distance < separation:
+            drawn = robot.start_spread_m + problem.robots[other].start_spread_m > 0.0
+            if distance < separation and not drawn:
                 raise InputError(
                     f"is {list(robot.start_m)}, {distance:.3g} m from the start of "
                     f"{problem.robots[other].name}, less than the separation of {separation:g} m",
@@ -180,6 +181,19 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
         )
 
 
+def _check_spread(problem: Problem, number: int) -> None:
+    """A start is drawn only where nothing but a sum of terms is planned from it."""
+    robot = problem.robots[number]
+    if robot.start_spread_m > 0.0 and (problem.task == "reach" or robot.dynamics is not None):
+        raise InputError(
+            f"is {robot.start_spread_m:g}, and starts are drawn only of single integrators, and "
+            "not for the task reach",
+            file=problem.file,
+            key=f"robots[{number}].start_spread_m",
+            remedy="leave it out",
+        )
+
+
 def check_bounds(problem: Problem) -> None:
     """The workspace has an inside."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
@@ -279,6 +293,7 @@ def check(problem: Problem) -> None:
             check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
         check_stopping(problem, index, number)
         _check_step(problem, number)
+        _check_spread(problem, number)
     check_apart(problem)
     check_channel(problem)
     check_stations(problem)

@@ -30,6 +30,8 @@ class Robot:
     start_rest
         Components of its state at the start beyond its place, in the order of
         ``dynamics.state_names``; all zero where they are left out.
+    start_spread_m
+        It starts within this distance of ``start_m``, at a place drawn with the random seed.
 
     Examples
     --------
@@ -44,6 +46,7 @@ class Robot:
     name: str = "robot"
     dynamics: Dynamics | None = None
     start_rest: tuple[float, ...] = ()
+    start_spread_m: float = 0.0
 
     def __post_init__(self) -> None:
         make_plain(self)

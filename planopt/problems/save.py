@@ -40,12 +40,14 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
 
     Keys that have no value are left out, as they are in a problem file.
     """
-    channel = {
+    channel: dict[str, Any] = {
         "measurements": _measurements(problem.channel),
         "fit": {"method": problem.channel.fit_method},
         "calibration": problem.channel.calibration,
     }
-    truth = problem.channel.truth
+    truth, given = problem.channel.truth, problem.channel.given
+    if given is not None:
+        channel["fit"]["given"] = _plain(asdict(given))
     if isinstance(truth, RasterTruth | ModelTruth):
         channel["truth"] = _truth(truth)
     return {

@@ -14,9 +14,11 @@ from planopt.errors import InputError
 from planopt.problems.channel_setup import (
     CalibrationName,
     ChannelSetup,
+    GivenParameters,
     LoggedMeasurements,
     RasterTruth,
 )
+from planopt.problems.data_tables import TableOf
 from planopt.problems.tables import Decibels, FileName, Table
 
 MIN_DEVIATION_DB = 0.001
@@ -149,7 +151,8 @@ class MeasurementsTable(Table):
         ge=0,
         le=100_000,
         description="Number of first measurements, taken from the truth at seeded free places; 0 "
-        "only in saved results, of first measurements that were given in Python.",
+        "where fit.given has path loss too, or in saved results, of first measurements that were "
+        "given in Python.",
     )
     file: FileName | None = Field(
         default=None, description="CSV log of first measurements, relative to the problem file."
@@ -193,6 +196,11 @@ class FitTable(Table):
     method: FitMethod = Field(
         default=ChannelSetup.fit_method,
         description="lemma1, capped, convex, nls or reml: docs/channel.md, Fit.",
+    )
+    given: Annotated[GivenParameters, TableOf(GivenParameters, "GivenTable")] | None = Field(
+        default=None,
+        description="Parameters that are known and not estimated: shadow_std_db, decorrelation_m "
+        "and multipath_std_db, and k_pl_db and n_pl or neither.",
     )
 
     @field_validator("method", mode="before")

@@ -39,6 +39,13 @@ class RobotTable(Table):
 
     name: Name = Field(default=Robot.name, description="What outputs call it.")
     start_m: Pair = Field(description="Start [x, y] in metres.")
+    start_spread_m: float = Field(
+        default=Robot.start_spread_m,
+        ge=0,
+        le=1e6,
+        description="It starts at a place within so many metres of start_m, drawn with the random "
+        "seed; not for the task reach.",
+    )
     goal_m: Pair | None = Field(
         default=None, description="Goal [x, y] in metres, for the task reach."
     )
@@ -96,6 +103,7 @@ class RobotTable(Table):
             speed_max_m_s=self.speed_max_m_s,
             dynamics=self._dynamics(),
             start_rest=self._start_rest(),
+            start_spread_m=self.start_spread_m,
         )
 
     def _dynamics(self) -> Dynamics | None:
@@ -122,6 +130,7 @@ def robot_table(robot: Robot) -> dict[str, Any]:
     table: dict[str, Any] = {
         "name": robot.name,
         "start_m": robot.start_m,
+        "start_spread_m": robot.start_spread_m or None,
         "goal_m": robot.goal_m,
         "speed_max_m_s": robot.speed_max_m_s,
     }

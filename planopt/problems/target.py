@@ -28,6 +28,13 @@ class Target:
         Standard deviation of the white acceleration along either axis (Theta is its square).
     position_std_m, velocity_std_m_s
         Deviation of the first estimate of position and velocity along either axis (P_0).
+    start_distance_m
+        Where given, it starts so far from ``start_m`` in a direction drawn with the random seed,
+        and moves away from there at the speed of ``velocity_m_s``.
+    heading_spread_rad
+        Its first heading is then off that direction by up to this angle, drawn as well.
+    stays_free
+        Whether its path is drawn again until it stays within the bounds and out of obstacles.
     """
 
     name: Annotated[Name, Field(description="What outputs call it.")] = "target"
@@ -53,6 +60,30 @@ class Target:
             ge=LEAST_STD, le=1e6, description="Deviation of its first estimated velocity, in m/s."
         ),
     ] = 0.3
+    start_distance_m: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1e6,
+            description="Where given, it starts so many metres from start_m in a direction drawn "
+            "with the random seed, and moves away from there at the speed of velocity_m_s.",
+        ),
+    ] = None
+    heading_spread_rad: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=3.2,
+            description="Its first heading is then off that direction by up to so many rad.",
+        ),
+    ] = 0.0
+    stays_free: Annotated[
+        bool,
+        Field(
+            description="Draw its path again until it stays within the bounds and out of obstacles "
+            "(true or false)."
+        ),
+    ] = False
 
     def __post_init__(self) -> None:
         make_plain(self)

@@ -74,7 +74,7 @@ class ChannelFit:
     Attributes
     ----------
     method
-        How they were estimated.
+        How they were estimated; ``given`` where all but path loss, or all, were known.
     status
         ``"ok"``; ``"weak"`` when a parameter is hardly determined, another set of parameters is
         nearly as likely, or a value is not to be believed; ``"degenerate"`` when a parameter is not
@@ -107,7 +107,7 @@ class ChannelFit:
         :data:`planopt.channel.estimation.likelihood_climb.NEARLY_AS_LIKELY`; the best first.
     """
 
-    method: FitMethod
+    method: FitMethod | Literal["given"]
     status: Literal["ok", "weak", "degenerate"]
     parameters: ChannelParameters
     standard_errors: dict[str, float]

@@ -36,7 +36,7 @@ from planopt.planning.files.solution_json import (
     explanation_again,
     no_plan_json,
 )
-from planopt.planning.given import Given
+from planopt.planning.given import Given, with_drawn_starts
 from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import worst_result
 from planopt.planning.team.team_certificate import least_of
@@ -48,8 +48,10 @@ from planopt.problems.systems import judge_saved
 from planopt.short_repr import short_repr
 
 
-def library_remarks(file: str, problem: Problem) -> list[str]:
-    """What to say of the problem in `file`; empty if it is the library's.
+def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
+    """Say how the problem in `file` differs from the library's; empty if it does not.
+
+    `seed` is that of what was planned or run: starts are drawn with it.
 
     Horizon, planner and cost to go may be others: the file says beside the problem what they are.
     """
@@ -60,7 +62,7 @@ def library_remarks(file: str, problem: Problem) -> list[str]:
             "it is taken as it stands"
         ]
     try:
-        meant = _but_overrides(problem_to_dict(load(original)))
+        meant = _but_overrides(problem_to_dict(with_drawn_starts(load(original), seed)))
     except InputError as error:
         return [f"{file}, key problem_file: cannot be compared with the library's: {error}"]
     said = _but_overrides(problem_to_dict(problem))
@@ -133,7 +135,7 @@ def check(path: Path | str) -> CheckResult:
         return CheckResult(Verdict.VIOLATED if judged else Verdict.VERIFIED, (), tuple(judged))
     saved = saved_from(file, data)
     problem, record, name = saved.problem, saved.record, saved.file.name
-    remarks = library_remarks(name, problem)
+    remarks = library_remarks(name, problem, record.seed)
     if saved.former:
         remarks.append(
             f"{name} has the form of an earlier version, which the next version will not read"

@@ -12,6 +12,9 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.loop.log import ChannelLog
 from planopt.planning.proof.predictions import search_prediction
 
+LEAST_VARIANCE = 1e-30
+"""Of a path loss that is known, so that its logarithms are numbers."""
+
 
 def channel_errors_db(
     posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
@@ -34,12 +37,14 @@ def theta_variance_db(posteriors: Sequence[ChannelPosterior]) -> float:
     """Return 10 log10 tr M / |theta|^2 (Fig. 2 of [GM11]), each summed over the stations."""
     spread = sum(float(np.trace(posterior.theta_covariance)) for posterior in posteriors)
     size = sum(float(posterior.theta @ posterior.theta) for posterior in posteriors)
-    return float(10.0 * np.log10(spread / size))
+    return float(10.0 * np.log10(max(spread / size, LEAST_VARIANCE)))
 
 
 def log_det_m(posteriors: Sequence[ChannelPosterior]) -> float:
     """Log det M in nats, summed over the stations."""
-    return sum(float(np.linalg.slogdet(each.theta_covariance)[1]) for each in posteriors)
+    least = 2.0 * float(np.log(LEAST_VARIANCE))
+    found = (float(np.linalg.slogdet(each.theta_covariance)[1]) for each in posteriors)
+    return sum(max(each, least) for each in found)
 
 
 def channel_row(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.given import GivenMeasurements, with_measurements
+from planopt.planning.given import GivenMeasurements, with_drawn_starts, with_measurements
 from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
@@ -83,6 +83,7 @@ def simulate(
     """
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
+    problem = with_drawn_starts(problem, seed)
     prepared = prepared if prepared is not None else prepare(problem, seed, given)
     truths = prepared.truths
     if not truths:

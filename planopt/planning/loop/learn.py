@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+
+import numpy as np
 
 from planopt.channel.belief import Belief, update
 from planopt.channel.connection.connection_outcomes import calibrate_posterior
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.mean_model import PRIOR_N_PL
 from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.objectives.measuring import MeasuringRule
 from planopt.planning.given import Given
+from planopt.problems.channel_setup import GivenParameters
 from planopt.problems.problem import Problem
 
 
@@ -21,11 +27,52 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
     Where the problem asks for it, the law of connection is calibrated.
     """
     site = problem.stations[station].site
-    fit = fit_channel(measurements, site, problem.channel.fit_method, intervals=False)
-    posterior = condition(fit.parameters, measurements)
+    if problem.channel.given is not None:
+        fit, posterior = _given(problem, problem.channel.given, measurements, station)
+    else:
+        fit = fit_channel(measurements, site, problem.channel.fit_method, intervals=False)
+        posterior = condition(fit.parameters, measurements)
     if problem.channel.calibration == "platt":
         posterior = calibrate_posterior(posterior, problem.stations[station].threshold_dbm)
     return Belief(fit, posterior)
+
+
+def _given(
+    problem: Problem, known: GivenParameters, measurements: Measurements, station: int
+) -> tuple[ChannelFit, ChannelPosterior]:
+    """Condition on measurements with parameters that are known; path loss is estimated if not."""
+    radio = problem.stations[station]
+    path_loss_known = known.k_pl_db is not None
+    parameters = ChannelParameters(
+        k_pl_db=(known.k_pl_db or 0.0) + radio.transmit_power_dbm,
+        n_pl=PRIOR_N_PL if known.n_pl is None else known.n_pl,
+        shadow_std_db=known.shadow_std_db,
+        decorrelation_m=known.decorrelation_m,
+        multipath_std_db=known.multipath_std_db,
+        station=radio.site,
+    )
+    posterior = condition(
+        parameters, measurements, theta="known" if path_loss_known else "estimated"
+    )
+    if not path_loss_known:
+        theta = posterior.theta
+        parameters = replace(parameters, k_pl_db=float(theta[0]), n_pl=float(theta[1]))
+        posterior = condition(parameters, measurements)
+    errors = dict.fromkeys((each.name for each in fields(known)), 0.0)
+    deviation = np.sqrt(np.diag(posterior.theta_covariance))
+    errors |= {"k_pl_db": float(deviation[0]), "n_pl": float(deviation[1])}
+    fit = ChannelFit(
+        method="given",
+        status="ok",
+        parameters=parameters,
+        standard_errors=errors,
+        theta_covariance=posterior.theta_covariance,
+        measurements=len(measurements),
+        censored=int(measurements.censored.sum()),
+        warnings=(),
+        log_likelihood=None,
+    )
+    return fit, posterior
 
 
 def learn_stations(problem: Problem, given: Given) -> Belief:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.given import free_target_path
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.target_model import target_model
 from planopt.problems.problem import Problem
@@ -70,7 +71,9 @@ def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatc
     target = problem.targets[0]
     start = np.array([*target.start_m, *target.velocity_m_s])
     steps = problem.planner.max_steps
-    path_m = simulate_target(target_model(problem), start, steps, generator)[:, :2]
+    model = target_model(problem)
+    path_m = free_target_path(problem, lambda: simulate_target(model, start, steps, generator))
+    path_m = path_m[:, :2]
     return _first_watch(problem, path_m, generator.standard_normal(4))
 
 

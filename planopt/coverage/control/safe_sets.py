@@ -1,0 +1,425 @@
+"""Convex sets in which agents move without asking each other: cells and corridors.
+
+Each agent has a reserve, the straight line on which it can stop: its place, and with inertia the
+way on to where it would stand. A cell separates the reserves of agents; a corridor holds no border.
+The reserve is always within both, so that an agent may stop whatever the others do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, KDTree, QhullError
+
+from planopt.coverage.ground import ConvexGround, GeodesicGround, Ground
+from planopt.coverage.voronoi import FAR
+from planopt.errors import InputError
+
+SPARE = 1e-3
+"""Bodies keep this share of their radius more apart than they must, for rounding and solvers."""
+
+TOUCHES = 1e-9
+"""A border nearer to a seed than this share of the region's radius touches it."""
+
+LOOKS = 36
+"""Directions in which agents look for half-planes that matter."""
+
+NEARLY = 1.05
+"""A half-plane that ends a view this many times as far away as the first one is kept."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SafeSets:
+    """For each agent the half-planes and discs that it stays in.
+
+    Attributes
+    ----------
+    agent
+        ``(k,)`` whose half-plane each is.
+    normals, offsets_m
+        ``(k, 2)`` outward unit normals and ``(k,)``: the half-plane is ``normal @ q <= offset``.
+    disc_agent
+        ``(l,)`` whose disc each is.
+    centres_m, radii_m
+        ``(l, 2)`` and ``(l,)``.
+    """
+
+    agent: NDArray[np.intp]
+    normals: Floats
+    offsets_m: Floats
+    disc_agent: NDArray[np.intp]
+    centres_m: Floats
+    radii_m: Floats
+
+    def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
+        """Return how much of the way from starts ``(n, 2)`` to ends is inside; (n,), 0 to 1.
+
+        Starts count as inside.
+        """
+        share = np.ones(len(starts_m))
+        way = ends_m - starts_m
+        rise = (self.normals * way[self.agent]).sum(axis=1)
+        room = self.offsets_m - (self.normals * starts_m[self.agent]).sum(axis=1)
+        out = rise > np.maximum(room, 0.0)
+        np.minimum.at(share, self.agent[out], np.maximum(room[out], 0.0) / rise[out])
+        away, along = starts_m[self.disc_agent] - self.centres_m, way[self.disc_agent]
+        square, middle = (along * along).sum(axis=1), (away * along).sum(axis=1)
+        spare = np.maximum(self.radii_m**2 - (away * away).sum(axis=1), 0.0)
+        out = square + 2.0 * middle > spare
+        half = np.asarray(middle[out])
+        root = np.sqrt(half * half + square[out] * spare[out])
+        # The positive root of square t^2 + 2 half t = spare, without cancellation.
+        ahead = np.asarray(spare[out] / np.where(half > 0.0, half + root, 1.0), dtype=np.float64)
+        behind = np.asarray((root - half) / square[out], dtype=np.float64)
+        np.minimum.at(share, self.disc_agent[out], np.where(half > 0.0, ahead, behind))
+        return share
+
+    def holds(self, places_m: Floats, slack_m: float = 0.0) -> NDArray[np.bool_]:
+        """Return whether all places ``(n, j, 2)`` of each agent are in its set; (n,)."""
+        inside = np.ones(len(places_m), dtype=np.bool_)
+        height = np.einsum("kjx,kx->kj", places_m[self.agent], self.normals).max(axis=1)
+        inside[self.agent[height > self.offsets_m + slack_m]] = False
+        away = np.linalg.norm(places_m[self.disc_agent] - self.centres_m[:, None], axis=2)
+        inside[self.disc_agent[away.max(axis=1) > self.radii_m + slack_m]] = False
+        return inside
+
+    def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
+        """Return the sets without half-planes that hardly matter near starts ``(n, 2)``.
+
+        Of `LOOKS` directions from its start an agent looks into, up to its reach (n,), those stay
+        that end the view first in one, or nearly. The result is to plan with, not to rely on.
+        """
+        turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)
+        slope = self.normals @ np.stack((np.cos(turn), np.sin(turn)))
+        room = np.maximum(self.offsets_m - (self.normals * starts_m[self.agent]).sum(axis=1), 0.0)
+        ahead = slope > 1e-9
+        view = np.where(ahead, room[:, None] / np.where(ahead, slope, 1.0), np.inf)
+        first = np.repeat(reach_m[:, None], LOOKS, axis=1)
+        np.minimum.at(first, self.agent, view)
+        kept = (view <= NEARLY * first[self.agent]).any(axis=1)
+        return SafeSets(
+            self.agent[kept],
+            self.normals[kept],
+            self.offsets_m[kept],
+            self.disc_agent,
+            self.centres_m,
+            self.radii_m,
+        )
+
+    def of(self, chosen: NDArray[np.intp]) -> SafeSets:
+        """Return the sets of some agents, numbered in that order."""
+        largest = max(one.max(initial=0) for one in (self.agent, self.disc_agent, chosen))
+        number = np.full(largest + 1, -1)
+        number[chosen] = np.arange(len(chosen))
+        mine, disc = number[self.agent] >= 0, number[self.disc_agent] >= 0
+        return SafeSets(
+            number[self.agent[mine]],
+            self.normals[mine],
+            self.offsets_m[mine],
+            number[self.disc_agent[disc]],
+            self.centres_m[disc],
+            self.radii_m[disc],
+        )
+
+
+def joined(*sets: SafeSets) -> SafeSets:
+    """Return the intersections of sets of the same agents."""
+    return SafeSets(
+        np.concatenate([one.agent for one in sets]),
+        np.concatenate([one.normals for one in sets]),
+        np.concatenate([one.offsets_m for one in sets]),
+        np.concatenate([one.disc_agent for one in sets]),
+        np.concatenate([one.centres_m for one in sets]),
+        np.concatenate([one.radii_m for one in sets]),
+    )
+
+
+def half_planes(agent: NDArray[np.intp], normals: Floats, offsets_m: Floats) -> SafeSets:
+    """Return sets that consist of half-planes alone."""
+    nobody = np.zeros(0, dtype=np.intp)
+    return SafeSets(agent, normals, offsets_m, nobody, np.zeros((0, 2)), np.zeros(0))
+
+
+def separate_cells(
+    places_m: Floats, stops_m: Floats, body_radius_m: float, reach_m: Floats
+) -> SafeSets:
+    """Return for each agent a convex cell, inset by its body, so that no two agents meet.
+
+    The line between two agents is halfway between the nearest points of their reserves. For agents
+    that stop at once that is the bisector, and the cell is the Voronoi cell.
+
+    Parameters
+    ----------
+    places_m, stops_m
+        ``(n, 2)`` both ends of the reserves.
+    body_radius_m
+        Radius of the bodies; with 0 agents are points that may share a place, and have no cells.
+    reach_m
+        ``(n,)`` how far each agent gets in one step, its new reserve included. Agents with
+        reserves that are farther apart and not neighbours need no line between them.
+
+    Raises
+    ------
+    InputError
+        Two bodies overlap, or would when they stop.
+    """
+    if body_radius_m == 0.0 or len(places_m) < 2:
+        return half_planes(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
+    pairs = _neighbours(places_m)
+    if not np.array_equal(places_m, stops_m):
+        # Where an agent gets in a step, its present reserve included, about the middle of that.
+        middle = 0.5 * (places_m + stops_m)
+        wide = reach_m + 0.5 * np.linalg.norm(stops_m - places_m, axis=1) + body_radius_m
+        found = KDTree(middle).query_pairs(  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+            2.0 * float(wide.max()), output_type="ndarray"
+        )
+        near = cast("NDArray[np.intp]", found)
+        apart = np.linalg.norm(middle[near[:, 0]] - middle[near[:, 1]], axis=1)
+        near = near[apart <= wide[near].sum(axis=1)]
+        pairs = np.unique(np.concatenate((pairs, near)), axis=0)
+    one, other = pairs[:, 0], pairs[:, 1]
+    here, there = closest_points(
+        np.stack((places_m[one], stops_m[one]), axis=1),
+        np.stack((places_m[other], stops_m[other]), axis=1),
+    )
+    link = there - here
+    gap = np.linalg.norm(link, axis=1)
+    if (gap <= 2.0 * body_radius_m).any():
+        worst = int(gap.argmin())
+        raise InputError(
+            f"agents {one[worst]} and {other[worst]} are {gap[worst]:g} m apart, their bodies "
+            f"touch at {2.0 * body_radius_m:g} m",
+            key="agents",
+            remedy="place them farther apart, or give a smaller limits.body_radius_m",
+        )
+    normal = link / gap[:, None]
+    middle = (normal * (0.5 * (here + there))).sum(axis=1)
+    inset = np.minimum((1.0 + SPARE) * body_radius_m, 0.5 * gap)
+    return half_planes(
+        np.concatenate((one, other)),
+        np.concatenate((normal, -normal)),
+        np.concatenate((middle - inset, -middle - inset)),
+    )
+
+
+def _neighbours(places_m: Floats) -> NDArray[np.intp]:
+    """Pairs (e, 2) of Voronoi neighbours among distinct places, the smaller number first."""
+    count = len(places_m)
+    every = np.stack(np.triu_indices(count, 1), axis=1)
+    if count <= 4:
+        return every
+    centre = places_m.mean(axis=0)
+    radius = float(np.linalg.norm(places_m - centre, axis=1).max())
+    # Four far places, as for cells, so that places on one line have neighbours too.
+    far = FAR * np.array([[1.0, 0.1], [-0.1, 1.0], [-1.0, -0.1], [0.1, -1.0]])
+    try:
+        mesh = Delaunay(np.concatenate(((places_m - centre) / radius, far)))
+    except QhullError:
+        return every
+    if len(mesh.coplanar):
+        return every
+    corners = np.sort(mesh.simplices, axis=1)
+    edges = np.concatenate((corners[:, :2], corners[:, 1:], corners[:, ::2]))
+    return np.unique(edges[edges[:, 1] < count], axis=0).astype(np.intp)
+
+
+def ground_sets(
+    ground: Ground,
+    places_m: Floats,
+    stops_m: Floats,
+    aims_m: Floats,
+    keep_m: float,
+    reach_m: float,
+) -> SafeSets:
+    """Return for each agent a convex part of the ground that keeps off obstacles and border.
+
+    Parameters
+    ----------
+    ground
+        Where agents are.
+    places_m, stops_m
+        ``(n, 2)`` both ends of the reserves.
+    aims_m
+        ``(n, 2)`` where agents want to go; a corridor holds as much as is free of the straight way.
+    keep_m
+        What agents keep from obstacles and border. One that is nearer gets no nearer.
+    reach_m
+        How far agents get within the horizon.
+    """
+    if isinstance(ground, ConvexGround):
+        region = ground.region
+        heights = np.maximum(places_m @ region.normals.T, stops_m @ region.normals.T)
+        agent, side = np.nonzero(heights > region.offsets_m - keep_m - reach_m)
+        offsets = np.maximum(region.offsets_m[side] - keep_m, heights[agent, side])
+        return half_planes(agent, region.normals[side], offsets)
+    if not isinstance(ground, GeodesicGround):
+        raise InputError(
+            f"moves in a {type(ground).__name__} cannot be planned",
+            key="ground",
+            remedy="give a ConvexGround or a GeodesicGround",
+        )
+    # As much of the way as is in reach and free.
+    way = aims_m - places_m
+    length = np.linalg.norm(way, axis=1)
+    ends = places_m + way * np.minimum(1.0, reach_m / np.where(length > 0.0, length, 1.0))[:, None]
+    blind = np.flatnonzero(~ground.region.sees(places_m, ends))
+    for which in blind:
+        ends[which] = _last_free(ground, places_m[which], ends[which])
+    hulls = shapely.convex_hull(
+        shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    )
+    meets = np.asarray(shapely.intersects(ground.region.free_border, hulls), dtype=np.bool_)
+    ends[meets] = stops_m[meets]
+    edges, scale_m = _border(ground.free), ground.hull.radius_m
+    seeds = np.stack((places_m, stops_m, ends), axis=1)
+    return _corridors(edges, seeds, keep_m, reach_m, TOUCHES * scale_m)
+
+
+def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
+    """The last place (2,) on a straight way before it leaves where agents may be."""
+    crossed = shapely.intersection(ground.region.free_border, shapely.LineString([start, end]))
+    met = np.asarray(shapely.get_coordinates(crossed), dtype=np.float64)
+    if not len(met):
+        return start
+    first = float(np.linalg.norm(met - start, axis=1).min())
+    length = float(np.linalg.norm(end - start))
+    return start + (end - start) * max(first - 4.0 * ground.region.slack_m, 0.0) / length
+
+
+def _border(free: shapely.Polygon) -> Floats:
+    """Sides (m, 2, 2) of a polygon with holes, the free area on their left."""
+    rings = shapely.get_rings(shapely.orient_polygons(free))
+    places, ring = shapely.get_coordinates(rings, return_index=True)
+    same = ring[1:] == ring[:-1]
+    return np.stack((places[:-1][same], places[1:][same]), axis=1)
+
+
+def _corridors(
+    edges: Floats, seeds: Floats, keep_m: float, reach_m: float, touch_m: float
+) -> SafeSets:
+    """Cut convex sets about seeds (n, 3, 2), triangles, that borders (m, 2, 2) do not enter.
+
+    The border's nearest point to the seed gives a half-plane; what of the border is beyond it is
+    done with, and the next nearest of the rest follows.
+    """
+    count = len(seeds)
+    agent = np.repeat(np.arange(count), len(edges))
+    part = np.tile(edges, (count, 1, 1))
+    along = part[:, 1] - part[:, 0]
+    outward = np.stack((along[:, 1], -along[:, 0]), axis=1)
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    here, there, gap = _from_triangles(seeds[agent], part)
+    close = gap <= reach_m + keep_m
+    agent, part, outward = agent[close], part[close], outward[close]
+    here, there, gap = here[close], there[close], gap[close]
+    found: list[tuple[NDArray[np.intp], Floats, Floats]] = []
+    while len(agent):
+        order = np.lexsort((gap, agent))
+        first = order[np.append(True, agent[order[1:]] != agent[order[:-1]])]
+        chosen, distance = agent[first], gap[first]
+        link = there[first] - here[first]
+        touching = distance <= touch_m
+        normal = link / np.where(touching, 1.0, distance)[:, None]
+        shrunk = False
+        for row in np.flatnonzero(touching):
+            seed = seeds[chosen[row]]
+            separating = _touching_normal(outward[first[row]], seed, part[first[row]], touch_m)
+            if separating is None:
+                seeds[chosen[row]], shrunk = seed[0], True
+            else:
+                normal[row] = separating
+        if shrunk:
+            here, there, gap = _from_triangles(seeds[agent], part)
+            continue
+        base = (normal * there[first]).sum(axis=1)
+        within = np.einsum("kjx,kx->kj", seeds[chosen], normal).max(axis=1)
+        found.append((chosen, normal, np.maximum(base - keep_m, within)))
+        # What is beyond the half-plane's own line is done with; the chosen part is.
+        row = np.zeros(count, dtype=np.intp)
+        row[chosen] = np.arange(len(chosen))
+        mine = row[agent]
+        depth = base[mine, None] - np.einsum("kjx,kx->kj", part, normal[mine])
+        left = (depth > touch_m).any(axis=1)
+        left[first] = False
+        cut = left & (depth < 0.0).any(axis=1)
+        share = depth[cut, 0] / (depth[cut, 0] - depth[cut, 1])
+        crossing = part[cut, 0] + share[:, None] * (part[cut, 1] - part[cut, 0])
+        beyond = np.flatnonzero(cut)
+        part[beyond, (depth[cut, 1] < 0.0).astype(np.intp)] = crossing
+        agent, part, outward = agent[left], part[left], outward[left]
+        here, there, gap = _from_triangles(seeds[agent], part)
+    if not found:
+        return half_planes(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
+    return half_planes(
+        np.concatenate([one[0] for one in found]),
+        np.concatenate([one[1] for one in found]),
+        np.concatenate([one[2] for one in found]),
+    )
+
+
+def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
+    """A normal that separates a seed (3, 2) from a side that it touches.
+
+    None if neither the side nor a flat triangle lies on such a line; with a single place one does.
+    """
+    if ((seed - part[0]) @ outward <= touch_m).all():
+        return outward
+    along = seed[2] - seed[0]
+    across = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), touch_m)
+    flat = np.abs((seed - seed[0]) @ across).max() <= touch_m
+    for normal in (across, -across):
+        if flat and ((part - seed[0]) @ normal >= -touch_m).all():
+            return normal
+    return None
+
+
+def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Floats]:
+    """Nearest points of triangles (k, 3, 2) and lines (k, 2, 2) that do not enter them.
+
+    Returns both points (k, 2) and their distances (k,).
+    """
+    here, there = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 2))
+    least = np.full(len(seeds), np.inf)
+    flat = bool((seeds[:, 0] == seeds[:, 1]).all())
+    for side in ((0, 2),) if flat else ((0, 1), (1, 2), (2, 0)):
+        one, other = closest_points(seeds[:, side], parts)
+        gap = np.linalg.norm(other - one, axis=1)
+        better = gap < least
+        here[better], there[better], least[better] = one[better], other[better], gap[better]
+    return here, there, least
+
+
+def closest_points(one_m: Floats, other_m: Floats) -> tuple[Floats, Floats]:
+    """Return the nearest points of two straight lines that do not cross.
+
+    Parameters
+    ----------
+    one_m, other_m
+        ``(k, 2, 2)`` ends of both lines.
+
+    Returns
+    -------
+    tuple of (k, 2) arrays
+        On the one, and on the other. An end of one of both lines is among them.
+    """
+    best = np.full(len(one_m), np.inf)
+    here, there = one_m[:, 0].copy(), other_m[:, 0].copy()
+    for lines, others, swapped in ((one_m, other_m, False), (other_m, one_m, True)):
+        along = others[:, 1] - others[:, 0]
+        square = (along * along).sum(axis=1)
+        for end in range(2):
+            share = ((lines[:, end] - others[:, 0]) * along).sum(axis=1)
+            share = np.clip(share / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+            foot = others[:, 0] + share[:, None] * along
+            gap = np.linalg.norm(foot - lines[:, end], axis=1)
+            better = gap < best
+            best[better] = gap[better]
+            (there if swapped else here)[better] = lines[better, end]
+            (here if swapped else there)[better] = foot[better]
+    return here, there

@@ -1,0 +1,234 @@
+"""Grounds: what a network covers, with its coverage cost, its distances and its neighbours.
+
+A convex free region has exact cells; a region with obstacles has geodesic ones. Control and
+simulation see neither, only the methods of :class:`Ground`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.coverage.cost import UNIFORM, coverage
+from planopt.coverage.density import Density
+from planopt.coverage.geodesic import GeodesicRegion, geodesic_region
+from planopt.coverage.geodesic_cells import (
+    geodesic_cells,
+    geodesic_distances_m,
+    geodesic_paths,
+    geodesic_targets,
+)
+from planopt.coverage.network import Network
+from planopt.coverage.region import ConvexRegion, convex_region
+from planopt.coverage.voronoi import agent_neighbours, voronoi_cells
+
+DRIVE_NODES = 16
+"""Grid squares along the region that agents drive in, before it gets the covered region's nodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """How well agents cover a ground, and where each should drive for coverage.
+
+    Attributes
+    ----------
+    cost
+        The coverage cost H.
+    targets_m
+        ``(n, 2)``: the centroid of each agent's cell, or with obstacles the end of a free step
+        toward the middle of it.
+    """
+
+    cost: float
+    targets_m: NDArray[np.float64]
+
+
+class Ground(Protocol):
+    """What a network covers."""
+
+    @property
+    def hull(self) -> ConvexRegion:
+        """The convex region around it; events are looked for and neighbours found there."""
+        ...
+
+    @property
+    def area_m2(self) -> float:
+        """Area that is covered."""
+        ...
+
+    def allows(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether agents may be at places ``(k, 2)``; (k,)."""
+        ...
+
+    def cover(self, agents_m: NDArray[np.float64]) -> Cover:
+        """Return the cost and the targets of agents ``(n, 2)``."""
+        ...
+
+    def distances_m(
+        self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the lengths ``(n, k)`` of shortest paths from agents to places."""
+        ...
+
+    def steered(
+        self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64], share: float
+    ) -> NDArray[np.float64]:
+        """Return a target ``(n, 2)`` for each agent on its way to a place of its own ``(n, 2)``.
+
+        It lies in the direction of the shortest path, as far away as that is long, but so near
+        that a move over the given share of the distance stays on the path's first straight part.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexGround:
+    """A convex region without obstacles.
+
+    Attributes
+    ----------
+    region
+        The region.
+    density
+        Weight of each place.
+    sensing_range_m
+        How far agents sense; None without limit.
+    """
+
+    region: ConvexRegion
+    density: Density = UNIFORM
+    sensing_range_m: float | None = None
+
+    @property
+    def hull(self) -> ConvexRegion:
+        """The region itself."""
+        return self.region
+
+    @property
+    def area_m2(self) -> float:
+        """Its area."""
+        return self.region.area_m2
+
+    def allows(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether places are in the region or on its border."""
+        return self.region.contains(places_m)
+
+    def cover(self, agents_m: NDArray[np.float64]) -> Cover:
+        """Return the exact cost and the centroids of the Voronoi cells."""
+        found = coverage(voronoi_cells(self.region, agents_m), self.density, self.sensing_range_m)
+        return Cover(found.cost, found.centroids_m)
+
+    def distances_m(
+        self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return straight distances."""
+        return np.linalg.norm(agents_m[:, None] - places_m, axis=2)
+
+    def steered(
+        self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64], share: float
+    ) -> NDArray[np.float64]:
+        """Return the places: every straight line is free."""
+        return places_m
+
+
+@dataclass(frozen=True, eq=False)
+class GeodesicGround:
+    """A region with obstacles, or one that is not convex; :func:`geodesic_ground` builds it.
+
+    Attributes
+    ----------
+    free
+        What is covered.
+    region
+        Where agents may be. Its nodes stand for all that is covered; those within the clearance
+        are at the nearest place that agents may be.
+    hull
+        The convex region around.
+    """
+
+    free: shapely.Polygon
+    region: GeodesicRegion
+    hull: ConvexRegion
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the free part."""
+        return float(self.free.area)
+
+    def allows(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether places are free and keep the clearance."""
+        return self.region.contains(places_m)
+
+    def cover(self, agents_m: NDArray[np.float64]) -> Cover:
+        """Return the cost over the region's nodes, and free steps that lower it."""
+        cells = geodesic_cells(self.region, agents_m)
+        return Cover(cells.cost, geodesic_targets(self.region, agents_m, cells))
+
+    def distances_m(
+        self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return lengths of shortest paths to the places nearest to these that agents may be at."""
+        return geodesic_distances_m(self.region, agents_m, self.region.nearest(places_m))
+
+    def steered(
+        self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64], share: float
+    ) -> NDArray[np.float64]:
+        """Return targets along these shortest paths."""
+        ends = self.region.nearest(places_m)
+        length, first = geodesic_paths(self.region, agents_m, ends)
+        leg = first - agents_m
+        straight = np.linalg.norm(leg, axis=1)
+        ahead = np.minimum(length, straight / share)
+        return agents_m + leg * (ahead / np.where(straight > 0.0, straight, 1.0))[:, None]
+
+
+def geodesic_ground(
+    outline: shapely.Polygon | NDArray[np.float64],
+    obstacles: Sequence[shapely.Polygon],
+    spacing_m: float,
+    density: Density = UNIFORM,
+    clearance_m: float = 0.0,
+) -> GeodesicGround:
+    """Prepare a region with obstacles for control.
+
+    Parameters
+    ----------
+    outline, obstacles, spacing_m, density, clearance_m
+        As for :func:`planopt.coverage.geodesic.geodesic_region`.
+
+    Raises
+    ------
+    InputError
+        As there.
+    """
+    covered = geodesic_region(outline, obstacles, spacing_m, density, clearance_m)
+    hull = convex_region(np.asarray(shapely.get_coordinates(covered.free.convex_hull)))
+    if clearance_m == 0.0:
+        return GeodesicGround(covered.free, covered, hull)
+    inner = geodesic_region(covered.allowed, (), 2.0 * hull.radius_m / DRIVE_NODES)
+    nodes = inner.nearest(covered.nodes_m)
+    region = replace(
+        inner,
+        nodes_m=nodes,
+        mass=covered.mass,
+        spread=covered.spread,
+        corner_sees=inner.sees_each(nodes, inner.corners_m),
+    )
+    return GeodesicGround(covered.free, region, hull)
+
+
+def neighbour_network(ground: Ground, agents_m: NDArray[np.float64]) -> Network:
+    """Return who talks to whom: Voronoi neighbours in the ground's hull, always connected.
+
+    Parameters
+    ----------
+    ground, agents_m
+        What is covered, and ``(n, 2)`` by whom.
+    """
+    cells = voronoi_cells(ground.hull, agents_m)
+    return Network(len(agents_m), agent_neighbours(cells))

@@ -1,0 +1,158 @@
+"""The control laws against closed forms, the cost's gradient, and paths round obstacles."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import shapely
+from scattered import scattered
+
+from planopt.coverage.control.laws import Gains, coverage_aims, law_moves, law_velocities
+from planopt.coverage.cost import coverage
+from planopt.coverage.geodesic import geodesic_region
+from planopt.coverage.geodesic_cells import geodesic_distances_m
+from planopt.coverage.ground import (
+    ConvexGround,
+    GeodesicGround,
+    geodesic_ground,
+    neighbour_network,
+)
+from planopt.coverage.line_and_space import space_coverage
+from planopt.coverage.network import is_connected
+from planopt.coverage.region import ConvexRegion
+from planopt.coverage.voronoi import voronoi_cells
+from planopt.errors import InputError
+
+OUTLINE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 60.0], [0.0, 60.0]])
+WALLS = (shapely.box(30, 0, 34, 45), shapely.box(60, 20, 64, 60))
+
+
+@pytest.fixture(scope="module")
+def walled() -> GeodesicGround:
+    """A corridor with two walls, 1 m of which agents keep away from."""
+    return geodesic_ground(OUTLINE, WALLS, 4.0, clearance_m=1.0)
+
+
+def test_velocity_is_the_gradient_over_twice_the_mass(hexagon: ConvexRegion) -> None:
+    """Covering agents go down the cost's gradient, -k dH/dp / (2 M)."""
+    agents = scattered(hexagon, 12, np.random.default_rng(0))
+    nobody = np.zeros(12, dtype=np.bool_)
+    aims = coverage_aims(ConvexGround(hexagon), agents, nobody)
+    found = coverage(voronoi_cells(hexagon, agents))
+    velocity = law_velocities(agents, aims.targets_m, nobody, Gains(1.0, 0.3))
+    assert velocity == pytest.approx(-0.3 * found.gradient / (2.0 * found.mass[:, None]))
+
+
+def test_cost_falls_along_the_law(hexagon: ConvexRegion) -> None:
+    """Steps of any gain, speed and partition never raise the cost of what is covered."""
+    generator = np.random.default_rng(1)
+    ground = ConvexGround(hexagon)
+    for case in range(12):
+        agents = scattered(hexagon, int(generator.integers(2, 25)), generator)
+        responds = np.append(generator.random(len(agents) - 1) < 0.3, False)
+        partition = "all" if case % 2 else "coverage_only"
+        gains = Gains(1.0, float(generator.uniform(0.1, 1.0)))
+        costs = list[float]()
+        for _ in range(15):
+            aims = coverage_aims(ground, agents, responds, partition)
+            costs.append(aims.cost)
+            assert (aims.targets_m[responds] == agents[responds]).all()
+            agents = law_moves(agents, aims.targets_m, responds, gains, 1.0, 4.0)
+        assert (np.diff(costs) <= 1e-9 * costs[0]).all()
+        assert costs[-1] < costs[0]
+
+
+def test_partitions_differ_by_the_responding_cells(square: ConvexRegion) -> None:
+    """Without responding agents the covering ones divide the whole region."""
+    agents = scattered(square, 9, np.random.default_rng(2))
+    responds = np.arange(9) < 3
+    alone = coverage_aims(ConvexGround(square), agents, responds, "coverage_only")
+    wanted = coverage(voronoi_cells(square, agents[3:]))
+    assert alone.cost == pytest.approx(wanted.cost)
+    assert alone.targets_m[3:] == pytest.approx(wanted.centroids_m)
+    together = coverage_aims(ConvexGround(square), agents, responds)
+    assert together.cost < alone.cost
+    everybody = coverage_aims(ConvexGround(square), agents, agents[:, 0] >= 0.0, "coverage_only")
+    assert everybody.cost == pytest.approx(together.cost)
+
+
+def test_event_law_is_the_exact_geometric_series() -> None:
+    """After m steps the distance to the event is (1 - k dt)^m of what it was, in any dimension."""
+    for dimension in (1, 2, 3):
+        start, event = np.full((1, dimension), 8.0), np.full((1, dimension), 3.0)
+        place = start
+        for _ in range(6):
+            place = law_moves(place, event, np.array([True]), Gains(0.5, 1.0), 0.8)
+        assert place == pytest.approx(event + 0.6**6 * (start - event), rel=1e-12)
+
+
+def test_speed_is_clipped_without_turning() -> None:
+    """A fast move keeps its direction and gets the largest speed."""
+    agents, targets = np.zeros((2, 2)), np.array([[30.0, 40.0], [0.3, 0.4]])
+    moved = law_moves(agents, targets, np.array([True, False]), Gains(), 1.0, 2.0)
+    assert moved == pytest.approx(np.array([[1.2, 1.6], [0.3, 0.4]]))
+
+
+def test_law_in_space() -> None:
+    """Lloyd steps in a box find the two halves' centres."""
+    box = np.array(list(itertools.product((0.0, 4.0), (0.0, 2.0), (0.0, 2.0))))
+    agents = np.array([[0.5, 0.9, 1.2], [1.5, 1.3, 0.8]])
+    nobody = np.zeros(2, dtype=np.bool_)
+    for _ in range(200):
+        found = space_coverage(box, agents)
+        agents = law_moves(agents, found.centroids_m, nobody, Gains(), 1.0)
+    assert agents == pytest.approx(np.array([[1.0, 1.0, 1.0], [3.0, 1.0, 1.0]]), abs=1e-6)
+
+
+def test_agents_drive_round_walls_to_their_event(walled: GeodesicGround) -> None:
+    """Every step stays free and shortens the path by its own length, until the event is reached."""
+    agents, event = np.array([[5.0, 5.0], [95.0, 50.0]]), np.array([[50.0, 10.0], [50.0, 10.0]])
+    responds, gains = np.ones(2, dtype=np.bool_), Gains(0.2, 1.0)
+    for _ in range(120):
+        before = walled.distances_m(agents, event[:1])[:, 0]
+        share = float(gains.shares(responds, 1.0)[0])
+        targets = walled.steered(agents, event, share)
+        moved = law_moves(agents, targets, responds, gains, 1.0, 3.0)
+        assert walled.region.sees(agents, moved).all()
+        after = walled.distances_m(moved, event[:1])[:, 0]
+        driven = np.linalg.norm(moved - agents, axis=1)
+        assert before - after == pytest.approx(driven, abs=1e-6)
+        agents = moved
+    assert agents == pytest.approx(event, abs=1e-3)
+
+
+def test_distances_keep_the_clearance(walled: GeodesicGround) -> None:
+    """The path round the end of a wall is that round the wall grown by the clearance."""
+    agents, places = np.array([[20.0, 10.0]]), np.array([[44.0, 10.0]])
+    corner = np.array([[29.0, 46.0], [35.0, 46.0]])
+    wanted = np.linalg.norm(np.diff(np.concatenate((agents, corner, places)), axis=0), axis=1).sum()
+    assert walled.distances_m(agents, places)[0, 0] == pytest.approx(wanted, rel=1e-6)
+    free = geodesic_distances_m(geodesic_region(OUTLINE, WALLS, 9.0), agents, places)[0, 0]
+    assert free < wanted - 1.0
+
+
+def test_coverage_with_walls_stays_free_and_improves(walled: GeodesicGround) -> None:
+    """Agents among walls lower the cost and never come nearer than the clearance."""
+    agents = np.column_stack((np.linspace(2.0, 20.0, 6), np.full(6, 30.0)))
+    nobody, costs = np.zeros(6, dtype=np.bool_), list[float]()
+    for _ in range(60):
+        aims = coverage_aims(walled, agents, nobody)
+        costs.append(aims.cost)
+        moved = law_moves(agents, aims.targets_m, nobody, Gains(), 1.0)
+        paths = shapely.linestrings(np.stack((agents, moved), axis=1))
+        away = min(float(shapely.distance(paths, wall).min()) for wall in WALLS)
+        assert away > 1.0 - 1e-6
+        agents = moved
+    assert (np.diff(costs) <= 1e-9 * costs[0]).all()
+    assert costs[-1] < 0.2 * costs[0]
+    assert is_connected(neighbour_network(walled, agents))
+
+
+def test_steps_that_overshoot_are_refused() -> None:
+    """A gain of more than one over the step would pass the target."""
+    with pytest.raises(InputError, match="overshoot"):
+        law_moves(np.zeros((1, 2)), np.ones((1, 2)), np.array([True]), Gains(2.0, 1.0), 0.6)
+    with pytest.raises(InputError, match="coverage_gain_per_s"):
+        Gains(1.0, 0.0)

@@ -1,0 +1,286 @@
+"""Receding-horizon moves: the law where nothing binds, the reference programme, and limits kept."""
+
+from __future__ import annotations
+
+import math
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from planopt.coverage.control.laws import Gains, law_moves
+from planopt.coverage.control.programme import Inertia, saturated_paths, solve_programme
+from planopt.coverage.control.receding import MoveLimits, plan_moves
+from planopt.coverage.control.safe_sets import SafeSets, ground_sets, half_planes
+from planopt.coverage.ground import ConvexGround, GeodesicGround, geodesic_ground
+from planopt.coverage.region import ConvexRegion
+from planopt.errors import InputError
+from tests.coverage.scattered import scattered
+
+Floats = NDArray[np.float64]
+KINDS = {
+    "single": {},
+    "double": {"acceleration_m_s2": 1.5},
+    "unicycle": {"turn_rate_rad_s": 1.0},
+}
+
+
+@pytest.fixture
+def blocks() -> GeodesicGround:
+    """A region that is not convex, with two obstacles."""
+    outline = shapely.Polygon([(0, 0), (60, 0), (60, 40), (35, 40), (35, 30), (0, 30)])
+    walls = [shapely.box(15, 5, 20, 24), shapely.Polygon([(35, 5), (50, 12), (40, 22)])]
+    return geodesic_ground(outline, walls, 2.0, clearance_m=0.6)
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 5, 20])
+@pytest.mark.parametrize("gain", [0.05, 0.7, 2.0])
+def test_first_move_is_the_laws(square: ConvexRegion, horizon: int, gain: float) -> None:
+    """Without a binding limit the first move is that of the law, by closed form and programme."""
+    agents = scattered(square, 40, np.random.default_rng(3))
+    targets = scattered(square, 40, np.random.default_rng(4))
+    moves = plan_moves(
+        ConvexGround(square), agents, targets, MoveLimits(time_step_s=0.5), gain, horizon
+    )
+    law = law_moves(agents, targets, np.zeros(40, bool), Gains(1.0, gain), 0.5)
+    np.testing.assert_allclose(moves.next_m, law, atol=1e-8)
+    free = half_planes(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
+    share = np.full(40, 0.5 * gain)
+    found = solve_programme(agents, targets, share, horizon, 1e3, free)
+    assert found is not None
+    np.testing.assert_allclose(found[0][:, 1], law, atol=1e-5)
+
+
+def reference_path(
+    start: Floats, aim: Floats, share: float, most_m: float, sets: SafeSets, horizon: int
+) -> Floats:
+    """The optimal path (N + 1, 2) of agent 0 as CVXPY states it."""
+    places = cp.Variable((horizon + 1, 2))
+    held = cp.Parameter(2)
+    cost = sum(cp.sum_squares(places[j] - held) for j in range(1, horizon))
+    cost += cp.sum_squares(places[horizon] - held) / share
+    cost += (1.0 - share) / share**2 * cp.sum_squares(cp.diff(places, axis=0))
+    limits = [places[0] == start, cp.norm(cp.diff(places, axis=0), axis=1) <= most_m]
+    for normal, offset in zip(sets.normals, sets.offsets_m, strict=True):
+        limits.append(places[1:] @ normal <= offset)
+    for centre, radius in zip(sets.centres_m, sets.radii_m, strict=True):
+        limits.append(cp.norm(places[1:] - centre[None], axis=1) <= radius)
+    problem = cp.Problem(cp.Minimize(cost), limits)
+    assert problem.is_dpp()
+    held.value = aim
+    problem.solve(solver=cp.CLARABEL)
+    assert places.value is not None
+    return places.value
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_programme_agrees_with_reference(share: float) -> None:
+    """Clarabel's block-diagonal programme and CVXPY's agree, with half-planes and discs active."""
+    rng = np.random.default_rng(8)
+    count, horizon, most = 6, 7, 1.3
+    starts, aims = rng.random((count, 2)) * 4.0, rng.random((count, 2)) * 20.0 - 8.0
+    agent = np.repeat(np.arange(count), 4)
+    turn = rng.random((count, 1)) * 6.0 + np.arange(4) * np.pi / 2
+    normals = np.stack((np.cos(turn), np.sin(turn)), axis=2).reshape(-1, 2)
+    offsets = (normals * starts[agent]).sum(axis=1) + 0.2 + 3.0 * rng.random(len(agent))
+    sets = SafeSets(agent, normals, offsets, np.arange(count), starts + 1.0, np.full(count, 2.5))
+    found = solve_programme(starts, aims, np.full(count, share), horizon, most, sets)
+    assert found is not None
+    for which in range(count):
+        one = sets.of(np.array([which]))
+        path = reference_path(starts[which], aims[which], share, most, one, horizon)
+        np.testing.assert_allclose(found[0][which], path, atol=2e-4)
+
+
+def test_free_way_needs_no_programme() -> None:
+    """The closed form of agents whose way is free is the optimum of the programme."""
+    rng = np.random.default_rng(2)
+    starts, aims = rng.random((8, 2)) * 10.0, rng.random((8, 2)) * 10.0
+    share, free = (
+        np.linspace(0.1, 1.0, 8),
+        half_planes(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0)),
+    )
+    found = solve_programme(starts, aims, share, 6, 0.8, free)
+    assert found is not None
+    np.testing.assert_allclose(saturated_paths(starts, aims, share, 6, 0.8), found[0], atol=1e-3)
+
+
+def test_inertia_agrees_with_reference() -> None:
+    """The programme of double integrators has the cost and limits that it states."""
+    start, aim, now = np.array([1.0, 2.0]), np.array([6.0, 5.0]), np.array([0.3, -0.8])
+    share, horizon, most, change, stop = 0.4, 6, 1.5, 0.5, 3
+    wall = half_planes(np.array([0]), np.array([[1.0, 0.0]]), np.array([4.0]))
+    inertia = Inertia(now[None], change, np.array([stop]))
+    found = solve_programme(start[None], aim[None], np.array([share]), horizon, most, wall, inertia)
+    assert found is not None
+    p, w = cp.Variable((horizon + 1, 2)), cp.Variable((horizon + 1, 2))
+    cost = sum(cp.sum_squares(p[j] - aim) for j in range(1, horizon))
+    ends = p[horizon] + 0.5 * stop * w[horizon]
+    cost += 0.5 / share * (cp.sum_squares(p[horizon] - aim) + cp.sum_squares(ends - aim))
+    cost += (1.0 - share) / share**2 * cp.sum_squares(cp.diff(p, axis=0))
+    cost += 0.25 / share**2 * cp.sum_squares(cp.diff(w, axis=0))
+    limits = [p[0] == start, w[0] == now, cp.diff(p, axis=0) == 0.5 * (w[1:] + w[:-1])]
+    limits += [cp.norm(w[1:], axis=1) <= most, cp.norm(cp.diff(w, axis=0), axis=1) <= change]
+    limits += [p[1:, 0] <= 4.0, p[1:, 0] + 0.5 * stop * w[1:, 0] <= 4.0]
+    cp.Problem(cp.Minimize(cost), limits).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(found[0][0], p.value, atol=1e-4)
+    np.testing.assert_allclose(found[1][0], w.value, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bodies_never_touch(square: ConvexRegion, kind: str) -> None:
+    """Agents that all want the same place, then places opposite, stay apart all along."""
+    rng = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(np.arange(8.0, 95.0, 16.0), np.arange(8.0, 95.0, 16.0)), axis=2)
+    agents = grid.reshape(-1, 2)[:24] + rng.random((24, 2))
+    limits = MoveLimits(speed_m_s=4.0, body_radius_m=1.0, time_step_s=0.5, **KINDS[kind])
+    velocities, headings = np.zeros_like(agents), np.zeros(len(agents))
+    least, opposite = math.inf, 100.0 - agents
+    for step in range(45):
+        targets = np.full_like(agents, 50.0) if step < 32 else opposite
+        moves = plan_moves(
+            ConvexGround(square),
+            agents,
+            targets,
+            limits,
+            1.0,
+            8,
+            velocities_m_s=velocities,
+            headings_rad=headings,
+        )
+        shares = np.linspace(0.0, 1.0, 9)[:, None, None]
+        bend = 0.25 * (velocities - moves.velocities_m_s[:, 1]) if kind == "double" else 0.0
+        swept = agents + shares * (moves.next_m - agents) + shares * (1.0 - shares) * bend
+        apart = np.linalg.norm(swept[:, :, None] - swept[:, None], axis=3)
+        least = min(least, float((apart + 99.0 * np.eye(24)).min()))
+        assert (square.excess_m(moves.next_m) <= -1.0 + 1e-9).all()
+        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
+        headings = headings if moves.headings_rad is None else moves.headings_rad
+        assert (np.linalg.norm(velocities, axis=1) <= 4.0 + 1e-9).all()
+        if step == 31:
+            near = np.sort(np.linalg.norm(agents - 50.0, axis=1))
+            assert near[6] < 4.0
+    assert 2.0 < least < 2.1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_agents_pass_obstacles(blocks: GeodesicGround, kind: str) -> None:
+    """Agents get round obstacles to a place behind them, and never nearer to them than allowed."""
+    agents = np.array([[2.0, 2.0], [10.0, 27.0], [55.0, 2.0], [26.0, 15.0]])
+    limits = MoveLimits(speed_m_s=2.0, body_radius_m=0.5, clearance_m=0.6, **KINDS[kind])
+    aims = np.array([[45.0, 37.0], [57.0, 20.0], [5.0, 20.0], [46.0, 7.0]])
+    velocities, headings = np.zeros_like(agents), np.zeros(len(agents))
+    for _ in range(120):
+        targets = blocks.steered(agents, aims, 0.5)
+        moves = plan_moves(
+            blocks,
+            agents,
+            targets,
+            limits,
+            0.5,
+            8,
+            velocities_m_s=velocities,
+            headings_rad=headings,
+        )
+        speed = velocities if kind == "double" else moves.velocities_m_s[:, 1]
+        shares = np.linspace(0.0, 1.0, 9)[:, None, None]
+        bend = speed - (moves.next_m - agents)
+        swept = agents + shares * (moves.next_m - agents) + shares * (1.0 - shares) * bend
+        away = shapely.distance(shapely.boundary(blocks.free), shapely.points(swept))
+        assert away.min() > 0.6 - 1e-6
+        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
+        headings = headings if moves.headings_rad is None else moves.headings_rad
+    assert np.linalg.norm(agents - aims, axis=1).max() < 0.1
+
+
+@pytest.mark.parametrize("keep_m", [0.0, 0.5])
+def test_corridors_hold_no_border(blocks: GeodesicGround, keep_m: float) -> None:
+    """Places of a corridor keep off the border, and the free straight way is within it."""
+    rng = np.random.default_rng(6)
+    ground = GeodesicGround(blocks.free, blocks.region, blocks.hull)
+    drawn = rng.random((400, 2)) * [60.0, 40.0]
+    agents = drawn[blocks.region.contains(drawn)][:60]
+    agents[:2] = [[14.4, 24.6], [20.6, 10.0]]
+    aims = rng.random((len(agents), 2)) * [60.0, 40.0]
+    sets = ground_sets(ground, agents, agents, aims, keep_m, 25.0)
+    for which, (agent, aim) in enumerate(zip(agents, aims, strict=True)):
+        near = agent + 30.0 * (rng.random((300, 2)) - 0.5)
+        near = near[np.linalg.norm(near - agent, axis=1) < 12.0]
+        one = sets.of(np.array([which]))
+        inside = (near @ one.normals.T <= one.offsets_m).all(axis=1)
+        assert inside.any()
+        places = shapely.points(near[inside])
+        assert shapely.contains(blocks.free, places).all()
+        assert shapely.distance(shapely.boundary(blocks.free), places).min() >= keep_m
+        way = shapely.LineString([agent, aim])
+        if blocks.region.sees(agent[None], aim[None])[0]:
+            reached = agent + (aim - agent) * min(1.0, 25.0 / way.length)
+            assert (one.normals @ reached <= one.offsets_m + 1e-9).all()
+
+
+def test_points_may_meet(square: ConvexRegion) -> None:
+    """Agents without bodies all get to one place, also from one place."""
+    agents = np.array([[10.0, 10.0], [10.0, 10.0], [80.0, 30.0]])
+    for _ in range(60):
+        moves = plan_moves(
+            ConvexGround(square), agents, np.full((3, 2), 50.0), MoveLimits(speed_m_s=3.0), 0.5, 4
+        )
+        agents = moves.next_m
+    np.testing.assert_allclose(agents, 50.0, atol=1e-6)
+
+
+def test_double_integrators_can_always_stop(square: ConvexRegion) -> None:
+    """A fast crowd whose targets jump keeps its acceleration, and stops clear of each other."""
+    rng = np.random.default_rng(11)
+    agents = np.stack(np.meshgrid(np.arange(30, 70, 8.0), np.arange(30, 70, 8.0)), axis=2)
+    agents = agents.reshape(-1, 2)
+    limits = MoveLimits(speed_m_s=6.0, acceleration_m_s2=1.0, body_radius_m=1.0)
+    velocities = np.zeros_like(agents)
+    for _ in range(25):
+        targets = scattered(square, len(agents), rng)
+        moves = plan_moves(
+            ConvexGround(square), agents, targets, limits, 0.8, 6, velocities_m_s=velocities
+        )
+        change = np.linalg.norm(moves.velocities_m_s[:, 1] - velocities, axis=1)
+        assert change.max() <= 1.0 + 1e-6
+        np.testing.assert_allclose(
+            moves.next_m - agents, 0.5 * (velocities + moves.velocities_m_s[:, 1]), atol=1e-6
+        )
+        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
+        stops = agents + velocities * (0.5 * np.ceil(np.linalg.norm(velocities, axis=1)))[:, None]
+        ways = shapely.linestrings(np.stack((agents, stops), axis=1))
+        apart = shapely.distance(ways[:, None], ways) + 99.0 * np.eye(len(agents))
+        assert apart.min() > 2.0
+        assert (square.excess_m(stops) <= -1.0 + 1e-6).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"agents": np.array([[1.0, 1.0], [1.5, 1.0]])}, "agents"),
+        ({"agents": np.array([[1.0, np.nan], [9.5, 1.0]])}, "agents"),
+        ({"targets": np.zeros((3, 2))}, "targets"),
+        ({"gain": 1.5}, "control.time_step_s"),
+        ({"velocities": np.full((2, 2), 9.0)}, "velocities"),
+        ({"limits": {"turn_rate_rad_s": 1.0}}, "limits.turn_rate_rad_s"),
+        ({"limits": {"speed_m_s": -1.0}}, "limits.speed_m_s"),
+    ],
+)
+def test_wrong_input_is_named(square: ConvexRegion, change: dict[str, object], key: str) -> None:
+    """What cannot be planned is refused with its key."""
+    agents = change.get("agents", np.array([[10.0, 10.0], [20.0, 10.0]]))
+    limits: dict[str, float] = {"speed_m_s": 1.0, "body_radius_m": 1.0, "acceleration_m_s2": 1.0}
+    limits |= change.get("limits", {})  # type: ignore[arg-type]
+    with pytest.raises(InputError) as caught:
+        plan_moves(
+            ConvexGround(square),
+            agents,  # type: ignore[arg-type]
+            change.get("targets", agents),  # type: ignore[arg-type]
+            MoveLimits(**limits),
+            change.get("gain", 0.5),  # type: ignore[arg-type]
+            3,
+            velocities_m_s=change.get("velocities"),  # type: ignore[arg-type]
+        )
+    assert caught.value.key == key

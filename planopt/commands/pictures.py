@@ -30,11 +30,12 @@ def picture_solution(solution: Solution, folder: Path) -> None:
 
 
 def picture_run(run: Run, folder: Path) -> None:
-    """The ways driven; to a goal also their time series and the belief at the end."""
+    """The ways driven; to a goal also the belief at the end, and of one robot its time series."""
     save_figure(draw_driven(run), folder / "run.png")
     if run.problem.task == "reach":
-        save_figure(draw_run_series(run), folder / "series.png")
-        save_figure(draw_belief(run.problem, run.belief), folder / "belief.png")
+        if len(run.runs) == 1:
+            save_figure(draw_run_series(run), folder / "series.png")
+        save_figure(draw_belief(run.problem, run.beliefs[0]), folder / "belief.png")
 
 
 def animate(run: Run, folder: Path) -> None:

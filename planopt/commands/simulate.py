@@ -16,6 +16,8 @@ from planopt.commands.output import (
 from planopt.commands.planning import Asked, driving_command
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from planopt.planning.plan import Plan
     from planopt.planning.run import Run
 
@@ -36,7 +38,7 @@ def simulate(asked: Asked) -> int:
                 run = drive(
                     problem,
                     seed=seed,
-                    on_start=lambda plan: _say_ahead(asked, plan),
+                    on_start=lambda plans: _say_ahead(asked, plans),
                     on_step=lambda _: advance(),
                 )
         except NoPlanError as error:
@@ -59,17 +61,21 @@ def simulate(asked: Asked) -> int:
     return exit_code(run)
 
 
-def _say_ahead(asked: Asked, plan: Plan) -> None:
+def _say_ahead(asked: Asked, plans: Sequence[Plan]) -> None:
     """Tell of coverage holes on the way before the first step, unless JSON was asked for."""
     from planopt.planning.holes import goal_in_words, holes_in_words
+    from planopt.planning.robot_problem import problem_of_robot
 
     if asked.json or asked.problem.task != "reach":
         return
     problem = asked.problem
-    for line in goal_in_words(problem, plan.holes) + holes_in_words(
-        problem, plan.holes, "the way ahead crosses"
-    ):
-        say(f"{problem.name}: {line}")
+    for number, plan in enumerate(plans):
+        own = problem_of_robot(problem, number)
+        name = f"{problem.name}, {plan.robot}" if len(plans) > 1 else problem.name
+        for line in goal_in_words(own, plan.holes) + holes_in_words(
+            own, plan.holes, "the way ahead crosses"
+        ):
+            say(f"{name}: {line}")
 
 
 def _in_words(run: Run) -> str:
@@ -77,7 +83,7 @@ def _in_words(run: Run) -> str:
     from planopt.planning.loop.metrics import run_holes, run_reliability
     from planopt.report.tables import reliability_lines
 
-    problem, first = run.problem, run.runs[0]
+    problem = run.problem
     planner = problem.planner
     rungs = ", ".join(f"{name} {count}" for name, count in run.rungs.items())
     robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
@@ -92,7 +98,9 @@ def _in_words(run: Run) -> str:
     ]
     if problem.task == "reach":
         lines += _costs_in_words(run)
-        lines += holes_in_words(problem, run_holes(first), "crossed")
+        for one in run.runs:
+            crossed = f"{one.robot} crossed" if len(run.runs) > 1 else "crossed"
+            lines += holes_in_words(problem, run_holes(one), crossed)
     lines += reliability_lines(run_reliability(run.runs), "steps")
     head = (
         f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon}, "
@@ -108,7 +116,7 @@ def _costs_in_words(run: Run) -> list[str]:
         f"objective.outage_price {run.problem.reach.outage_price:g}, of the clairvoyant "
         f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
     ]
-    proofs = [plan.certificate for plan in run.plans[0]]
+    proofs = [plan.certificate for made in run.plans for plan in made]
     shares = [
         proof.path_cost_m / proof.best_cost_m - 1.0
         for proof in proofs

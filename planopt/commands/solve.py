@@ -64,6 +64,8 @@ def solve(asked: Asked) -> int:
 
 
 def _in_words(solution: Solution) -> str:
+    from planopt.planning.robot_problem import problem_of_robot
+
     problem, plans = solution.problem, solution.plans
     lines = [
         f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon}, "
@@ -72,8 +74,8 @@ def _in_words(solution: Solution) -> str:
     if len(plans) > 1:
         total = sum(plan.objective for plan in plans)
         lines.append(f"  {_value(problem, total)} of {len(plans)} plans")
-    for plan in plans:
-        lines += _plan_in_words(problem, plan)
+    for number, plan in enumerate(plans):
+        lines += _plan_in_words(problem_of_robot(problem, number), plan)
         own = [one for one in solution.explanation if one.robot == plan.robot]
         lines += [f"  {line}" for line in explained(own)]
     return "\n".join(lines)

@@ -166,25 +166,28 @@ class GeodesicGround:
 
     def cover(self, agents_m: NDArray[np.float64]) -> Cover:
         """Return the cost over the region's nodes, and free steps that lower it."""
-        cells = geodesic_cells(self.region, agents_m)
-        return Cover(cells.cost, geodesic_targets(self.region, agents_m, cells))
+        # Beside a corner agents may keep the clearance and be outside of the straight-sided region.
+        agents = self.region.nearest(agents_m)
+        cells = geodesic_cells(self.region, agents)
+        return Cover(cells.cost, geodesic_targets(self.region, agents, cells))
 
     def distances_m(
         self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return lengths of shortest paths to the places nearest to these that agents may be at."""
-        return geodesic_distances_m(self.region, agents_m, self.region.nearest(places_m))
+        agents, ends = self.region.nearest(agents_m), self.region.nearest(places_m)
+        return geodesic_distances_m(self.region, agents, ends)
 
     def steered(
         self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64], share: float
     ) -> NDArray[np.float64]:
         """Return targets along these shortest paths."""
-        ends = self.region.nearest(places_m)
-        length, first = geodesic_paths(self.region, agents_m, ends)
-        leg = first - agents_m
+        starts, ends = self.region.nearest(agents_m), self.region.nearest(places_m)
+        length, first = geodesic_paths(self.region, starts, ends)
+        leg = first - starts
         straight = np.linalg.norm(leg, axis=1)
         ahead = np.minimum(length, straight / share)
-        return agents_m + leg * (ahead / np.where(straight > 0.0, straight, 1.0))[:, None]
+        return starts + leg * (ahead / np.where(straight > 0.0, straight, 1.0))[:, None]
 
 
 def geodesic_ground(

@@ -1,37 +1,28 @@
 """What the packets of a path are worth to the station's filter, less that of receiving nothing.
 
-Three measures (equations 4.9 to 4.13), of one robot's path or of many at once:
+Two measures (equations 4.9 to 4.13), of one robot's path or of many at once:
 
 - :func:`information_gain`: at least the expected gain of information, however losses belong
   together; for one step equation 4.11;
 - :func:`covariance_gain`: the covariance recursion, which takes losses as independent in time.
-  Under shadowing they are not, and it is no bound;
-- :func:`sampled_gain`: the expected gain itself, over a fixed set of draws of the joint law.
+  Under shadowing they are not, and it is no bound.
+
+:mod:`planopt.objectives.tracking_scenarios` has the expected gain itself, over drawn channels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.tracking_filter import (
     FilteredTracking,
     bounding_information,
     riccati_covariances,
-    sampled_arrivals,
 )
 from planopt.targets.sensor import sensing_information
-
-DRAWS = 512
-"""Joint outcomes of the losses that the sampled form averages over: a standard error of about a
-fiftieth of the spread between outcomes."""
-
-SEED = 0
-"""Of these draws: the same numbers for every path, so that paths are compared by the same luck."""
 
 
 def information_gain(
@@ -63,54 +54,6 @@ def covariance_gain(
     spread = riccati_covariances(*with_others(arrival, sensing, settings), settings)
     removed = unobserved_covariances(settings) - spread
     return np.trace(removed[..., :2, :2], axis1=-2, axis2=-1) @ settings.tracking.weight
-
-
-def sampled_gain(
-    posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],
-    settings: FilteredTracking,
-    further: Sequence[tuple[ChannelPosterior, float]] = (),
-    others_m: Sequence[NDArray[np.float64]] = (),
-) -> float:
-    """sum_k w_k (E tr P_k without own packets - E tr P_k) of the position, m^2, over `DRAWS` draws.
-
-    A packet arrives where the power of any station reaches its threshold.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    path_m
-        ``(h, 2)``.
-    settings
-        The target and what is known of it; packets of others are drawn as well, from `others_m`.
-    further
-        The channel of each further station, and the power from which that connects.
-    others_m
-        ``(h, 2)`` each: the plans of other robots.
-    """
-    generator = np.random.default_rng(SEED)
-    paths = [*others_m, path_m]
-    arrived = np.zeros((DRAWS, len(path_m), len(paths)), dtype=np.bool_)
-    for station, threshold in ((posterior, settings.tracking.threshold_dbm), *further):
-        own = replace(settings.tracking, threshold_dbm=threshold)
-        arrived |= sampled_arrivals([station] * len(paths), paths, own, DRAWS, generator)
-    sensing = np.stack([sensing_of(path, settings) for path in paths], axis=-1)
-    with_own = _mean_cost(arrived, sensing, settings)
-    if not others_m:
-        cost = np.trace(unobserved_covariances(settings)[:, :2, :2], axis1=1, axis2=2)
-        return float(cost @ settings.tracking.weight) - with_own
-    return _mean_cost(arrived[..., :-1], sensing[..., :-1], settings) - with_own
-
-
-def _mean_cost(
-    arrived: NDArray[np.bool_], sensing: NDArray[np.float64], settings: FilteredTracking
-) -> float:
-    """Mean of sum_k w_k tr P_k of the position over draws ``(draws, h, robots)``."""
-    outcomes, counts = np.unique(arrived, axis=0, return_counts=True)
-    spread = riccati_covariances(outcomes.astype(np.float64), sensing, settings)
-    cost = np.trace(spread[..., :2, :2], axis1=-2, axis2=-1) @ settings.tracking.weight
-    return float(cost @ counts) / len(arrived)
 
 
 def with_others(

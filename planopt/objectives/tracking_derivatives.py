@@ -30,17 +30,25 @@ def connectivity_derivatives(
     threshold_dbm
         Upsilon_TH.
     """
-    by_sigma = 1.0 / deviation_db.value
-    z = (mean_db.value - threshold_dbm) * by_sigma
-    across = z[:, None]
-    rows = mean_db.rows - across * deviation_db.rows
-    rows *= by_sigma[:, None]
-    # The turned parts, and those of the density's slope, are products with the gradient of z.
-    turned = deviation_db.gradient * by_sigma[:, None]
-    turned += (0.5 * across) * rows[:, 1:3]
-    add_products(rows[:, 3:], rows[:, 1:3], -turned)
+    rows = score_derivatives(mean_db, deviation_db, threshold_dbm).rows
+    z = rows[:, 0].copy()
+    # The density's slope.
+    add_products(rows[:, 3:], rows[:, 1:3], (-0.5 * z)[:, None] * rows[:, 1:3])
     rows *= (np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))[:, None]
     rows[:, 0] = score_probability(z)
+    return Derivatives.of(rows)
+
+
+def score_derivatives(
+    mean_db: Derivatives, deviation_db: Derivatives, threshold_dbm: float
+) -> Derivatives:
+    """Z = (mu - Upsilon_TH) / sigma with gradient and Hessian; parameters as above."""
+    by_sigma = 1.0 / deviation_db.value
+    z = (mean_db.value - threshold_dbm) * by_sigma
+    rows = mean_db.rows - z[:, None] * deviation_db.rows
+    rows *= by_sigma[:, None]
+    add_products(rows[:, 3:], rows[:, 1:3], -deviation_db.gradient * by_sigma[:, None])
+    rows[:, 0] = z
     return Derivatives.of(rows)
 
 

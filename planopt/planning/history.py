@@ -54,6 +54,8 @@ def history_of(
     track_m: NDArray[np.float64],
     connected: NDArray[np.bool_],
     certificates: Iterable[Certificate] = (),
+    *,
+    waits: bool = False,
 ) -> History:
     """The run along a track.
 
@@ -67,6 +69,8 @@ def history_of(
         ``(n,)`` whether it was connected after each step.
     certificates
         Of the plans that led along it.
+    waits
+        Whether there are other robots that it may have waited for.
     """
     priced = [each for each in certificates if each.step_excess_m is not None]
     count = len(connected)
@@ -81,7 +85,8 @@ def history_of(
         delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
         crossing_cost_m=sum(each.step_cost_m or 0.0 for each in priced),
         crossing_excess_m=sum(each.step_excess_m or 0.0 for each in priced),
-        has_circled=not problem.workspace.moving and _circled(track_m, problem.step_length_m),
+        has_circled=not (waits or problem.workspace.moving)
+        and _circled(track_m, problem.step_length_m),
     )
 
 

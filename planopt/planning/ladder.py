@@ -25,7 +25,7 @@ from planopt.planning.shifted import shifted_path
 from planopt.planning.start_polish import StartPolish
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import structure_of
+from planopt.planning.worth.structure import bends_starts
 from planopt.problems.problem import Problem
 
 CLOSE_SHARE = 0.01
@@ -85,7 +85,7 @@ class Ladder:
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
         self._problem = problem
         self._thorough = thorough
-        coupled = structure_of(problem) == "full" and problem.planner.horizon > 1
+        coupled = bends_starts(problem) and problem.planner.horizon > 1
         self._followed = COUPLED_STARTS if coupled else 1
         self._driven = problem.robots[0].dynamics is not None
         # To a goal, what one more round gains is lost again where the next pivot is seen.

@@ -21,7 +21,7 @@ from planopt.planning.given import (
 from planopt.planning.loop.target_watch import expected_target, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
-from planopt.planning.scene import build_scene
+from planopt.planning.scene import build_scenes
 from planopt.planning.stepping import Stepper, plan_step
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.problems.overrides import with_overrides
@@ -89,13 +89,13 @@ class Planner:
             problem = replace(problem, planner=replace(problem.planner, budget_s=budget_s))
         problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
         problem = with_drawn_starts(problem, seed)
-        scene = build_scene(problem) if problem.task == "reach" else None
+        scenes = build_scenes(problem)
         belief = prepare(problem, seed, given).belief
         seeds = team_seeds(problem, seed)
         watch = watch_target(problem, seeds.target) if given is None else expected_target(problem)
         self.problem = problem
         self._index = index_obstacles(problem.workspace)
-        self._robots = Stepper(problem, belief, plan_step(problem, scene, seeds), watch)
+        self._robots = Stepper(problem, belief, plan_step(problem, scenes, seeds), watch)
         self._is_placed = False
 
     def __repr__(self) -> str:

@@ -48,8 +48,10 @@ class Rung(StrEnum):
 
     ``reserved`` is the rest of the last plan, verified or not, where standing still would be in the
     way of what moves: the other robots keep clear of it. ``direct`` is the shortest path to a goal,
-    whatever the connection, of a robot that has wandered long enough. ``leave`` is a step away
-    from where a robot must not be: too near to something, or out of bounds.
+    whatever the connection, of a robot that has wandered long enough. ``give_way`` is the robot's
+    part of the paths that were found for all robots together, where it waits or steps aside for
+    another. ``leave`` is a step away from where a robot must not be: too near to something, or out
+    of bounds.
     """
 
     PLAN = "plan"
@@ -59,6 +61,7 @@ class Rung(StrEnum):
     SHIFTED = "shifted"
     RESERVED = "reserved"
     DIRECT = "direct"
+    GIVE_WAY = "give_way"
     LEAVE = "leave"
     STOP = "stop"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
 
@@ -37,9 +37,33 @@ from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.rule_rows import RuleRows, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+from planopt.world.moving_discs import MovingDiscs
 
 LINES_PER_SEGMENT = 4
 """Nearest convex pieces that each segment is kept from; the verifier looks at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """Where a robot is, what it knows, and the path that it would drive.
+
+    Attributes
+    ----------
+    belief, state
+        Of the stations' channels, and ``(s,)`` of the robot.
+    situation
+        What its step is planned on; beside it only moving obstacles move.
+    start
+        The path; None if no node is in reach.
+    wall_s
+        What it took to find.
+    """
+
+    belief: Belief
+    state: NDArray[np.float64]
+    situation: Situation
+    start: GlobalStart | None
+    wall_s: float
 
 
 class ReachPlanner:
@@ -51,9 +75,11 @@ class ReachPlanner:
         What to solve; its planner settings say how.
     scene
         Its geometry.
+    others
+        How many other robots it must keep from.
     """
 
-    def __init__(self, problem: Problem, scene: Scene) -> None:
+    def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self.problem = problem
         self.scene = scene
         self._eased = eased(problem)
@@ -63,7 +89,8 @@ class ReachPlanner:
         self._nlp: ReachNlp | None = None
         self._driven = DrivenReach(problem, scene) if problem.robots[0].dynamics else None
         if problem.planner.name in METHODS and self._driven is None:
-            lines = LINES_PER_SEGMENT + min(len(problem.workspace.moving), MOVING_LINES)
+            moving = len(problem.workspace.moving) + others
+            lines = LINES_PER_SEGMENT + min(moving, MOVING_LINES)
             self._nlp = build_reach_nlp(
                 problem.planner.horizon,
                 lines,
@@ -91,16 +118,26 @@ class ReachPlanner:
         history
             What has happened on the run before.
         """
+        return self.release(self.outlook(belief, state, history), warm)
+
+    def outlook(
+        self, belief: Belief, state: NDArray[np.float64], history: History = BEGINNING
+    ) -> Outlook:
+        """Search the path that the robot would drive if it were alone; arguments as of `plan`.
+
+        Raises
+        ------
+        NoPlanError
+            There is provably no path that keeps the bound.
+        """
         begun = perf_counter()
-        problem, scene, position_m = self.problem, self.scene, state[:2]
         circumstances = circumstances_of(
-            problem, belief.posteriors, history, goal_grid=self._goal_grid
+            self.problem, belief.posteriors, history, goal_grid=self._goal_grid
         )
-        moving = circumstances.moving
         situation = Situation(
             self._eased,
             belief.posterior,
-            position_m,
+            state[:2],
             None,
             self._region,
             circumstances=circumstances,
@@ -108,14 +145,64 @@ class ReachPlanner:
         start = self._search.find_start(situation)
         if start is not None and start.is_blocked:
             raise NoPlanError(self._why_blocked(situation, start))
+        return Outlook(belief, state, situation, start, perf_counter() - begun)
+
+    def beside(
+        self, outlook: Outlook, discs: MovingDiscs
+    ) -> tuple[Outlook, NDArray[np.float64], bool] | None:
+        """Search a path that keeps from `discs` all the way to the goal; None if there is none.
+
+        Returns
+        -------
+        outlook, (T + 1, 2) array, bool
+            With that path to drive; where the robot would be after each step; whether it arrives,
+            or waits where it is in nobody's way.
+        """
+        begun = perf_counter()
+        if outlook.start is None:
+            return None
+        found = self._search.beside(outlook.state[:2], outlook.start, discs)
+        if found is None:
+            return None
+        start, places, path = found
+        spent = outlook.wall_s + perf_counter() - begun
+        return replace(outlook, start=start, wall_s=spent), places, path.arrives
+
+    def release(
+        self,
+        outlook: Outlook,
+        warm: Plan | None = None,
+        moving: MovingDiscs | None = None,
+        reserved_m: NDArray[np.float64] | None = None,
+    ) -> Plan:
+        """Refine and verify the path of an outlook, or fall back.
+
+        Parameters
+        ----------
+        outlook
+            Of :meth:`outlook` or :meth:`beside`.
+        warm
+            As for :meth:`plan`.
+        moving
+            What the robot must keep from during the steps; None for the moving obstacles alone.
+        reserved_m
+            ``(N, 2)`` what the other robots keep clear of for this one; None for the last plan.
+        """
+        begun = perf_counter() - outlook.wall_s
+        problem, scene, position_m = self.problem, self.scene, outlook.state[:2]
+        belief, state, start = outlook.belief, outlook.state, outlook.start
+        situation, circumstances = outlook.situation, outlook.situation.circumstances
+        if moving is not None:
+            circumstances = replace(circumstances, moving=moving)
+            situation = replace(situation, circumstances=circumstances)
+        moving = circumstances.moving
         plain = problem.constraints.rule.is_plain
         rows_of = None if plain else partial(step_rows, situation)
         cost = ReachCost(problem, position_m, situation.power)
-        reserved = None
-        if len(moving) and warm is not None:
-            reserved = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
+        if reserved_m is None and len(moving) and warm is not None:
+            reserved_m = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
         judge = Judge(
-            problem, scene.index, belief, position_m, cost, circumstances, reserved, state[2:]
+            problem, scene.index, belief, position_m, cost, circumstances, reserved_m, state[2:]
         )
         connected = problem.reach.cost_to_go == "connected"
         margin_db = self._search.margins.margin_db if connected else None
@@ -163,6 +250,9 @@ class ReachPlanner:
     ) -> Candidate:
         """Go down the failure ladder until a candidate is verified; else the least bad one."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
+        if start.gives_way:
+            given = judge.judged(replace(lattice, rung=Rung.GIVE_WAY))
+            return given if given.sound else self._without_start(judge, warm)
         if start.is_direct:
             direct = judge.judged(replace(lattice, rung=Rung.DIRECT))
             if direct.sound:

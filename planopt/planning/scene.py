@@ -9,6 +9,7 @@ import numpy as np
 from planopt.errors import NoPlanError
 from planopt.planning.free_space import is_joined
 from planopt.planning.ground import Ground, build_ground, first_moves
+from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
@@ -82,6 +83,28 @@ def build_scene(problem: Problem) -> Scene:
     if nodes.size == 0 or not np.isfinite(scene.ways.cost_m[nodes]).any():
         raise NoPlanError(_why_no_way(problem, lattice.spacing_m))
     return scene
+
+
+def build_scenes(problem: Problem) -> tuple[Scene, ...] | None:
+    """Build the geometry of each robot that is to reach a goal; None where none is.
+
+    Raises
+    ------
+    NoPlanError
+        As :func:`build_scene`, of any robot.
+    """
+    if problem.task != "reach":
+        return None
+    scenes: list[Scene] = []
+    for number, robot in enumerate(problem.robots):
+        try:
+            scenes.append(build_scene(problem_of_robot(problem, number)))
+        except NoPlanError as error:
+            if len(problem.robots) == 1:
+                raise
+            words = str(error).replace("robots[0]", f"robots[{number}]")
+            raise NoPlanError(f"{robot.name}: {words}") from None
+    return tuple(scenes)
 
 
 def _why_no_way(problem: Problem, spacing_m: float) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.given import GivenMeasurements, with_drawn_starts, with_measurements
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
-from planopt.planning.scene import Scene, build_scene
+from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solution import Solution
 from planopt.planning.stepping import Stepper, plan_step
 from planopt.planning.team.team_seeds import team_seeds
@@ -54,11 +56,13 @@ def solve(
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     # An unreachable goal is found out before the files of the channel are read.
-    scene = build_scene(problem) if problem.task == "reach" else None
-    return _solved(problem, prepare(problem, seed, given).belief, seed, scene)
+    scenes = build_scenes(problem)
+    return _solved(problem, prepare(problem, seed, given).belief, seed, scenes)
 
 
-def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = None) -> Solution:
+def solve_on(
+    problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None = None
+) -> Solution:
     """Plan for each robot from its start, on a belief that is given.
 
     Parameters
@@ -69,23 +73,23 @@ def solve_on(problem: Problem, belief: Belief, seed: int, scene: Scene | None = 
         Of the channel, the same for all robots.
     seed
         Of the first estimate of a target, and of planners that draw.
-    scene
-        Geometry of a problem with a goal, if it is built already.
+    scenes
+        Geometry of each robot of a problem with goals, if it is built already.
 
     Raises
     ------
     NoPlanError
         Obstacles cut the goal off.
     """
-    if scene is None and problem.task == "reach":
-        scene = build_scene(problem)
-    return _solved(problem, belief, seed, scene)
+    return _solved(problem, belief, seed, build_scenes(problem) if scenes is None else scenes)
 
 
-def _solved(problem: Problem, belief: Belief, seed: int, scene: Scene | None) -> Solution:
+def _solved(
+    problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None
+) -> Solution:
     problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
-    robots = Stepper(problem, belief, plan_step(problem, scene, seeds), watch)
+    robots = Stepper(problem, belief, plan_step(problem, scenes, seeds), watch)
     plans = robots.plan()
     return Solution(problem, seed, belief, tuple(plans), tuple(aim for (aim,) in robots.aims))

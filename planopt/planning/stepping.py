@@ -17,10 +17,11 @@ from planopt.planning.history import history_of
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan
-from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Scene
+from planopt.planning.team.couriers import Couriers
 from planopt.planning.team.crew import build_crew
+from planopt.planning.team.reservations import has_separation
 from planopt.planning.team.team_seeds import TeamSeeds
 from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.planning.tolerances import STANDSTILL_M
@@ -103,6 +104,7 @@ class Stepper:
                     np.array(driven)[:, :2],
                     self.connected[:, number],
                     [plan.certificate for plan in made],
+                    waits=has_separation(self.problem),
                 )
                 for number, (own, driven, made) in enumerate(
                     zip(self.owns, self.states, self.plans, strict=True)
@@ -181,29 +183,23 @@ class Stepper:
         unit = np.ones(2) if robot.dynamics is None else np.array(robot.dynamics.unit_m(step_s))
         if float(np.linalg.norm((state - plan.next_state) * unit)) <= STANDSTILL_M:
             return True
-        apart = len(self.owns) > 1 and self.problem.constraints.separation_m > 0.0
-        return robot.dynamics is None and not apart
+        return robot.dynamics is None and not has_separation(self.problem)
 
 
-def plan_step(problem: Problem, scene: Scene | None, seeds: TeamSeeds) -> PlanStep:
-    """Return what plans a step: to a goal in a scene, or a team for its terms.
+def plan_step(problem: Problem, scenes: Sequence[Scene] | None, seeds: TeamSeeds) -> PlanStep:
+    """Return what plans a step: to goals in a scene of each robot, or a team for its terms.
 
     Parameters
     ----------
     problem
         The problem of all robots.
-    scene
-        Geometry of a problem that is to reach a goal; None for all others.
+    scenes
+        Geometry of each robot that is to reach a goal; None for all other problems.
     seeds
         Of planners that draw.
     """
-    if scene is not None:
-        planning = ReachPlanner(problem, scene)
-
-        def reach(at: TeamMoment) -> tuple[list[Plan], list[Aim]]:
-            plan = planning.plan(at.beliefs[0], at.states[0], at.warm[0], at.histories[0])
-            return [plan], [Aim()]
-
-        return reach
+    if scenes is not None:
+        couriers = Couriers(problem, scenes)
+        return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])
     crew = build_crew(problem, seeds)
     return lambda at: plan_together(problem, crew, at)

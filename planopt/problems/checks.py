@@ -36,6 +36,9 @@ from planopt.world.lattice_size import node_estimate
 from planopt.world.least_distance import CLOSE_M, step_distances_m
 from planopt.world.moving_obstacle import centres_at
 
+CLEARANCE_TO_GOALS_M = 0.01
+"""Goals are this much farther from each other than the separation: planners keep a little more."""
+
 
 def check_apart(problem: Problem) -> None:
     """Robots start apart from each other, and from where moving obstacles are at time 0."""
@@ -53,6 +56,7 @@ def check_apart(problem: Problem) -> None:
                     key=f"robots[{number}].start_m",
                     remedy="move it, or lessen constraints.separation_m",
                 )
+            _check_goals_apart(problem, number, other)
             _check_stopping_apart(problem, number, other)
         for obstacle in problem.workspace.moving:
             centre = centres_at(obstacle, np.zeros(1))[0]
@@ -66,6 +70,26 @@ def check_apart(problem: Problem) -> None:
                     key=f"robots[{number}].start_m",
                     remedy="move it, or lessen constraints.clearance_m",
                 )
+
+
+def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
+    """Robots can stand at their goals at the same time."""
+    goal, others, separation = (
+        problem.robots[number].goal_m,
+        problem.robots[other].goal_m,
+        problem.constraints.separation_m,
+    )
+    if goal is None or others is None or separation == 0.0:
+        return
+    distance = float(np.linalg.norm(np.subtract(goal, others)))
+    if distance < separation + CLEARANCE_TO_GOALS_M:
+        raise InputError(
+            f"is {list(goal)}, {distance:.3g} m from the goal of {problem.robots[other].name}, "
+            f"not more than the separation of {separation:g} m",
+            file=problem.file,
+            key=f"robots[{number}].goal_m",
+            remedy="move it, or lessen constraints.separation_m",
+        )
 
 
 def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from planopt.plain_values import make_plain
 from planopt.problems.tables import Name, Pair
+
+Packets = Literal["measurements", "estimates"]
+"""What a packet to the station has of the target."""
 
 LEAST_STD = 1e-6
 """Of a first estimate in metres or m/s: its information is still a number that can be inverted."""
@@ -35,6 +38,12 @@ class Target:
         Its first heading is then off that direction by up to this angle, drawn as well.
     stays_free
         Whether its path is drawn again until it stays within the bounds and out of obstacles.
+    packets
+        ``measurements``: a packet has the robot's last measurement of the target, as in [GM11].
+        ``estimates``: it has the robot's own estimate, so that the station knows all that the
+        robot has measured so far.
+    packet_delay_steps
+        The station has a packet so many steps after it was sent.
     """
 
     name: Annotated[Name, Field(description="What outputs call it.")] = "target"
@@ -84,6 +93,20 @@ class Target:
             "(true or false)."
         ),
     ] = False
+    packets: Annotated[
+        Packets,
+        Field(
+            description="measurements (a packet has the robot's last measurement of the target) or "
+            "estimates (it has the robot's own estimate: the station then knows all that the robot "
+            "has measured)."
+        ),
+    ] = "measurements"
+    packet_delay_steps: Annotated[
+        int,
+        Field(
+            ge=0, le=1000, description="The station has a packet so many steps after it is sent."
+        ),
+    ] = 0
 
     def __post_init__(self) -> None:
         make_plain(self)

@@ -27,10 +27,9 @@ def task_fault(tables: ProblemFile) -> str | None:
 
 def _reach_fault(tables: ProblemFile) -> str | None:
     """What keeps tables from being a problem that is to reach a goal."""
-    if len(tables.robots) > 1:
-        return "task reach is for exactly one robot"
-    if tables.robots[0].goal_m is None:
-        return "task reach needs robots[0].goal_m"
+    for number, robot in enumerate(tables.robots):
+        if robot.goal_m is None:
+            return f"task reach needs robots[{number}].goal_m"
     if tables.objective.terms:
         return "task reach has no objective.terms"
     if tables.targets:
@@ -42,7 +41,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
             f"planner.name {tables.planner.name} is not for task reach: use "
             f"{names_with('reaches_goals')}"
         )
-    return _dynamics_fault(tables)
+    return _same_name("robots", tables.robots) or _dynamics_fault(tables)
 
 
 def _terms_fault(tables: ProblemFile) -> str | None:

@@ -217,12 +217,13 @@ def _one_time_axis(panels: Sequence[Panel], begin_s: float, end_s: float) -> Non
 
 def draw_solution(solution: Solution) -> Figure:
     """Draw the plans on the map, their predictions and their certificates."""
-    if solution.problem.task == "reach":
+    if solution.problem.task == "reach" and len(solution.plans) == 1:
         return draw_plan(solution)
     target_m = solution.aims[0].target_m
     return draw_team_plan(solution.problem, solution.plans, solution.belief, target_m)
 
 
 def draw_driven(run: Run) -> Figure:
-    """Draw where the robots drove: on the ground truth to a goal, else on what they believed."""
-    return draw_run(run) if run.problem.task == "reach" else draw_team_run(run)
+    """Draw where robots drove: one to a goal on the ground truth, else on what they believed."""
+    alone = run.problem.task == "reach" and len(run.runs) == 1
+    return draw_run(run) if alone else draw_team_run(run)

@@ -44,6 +44,7 @@ RUNG_LOOKS = {
     Rung.SHIFTED: ("v", SKY),
     Rung.RESERVED: ("P", BLACK),
     Rung.DIRECT: (">", BLACK),
+    Rung.GIVE_WAY: ("d", BLACK),
     Rung.LEAVE: ("<", VERMILLION),
     Rung.STOP: ("X", VERMILLION),
 }

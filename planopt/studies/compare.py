@@ -20,7 +20,7 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import RunSummary, summary_of
-from planopt.planning.scene import Scene, build_scene
+from planopt.planning.scene import Scene, build_scenes
 from planopt.problems.overrides import with_changes, with_overrides
 from planopt.problems.problem import Problem
 from planopt.problems.systems import Request, SystemProblem, system_from_tables
@@ -376,8 +376,8 @@ def _values(runs: Sequence[RunSummary], metric: str) -> NDArray[np.float64]:
 _Asked = tuple[Problem | SystemRun, int]
 """A problem with the settings of a run, and its seed."""
 
-Shared = tuple[Prepared, Scene | None] | NoPlanError | None
-"""First belief of a seed, and the scene where there is a goal: the same for all settings.
+Shared = tuple[Prepared, tuple[Scene, ...] | None] | NoPlanError | None
+"""First belief of a seed, and the scenes where there are goals: the same for all settings.
 
 The error if there provably is no plan, and nothing for systems.
 """
@@ -389,7 +389,7 @@ def _shared(asked: _Asked) -> Shared:
         return None
     prepared = prepare(problem, seed)
     try:
-        return prepared, build_scene(problem) if problem.task == "reach" else None
+        return prepared, build_scenes(problem)
     except NoPlanError as error:
         return error
 
@@ -410,8 +410,8 @@ def _drive(asked: _Asked, shared: Shared) -> RunSummary:
     try:
         if shared is None or isinstance(shared, NoPlanError):
             raise shared or AssertionError("nothing was prepared")
-        prepared, scene = shared
-        return summary_of(simulate(problem, seed=seed, scene=scene, prepared=prepared))
+        prepared, scenes = shared
+        return summary_of(simulate(problem, seed=seed, scenes=scenes, prepared=prepared))
     except NoPlanError as error:
         settings = problem.planner.horizon, problem.planner.name, problem.cost_to_go
         return _summary(settings, seed, Outcome.NO_PLAN.value, str(error), NOT_DONE)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, PATH, drawn
 
-from planopt.channel.joint import joint_prediction
 from planopt.channel.posterior import condition
 from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
@@ -16,7 +15,6 @@ from planopt.objectives.filter_derivatives import (
 from planopt.objectives.filter_gain import (
     covariance_gain,
     information_gain,
-    sampled_gain,
     sensing_of,
 )
 from planopt.objectives.tracking import Tracking, tracking_value
@@ -86,27 +84,6 @@ def test_one_step_of_information_is_the_seeds():
     arrival = POSTERIOR.connectivity(PATH[:1], -73.0)
     value = tracking_value(POSTERIOR, PATH[:1], one.tracking)
     assert information_gain(arrival, SENSING[:1], one) == pytest.approx(value, rel=1e-10)
-
-
-def test_one_sampled_step_is_the_expectation():
-    """P times what a packet removes, within three standard errors of the share of arrivals."""
-    one = shortened(1)
-    p = float(POSTERIOR.connectivity(PATH[:1], -73.0)[0])
-    whole = filtered([0], one)[1] - filtered([1], one)[1]
-    error = 3.0 * whole * np.sqrt(p * (1.0 - p) / 512)
-    assert sampled_gain(POSTERIOR, PATH[:1], one) == pytest.approx(p * whole, abs=error)
-
-
-def test_sampled_gain_is_that_of_joint_losses():
-    """Against other draws of the joint law; the same path has the same value."""
-    found = sampled_gain(POSTERIOR, PATH, SETTINGS)
-    assert found == sampled_gain(POSTERIOR, PATH, SETTINGS)
-    power = joint_prediction(POSTERIOR, PATH)
-    rng = np.random.default_rng(5)
-    draws = rng.multivariate_normal(power.mean_db, power.covariance_db2, 2000) >= -73.0
-    each = filtered(np.zeros(5))[1] - np.array([filtered(up)[1] for up in draws.astype(float)])
-    error = each.std() * np.sqrt(1.0 / 2000 + 1.0 / 512)
-    assert found == pytest.approx(each.mean(), abs=3.5 * error)
 
 
 @pytest.mark.parametrize(

@@ -111,11 +111,21 @@ def test_number_that_python_cannot_print_is_still_one_error(tables: Tables, buil
         built(tables)
 
 
-def test_second_robot_is_refused_for_the_task_reach(tables: Tables, built: Build) -> None:
-    """One robot reaches a goal."""
-    tables["robots"] *= 2
-    with pytest.raises(InputError, match="task reach is for exactly one robot"):
+def test_every_robot_of_the_task_reach_needs_a_goal_of_its_own(
+    tables: Tables, built: Build
+) -> None:
+    """The error names the robot without one, and the goals that are too near to each other."""
+    first = tables["robots"][0]
+    second = first | {"name": "second", "start_m": [30.0, 25.0]}
+    tables["robots"] = [first, {key: second[key] for key in second if key != "goal_m"}]
+    with pytest.raises(InputError, match=r"task reach needs robots\[1\]\.goal_m"):
         built(tables)
+    tables["robots"] = [first, second]
+    assert len(built(tables).robots) == 2
+    tables["constraints"]["separation_m"] = 2.0
+    with pytest.raises(InputError, match="0 m from the goal of") as caught:
+        built(tables)
+    assert caught.value.key == "robots[1].goal_m"
 
 
 def test_stations_are_up_to_twenty_with_names_of_their_own(tables: Tables, built: Build) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planopt.coverage.control.programme import Inertia, saturated_paths, solve_programme
 from planopt.coverage.control.safe_sets import SafeSets, ground_sets, joined, separate_cells
 from planopt.coverage.ground import Ground
-from planopt.coverage.region import positive
+from planopt.coverage.limits import MoveLimits
 from planopt.errors import InputError
 
 BLENDS = (1.0, 0.999, 0.99, 0.9, 0.5)
@@ -21,70 +21,6 @@ ROUNDING = 1e-12
 """Places may be outside of their sets by this share of the ground's radius."""
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class MoveLimits:
-    """What agents can do and must keep.
-
-    Attributes
-    ----------
-    time_step_s
-        Length of a step in s.
-    speed_m_s
-        Largest speed; infinite without limit.
-    acceleration_m_s2
-        Largest acceleration of double integrators; None for single ones, whose velocity may jump.
-    turn_rate_rad_s
-        Largest turn rate of unicycles, which turn on the spot and then drive straight, backwards
-        too; None for agents that move in all directions.
-    body_radius_m
-        Radius of the bodies; agents with 0 are points that may share a place.
-    clearance_m
-        What an agent's place keeps from obstacles and from the border; at least the body radius
-        is kept.
-
-    Raises
-    ------
-    InputError
-        A limit is out of range, or limits do not go together.
-    """
-
-    time_step_s: float = 1.0
-    speed_m_s: float = math.inf
-    acceleration_m_s2: float | None = None
-    turn_rate_rad_s: float | None = None
-    body_radius_m: float = 0.0
-    clearance_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        positive(self.time_step_s, "control.time_step_s")
-        if self.speed_m_s != math.inf:
-            positive(self.speed_m_s, "limits.speed_m_s")
-        positive(self.body_radius_m, "limits.body_radius_m", zero=True)
-        positive(self.clearance_m, "limits.clearance_m", zero=True)
-        for value, key in (
-            (self.acceleration_m_s2, "limits.acceleration_m_s2"),
-            (self.turn_rate_rad_s, "limits.turn_rate_rad_s"),
-        ):
-            if value is None:
-                continue
-            positive(value, key)
-            if self.speed_m_s == math.inf:
-                raise InputError(
-                    "it needs a largest speed", key=key, remedy="give limits.speed_m_s"
-                )
-        if self.acceleration_m_s2 is not None and self.turn_rate_rad_s is not None:
-            raise InputError(
-                "unicycles with a largest acceleration cannot be planned",
-                key="limits.turn_rate_rad_s",
-                remedy="give one of both limits",
-            )
-
-    @property
-    def keep_m(self) -> float:
-        """What an agent's place keeps from obstacles and border."""
-        return max(self.body_radius_m, self.clearance_m)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from planopt.coverage.ground import ConvexGround, GeodesicGround, Ground
+from planopt.coverage.region import ON_BORDER
 from planopt.coverage.voronoi import FAR
 from planopt.errors import InputError
 
@@ -248,10 +249,27 @@ def ground_sets(
     aims_m
         ``(n, 2)`` where agents want to go; a corridor holds as much as is free of the straight way.
     keep_m
-        What agents keep from obstacles and border. One that is nearer gets no nearer.
+        What agents keep from obstacles and border. An agent that starts nearer to the border of a
+        convex ground gets no nearer; a geodesic ground has to be made with that clearance.
     reach_m
         How far agents get within the horizon.
+
+    Raises
+    ------
+    InputError
+        An agent is not in the free area, or the ground keeps less clearance or is of a kind
+        unknown here.
     """
+    free = ground.free if isinstance(ground, GeodesicGround) else None
+    if free is None:
+        outside = ~ground.hull.contains(places_m)
+    else:
+        slack_m = ON_BORDER * ground.hull.radius_m
+        outside = ~np.asarray(shapely.dwithin(free, shapely.points(places_m), slack_m))
+    if outside.any():
+        which = int(outside.argmax())
+        x, y = places_m[which]
+        raise InputError(f"({x:g}, {y:g}) is not in the free area", key=f"agents[{which}]")
     if isinstance(ground, ConvexGround):
         region = ground.region
         heights = np.maximum(places_m @ region.normals.T, stops_m @ region.normals.T)
@@ -263,6 +281,14 @@ def ground_sets(
             f"moves in a {type(ground).__name__} cannot be planned",
             key="ground",
             remedy="give a ConvexGround or a GeodesicGround",
+        )
+    border = shapely.boundary(ground.free)
+    kept_m = float(shapely.distance(border, ground.region.free))  # pyright: ignore[reportUnknownMemberType]
+    if kept_m < keep_m - ON_BORDER * ground.hull.radius_m:
+        raise InputError(
+            f"the ground keeps {kept_m:g} m from obstacles, agents have to keep {keep_m:g} m",
+            key="limits.clearance_m",
+            remedy="make the ground with that clearance",
         )
     # As much of the way as is in reach and free.
     way = aims_m - places_m
@@ -276,9 +302,9 @@ def ground_sets(
     )
     meets = np.asarray(shapely.intersects(ground.region.free_border, hulls), dtype=np.bool_)
     ends[meets] = stops_m[meets]
-    edges, scale_m = _border(ground.free), ground.hull.radius_m
     seeds = np.stack((places_m, stops_m, ends), axis=1)
-    return _corridors(edges, seeds, keep_m, reach_m, TOUCHES * scale_m)
+    touch_m = TOUCHES * ground.hull.radius_m
+    return _corridors(_border(ground.free), seeds, keep_m, reach_m, touch_m)
 
 
 def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:

@@ -299,6 +299,8 @@ class NearPath:
         steers.
     tried
         ``(N,)`` which places are tries for connection; None where no term tries.
+    about_m
+        ``(N, 2)`` the path that it began from.
     """
 
     at: StepContext
@@ -310,6 +312,7 @@ class NearPath:
     gates: Gates | None
     ahead: NDArray[np.intp] | None
     tried: NDArray[np.bool_] | None
+    about_m: NDArray[np.float64]
 
     @property
     def stage_power(self) -> StagePower:

@@ -100,6 +100,14 @@ class Term:
         return "full"
 
     @property
+    def bends_starts(self) -> bool:
+        """Whether paths in all directions are tried besides those of the lattice search.
+
+        Only of terms that couple all places of a path.
+        """
+        return True
+
+    @property
     def needs_power(self) -> bool:
         """Whether the value rests on the predicted power at the end of each step."""
         return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -18,17 +18,29 @@ from planopt.objectives.filter_gain import (
     covariance_gain,
     first_steps,
     information_gain,
-    sampled_gain,
     sensing_of,
+    unobserved_covariances,
 )
 from planopt.objectives.terms.context import NearPath, Part, Paths, StepContext
 from planopt.objectives.terms.term import Structure, Term
 from planopt.objectives.tracking import Tracking, tracking_reward
 from planopt.objectives.tracking_derivatives import (
     connectivity_derivatives,
+    score_derivatives,
     tracking_reward_derivatives,
 )
 from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.objectives.tracking_scenarios import (
+    SOLVER_DRAWS,
+    Stations,
+    drawn_errors,
+    extended,
+    received_from,
+    removed,
+    scenario_derivatives,
+    scenario_gain,
+    scenario_gains,
+)
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 TrackingForm = Literal["additive", "information", "covariance", "sampled"]
@@ -77,6 +89,15 @@ class TrackingTerm(Term):
             "in time) or sampled (joint losses)."
         ),
     ] = "additive"
+    beyond_steps: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=100,
+            description="With form sampled: steps beyond the horizon that count as well, the robot "
+            "standing at the end of its path while the target moves on (a number).",
+        ),
+    ] = 0
 
     kind: ClassVar[str] = "tracking"
     summary: ClassVar[str] = "Track a target over a lossy link."
@@ -91,6 +112,11 @@ class TrackingTerm(Term):
     def needs_power(self) -> bool:
         """A packet arrives with the probability of connection."""
         return True
+
+    @property
+    def bends_starts(self) -> bool:
+        """The lattice's rewards saturate as the sampled value does."""
+        return self.form != "sampled"
 
     @property
     def counts_others(self) -> bool:
@@ -149,8 +175,12 @@ class TrackingTerm(Term):
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
         """Return the information, or the covariance removed, of one path's packets."""
         if self.form == "sampled":
-            further = list(zip(at.stations[1:], at.thresholds_dbm[1:], strict=True))
-            return sampled_gain(at.stations[0], path_m, self.filtered(at), further, at.others_m)
+            others, settings = list(at.others_m), self.beyond(at)
+            alone = at.once(
+                (TrackingTerm, "alone", self),
+                lambda: scenario_gain(_stations(at), others, settings) if others else 0.0,
+            )
+            return scenario_gain(_stations(at), [*others, path_m], settings) - alone
         settings = self.settings(at)
         power = at.power(path_m)
         chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
@@ -161,12 +191,33 @@ class TrackingTerm(Term):
             return float(covariance_gain(chance, sensing, self.filtered(at)))
         return float(settings.weight @ (chance * sensing))
 
+    def beyond(self, at: StepContext, steps: int | None = None) -> FilteredTracking:
+        """Return the station's filter for all steps, or the first ones, and those beyond."""
+        filtered = replace(self.filtered(at), others=None)
+        if steps is not None:
+            filtered = first_steps(filtered, steps)
+        return extended(filtered, self.beyond_steps)
+
+    def _ranked(self, paths: Paths) -> NDArray[np.float64]:
+        """Values of many paths of the form ``sampled``."""
+        at, (count, steps) = paths.at, paths.shape
+        settings, others = self.beyond(at, steps), [path[:steps] for path in at.others_m]
+        errors = drawn_errors(_stations(at), others)[:, :, :SOLVER_DRAWS]
+        told = received_from(_stations(at), others, errors, settings)
+        scores = (paths.power.mean_db - at.thresholds_dbm[0]) / paths.power.deviation_db
+        covariance = paths.stations[0].universal
+        found = scenario_gains(
+            scores.reshape(count, steps), covariance, paths.ways_m, told, settings
+        )
+        return found - removed(told, settings)
+
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the same of many paths."""
+        if self.form == "sampled":
+            return self._ranked(paths)
         settings, chance = self.settings(paths.at), paths.chance
         if self.form != "additive":
             filtered = first_steps(self.filtered(paths.at), paths.shape[1])
-            # Sampling joint losses of every path would be dear: what is chosen is sampled then.
             gain = information_gain if self.form == "information" else covariance_gain
             return gain(chance, sensing_of(paths.ways_m, filtered), filtered)
         return np.sum(
@@ -179,6 +230,8 @@ class TrackingTerm(Term):
 
     def derivatives(self, path: NearPath) -> Part:
         """Return the value by stages, or of the whole path where the filter couples them."""
+        if self.form == "sampled":
+            return self._derivatives(path)
         settings = self.settings(path.at)
         chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
         sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)
@@ -186,9 +239,24 @@ class TrackingTerm(Term):
             return tracking_reward_derivatives(chance, sensing, settings.weight)
         if self.form == "information":
             return information_gain_derivatives(chance, sensing, self.filtered(path.at))
-        # Sampled outcomes jump with the path. What the solver climbs in their place is in the same
-        # unit; what it returns is sampled again.
         return covariance_gain_derivatives(chance, sensing, self.filtered(path.at))
+
+    def _derivatives(self, path: NearPath) -> Part:
+        """Return the value of the form ``sampled`` over fewer draws, with derivatives."""
+        at, settings = path.at, self.beyond(path.at)
+
+        def drawn() -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+            errors = drawn_errors(_stations(at), [*at.others_m, path.about_m])[:, :, :SOLVER_DRAWS]
+            told = received_from(_stations(at), at.others_m, errors[:, :-1], settings)
+            return errors[:, -1], told, float(removed(told, settings))
+
+        errors, told, alone = at.once((TrackingTerm, self, path.about_m.tobytes()), drawn)
+        scores = [
+            score_derivatives(*power, threshold)
+            for power, threshold in zip(path.each, at.thresholds_dbm, strict=True)
+        ]
+        found = scenario_derivatives(scores, errors, told, path.places_m, settings)
+        return replace(found, value=found.value - alone)
 
     def stage_reward(
         self,
@@ -197,14 +265,35 @@ class TrackingTerm(Term):
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the expected information of one packet, in the additive form."""
+        """Return the expected information of one packet, in the additive form.
+
+        In the form ``sampled`` the covariance that it removes from what the station knows at that
+        step without packets of the robot.
+        """
         settings = self.settings(at)
+        if self.form == "sampled":
+            variance = at.once((TrackingTerm, "variance", self), lambda: self._unobserved_m2(at))
+            told = sensing_information(settings.sensor, places_m, settings.target_m[stage])
+            told *= 0.5 * variance[stage]
+            told /= 1.0 + told
+            told *= chance
+            return told * (2.0 * settings.weight[stage] * variance[stage])
         reward = sensing_information(settings.sensor, places_m, settings.target_m[stage])
         reward *= chance
         reward *= settings.weight[stage]
         return reward
 
+    def _unobserved_m2(self, at: StepContext) -> NDArray[np.float64]:
+        """Variance of a coordinate after each step without packets of the robot; ``(N,)``."""
+        covariances = unobserved_covariances(self.filtered(at))
+        variance = 0.5 * np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
+        return np.minimum(variance, 0.5 * self.most_stage_reward)
+
     @property
     def most_stage_reward(self) -> float:
         """The information of a packet from the best distance."""
         return 1.0 / self.noise_floor_m2
+
+
+def _stations(at: StepContext) -> Stations:
+    return list(zip(at.stations, at.thresholds_dbm, strict=True))

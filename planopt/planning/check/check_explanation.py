@@ -79,9 +79,14 @@ def _keys(case: Case, fault: Fault) -> list[Key]:
 def no_way_faults(problem: Problem, explanation: Sequence[Relaxation]) -> list[str]:
     """The same where no way leads to the goal."""
     faults: list[str] = []
-    asked = problem.constraints.clearance_m
+    asked, whole = problem.constraints.clearance_m, problem
+    names = [robot.name for robot in whole.robots]
     for one in explanation:
         key, relaxed = one.constraint, one.relaxed_value
+        if one.robot not in names:
+            faults.append(f"explanation: {key} does not fit the problem")
+            continue
+        problem = problem_of_robot(whole, names.index(one.robot))
         if key == "constraints.clearance_m" and relaxed is not None:
             helps = 0.0 <= relaxed < asked and is_joined(problem, relaxed)
             fits = one.value == asked and _near(one.shortfall, asked - relaxed, EXACT)
@@ -103,7 +108,7 @@ def no_way_faults(problem: Problem, explanation: Sequence[Relaxation]) -> list[s
             fits = one.value is None and relaxed is None and one.shortfall is None
         if not helps:
             faults.append(f"explanation: {key} does not open a way to the goal")
-        if not fits or one.stages or one.robot != problem.robots[0].name:
+        if not fits or one.stages:
             faults.append(f"explanation: {key} does not fit the problem")
     return faults
 

@@ -155,7 +155,7 @@ def rebuilt_solution(
         effort = Effort(robot.wall_s, robot.solve_s, robot.iterations)
         plan = rebuilt_plan(asked, path, drive, robot, robot.certificate.kkt_residual, effort)
         if problem.task == "reach":
-            plan = replace(plan, **_on_the_way(problem, robot, plan, posteriors, under))
+            plan = replace(plan, **_on_the_way(own, robot, plan, posteriors, under))
         where = f"robots[{number}]."
         objections = obstacles_met(own, place.index, path) if drive is None else []
         objections += plan.certificate.reasons

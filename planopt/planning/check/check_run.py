@@ -54,7 +54,7 @@ from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.roads import build_roads
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.run import Run
-from planopt.planning.team.reservations import beside, others_of
+from planopt.planning.team.reservations import beside, has_separation, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
@@ -211,7 +211,7 @@ def rebuilt_run(
         first_measurements=saved.beliefs[0].first,
         target=target_log(watches, connected),
         channel=_channel(saved, place, truths, driven[0].posteriors),
-        costs=_costs(saved, place.index, truths, tracks[0], ended[0]),
+        costs=_costs(saved, truths, list(tracks), ended[0]),
     )
     reasons += [reason for one in driven for reason in one.reasons]
     return _Rebuilt(run, taken, reasons)
@@ -234,9 +234,8 @@ def _channel(
 
 def _costs(
     saved: Saved,
-    index: ObstacleIndex,
     truths: Sequence[Truth],
-    track_m: NDArray[np.float64],
+    tracks_m: Sequence[NDArray[np.float64]],
     outcome: Outcome,
 ) -> dict[str, float]:
     """Return what a run to a goal cost; as it is said where there is no truth."""
@@ -244,8 +243,9 @@ def _costs(
     if problem.task != "reach":
         return {}
     if truths:
-        roads = build_roads(problem, np.asarray(problem.goal_m))
-        return run_costs(problem, roads, index, truths, track_m, outcome)
+        owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
+        roads = [build_roads(own, np.asarray(own.goal_m)) for own in owns]
+        return run_costs(problem, roads, truths, tracks_m, outcome)
     said: Mapping[str, float] = saved.data.get("metrics", {})
     return {key: said[key] for key in COSTS if key in said}
 
@@ -300,7 +300,8 @@ def _driven(
         known = posteriors[-1] = posteriors_at(belief, posteriors[-1], step)
         released = released_by[number][step - 1]
         proofs = [plan.certificate for plan in plans]
-        history = history_of(own, track[:step], connected[: step - 1], proofs)
+        waits = has_separation(saved.problem)
+        history = history_of(own, track[:step], connected[: step - 1], proofs, waits=waits)
         others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
         aim = aim_again(said.aim, aim_of(watches[step - 1], number, own.planner.horizon))

@@ -20,6 +20,7 @@ UNSOLVED = {
         Rung.COLD_RETRY,
         Rung.RELAXED,
         Rung.DIRECT,
+        Rung.GIVE_WAY,
     ),
     Termination.STOPPED: (Rung.SHIFTED, Rung.RESERVED),
     Termination.NO_PATH: (Rung.STOP, Rung.LEAVE),

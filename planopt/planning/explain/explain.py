@@ -30,6 +30,7 @@ from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import build_scene
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
@@ -279,6 +280,8 @@ def explain(solution: Solution) -> tuple[Relaxation, ...]:
 def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     """What would open a way to the goal of a problem that has none; of the changes each suffices.
 
+    With several robots, to the goals of those that have no way if they are alone.
+
     Parameters
     ----------
     problem
@@ -290,7 +293,20 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
         belief = prepare(problem, seed).belief
     except InputError:
         # Without measurements nothing can be solved again; what opens a way can still be said.
-        return explain_no_way(problem, lambda _: Verdict.NONE)
+        owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
+        shut = [own for own in owns if not _has_way(own)]
+        return tuple(one for own in shut for one in explain_no_way(own, lambda _: Verdict.NONE))
+
+    found: list[Relaxation] = []
+    for number in range(len(problem.robots)):
+        own = problem_of_robot(problem, number)
+        if len(problem.robots) == 1 or _reached(own, belief) is None:
+            found += _explain_robot(own, belief)
+    return tuple(found)
+
+
+def _explain_robot(problem: Problem, belief: Belief) -> tuple[Relaxation, ...]:
+    """Explain why the only robot of a problem has no way to its goal."""
 
     def solve_again(changed: Problem) -> Verdict:
         return _verdict(_reached(changed, belief))
@@ -306,14 +322,23 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, solve_again)
 
 
+def _has_way(problem: Problem) -> bool:
+    """Return whether obstacles leave the only robot a way to its goal."""
+    try:
+        build_scene(problem)
+    except NoPlanError:
+        return False
+    return True
+
+
 def _verdict(plan: Plan | None) -> Verdict:
     return Verdict.NONE if plan is None else plan.verdict
 
 
-def _reached(problem: Problem, belief: Belief) -> Plan | None:
+def _reached(problem: Problem, belief: Belief, number: int = 0) -> Plan | None:
     """Plan a changed problem to its goal; None where nothing leads there."""
     try:
-        return solve_on(problem, belief, 0).plan
+        return solve_on(problem, belief, 0).plans[number]
     except NoPlanError:
         return None
 
@@ -321,7 +346,7 @@ def _reached(problem: Problem, belief: Belief) -> Plan | None:
 def _planned(problem: Problem, solution: Solution, number: int) -> Plan | None:
     """Plan a changed problem for one robot; with the others if they keep apart."""
     if problem.task == "reach":
-        return _reached(problem, solution.belief)
+        return _reached(problem, solution.belief, number)
     if problem.constraints.separation_m > 0.0:
         return solve_on(problem, solution.belief, solution.seed).plans[number]
     seeds = team_seeds(problem, solution.seed)

@@ -18,8 +18,9 @@ from planopt.channel.fields.truth import Truth, mean_power_dbm
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.roads import node_at, nodes_in_reach
+from planopt.planning.robot_problem import problem_of_robot
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, segments_clear
+from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
 from planopt.world.road_map import RoadMap, shortest_ways, way_from
 
 SHORTCUT_NODES = 40
@@ -34,25 +35,36 @@ COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
 
 def run_costs(
     problem: Problem,
-    road_map: RoadMap,
-    index: ObstacleIndex,
+    road_maps: Sequence[RoadMap],
     truths: Sequence[Truth],
-    places_m: NDArray[np.float64],
+    tracks_m: Sequence[NDArray[np.float64]],
     outcome: Outcome,
 ) -> dict[str, float]:
-    """What a run of places (n + 1, 2) cost, the clairvoyant's cost, and their ratio, by metric.
+    """Return the costs of a run to goals: driven, a clairvoyant's, and their ratio, by metric.
 
-    The ratio is NaN for a run that did not arrive.
+    Costs are sums over all robots; each robot's clairvoyant is alone. The ratio is NaN for a run
+    that did not arrive.
 
     Parameters
     ----------
-    problem, road_map, index, truths
-        As :func:`clairvoyant_path` takes them.
-    places_m, outcome
+    problem, truths
+        What was run, and each station's channel.
+    road_maps
+        Lattice of each robot with a node at its goal; none where there are no goals.
+    tracks_m
+        ``(n + 1, 2)`` places of each robot.
+    outcome
         Of the run.
     """
-    driven = realised_cost_m(problem, truths, places_m)
-    least = realised_cost_m(problem, truths, clairvoyant_path(problem, road_map, index, truths))
+    if not road_maps:
+        return {}
+    index = index_obstacles(problem.workspace)
+    driven = least = 0.0
+    for number, (road_map, track) in enumerate(zip(road_maps, tracks_m, strict=True)):
+        own = problem_of_robot(problem, number)
+        path = clairvoyant_path(own, road_map, index, truths)
+        driven += realised_cost_m(own, truths, track)
+        least += realised_cost_m(own, truths, path)
     arrived = outcome is Outcome.REACHED and least > 0.0
     ratio = driven / least if arrived else float("nan")
     return dict(zip(COSTS, (driven, least, ratio), strict=True))

@@ -7,10 +7,9 @@ truth, the first measurements, the target's path and the sensors' noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
@@ -27,7 +26,7 @@ from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import Run
-from planopt.planning.scene import Scene, build_scene
+from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper, plan_step
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.region import workspace_region
@@ -45,9 +44,9 @@ def simulate(
     cost_to_go: str | None = None,
     seed: int = 0,
     measurements: GivenMeasurements | None = None,
-    scene: Scene | None = None,
+    scenes: Sequence[Scene] | None = None,
     prepared: Prepared | None = None,
-    on_start: Callable[[Plan], None] | None = None,
+    on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
     """Drive a problem's robots in the true channel.
@@ -66,11 +65,11 @@ def simulate(
         First measurements in place of those that the problem names: :class:`planopt.Measurements`
         or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
         stations a sequence with one for each.
-    scene, prepared
-        Geometry of a way to a goal, ground truth and first belief if they are there already, for
-        many runs of one seed.
+    scenes, prepared
+        Geometry of each robot that is to reach a goal, ground truth and first belief if they are
+        there already, for many runs of one seed.
     on_start
-        Called with the first robot's first plan, before the first step.
+        Called with the first plan of each robot, before the first step.
     on_step
         Called after every step with its number, for progress display.
 
@@ -91,13 +90,13 @@ def simulate(
             "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
         )
     reaches = problem.task == "reach"
-    if reaches and scene is None:
-        scene = build_scene(problem)
+    if scenes is None:
+        scenes = build_scenes(problem)
     seeds = team_seeds(problem, seed)
     robots = Stepper(
         problem,
         prepared.belief,
-        plan_step(problem, scene if reaches else None, seeds),
+        plan_step(problem, scenes if reaches else None, seeds),
         watch_target(problem, seeds.target),
     )
     # The error over the whole workspace is dear, and tells little of a way to a goal.
@@ -112,7 +111,7 @@ def simulate(
             break
         step, watch = len(robots.connected) + 1, robots.watches[-1]
         if step == 1 and on_start is not None:
-            on_start(step_plans[0])
+            on_start(step_plans)
         states = [plan.next_state for plan in step_plans]
         here = np.array([state[:2] for state in states])
         robots.observe(
@@ -143,7 +142,9 @@ def simulate(
         first_measurements=len(prepared.belief.posterior.measurements),
         target=target_log(robots.watches, robots.connected),
         channel=channel_log(rows) if rows else None,
-        costs=_costs(problem, scene, prepared, tracks[0], ended[0]) if reaches else {},
+        costs=run_costs(
+            problem, [scene.road_map for scene in scenes or ()], prepared.truths, tracks, ended[0]
+        ),
     )
 
 
@@ -156,16 +157,3 @@ def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
         )
     ]
     return run_ending(robots.problem, robots.connected, progress)
-
-
-def _costs(
-    problem: Problem,
-    scene: Scene | None,
-    prepared: Prepared,
-    track_m: NDArray[np.float64],
-    outcome: Outcome,
-) -> dict[str, float]:
-    """Return what a run to a goal cost."""
-    if scene is None:
-        return {}
-    return run_costs(problem, scene.road_map, scene.index, prepared.truths, track_m, outcome)

@@ -70,10 +70,46 @@ def run_ending(
         All of them.
     """
     if problem.task == "reach":
-        robot = robots[0]
-        last = robot.plans[-1] if robot.plans else None
-        return goal_ending(problem, robot.states, robot.learnt, last)
+        return goals_ending(problem, robots)
     return terms_ending(problem, connected, robots) if len(connected) else None
+
+
+def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
+    """Return how a run to goals ends; arguments as of :func:`run_ending`.
+
+    It goes on while any robot does: one that stands at its goal, or waits, may give way to others.
+    """
+    ends = [
+        goal_ending(each.problem, each.states, each.learnt, each.plans[-1] if each.plans else None)
+        for each in robots
+    ]
+    if len(robots) == 1:
+        return ends[0]
+    found = [end for end in ends if end is not None]
+    if all(end is not None and end[0] is Outcome.REACHED for end in ends):
+        return Outcome.REACHED, "all robots within goal_radius_m of their goals"
+    if len(robots[0].learnt) >= problem.planner.max_steps:
+        late = [
+            each.problem.robots[0].name
+            for each, end in zip(robots, ends, strict=True)
+            if end is None or end[0] is not Outcome.REACHED
+        ]
+        return Outcome.STEP_LIMIT, (
+            f"{', '.join(late)} not arrived after {problem.planner.max_steps} steps"
+        )
+    if len(found) < len(robots) or not all(_stays(each) for each in robots):
+        return None
+    stuck = [
+        (each, why)
+        for each, end in zip(robots, ends, strict=True)
+        if end is not None and end[0] is Outcome.STALLED and (why := end[1])
+    ]
+    return Outcome.STALLED, _in_words(problem, stuck)
+
+
+def _stays(robot: Progress) -> bool:
+    """Whether a robot has stayed about one place for `STALL_STEPS`, at its goal or not."""
+    return _circling(robot.states, robot.problem.step_length_m)
 
 
 def goal_ending(

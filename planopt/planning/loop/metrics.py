@@ -51,18 +51,23 @@ ANY = (-np.inf, np.inf)
 
 
 def metrics_of(
-    log: StepLog, plans: Sequence[Plan], outcome: Outcome, learnt: Sequence[bool]
+    log: StepLog,
+    plans: Sequence[Plan],
+    outcome: Outcome,
+    learnt: Sequence[bool],
+    arrival: int = -1,
 ) -> Metrics:
     """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
-    Shares are over the steps driven, the start not counted; a run of no step counts as wholly
-    connected. The polish gain is the mean over the steps.
+    A robot that reached its goal arrived after step number `arrival`. Shares are over the steps
+    driven, the start not counted; a run of no step counts as wholly connected.
+    The polish gain is the mean over the steps.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
     gains = [plan.polish_gain for plan in plans]
     return Metrics(
-        goal_time_s=float(log.t_s[-1]) if outcome is Outcome.REACHED else float("nan"),
+        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else float("nan"),
         path_m=float(lengths.sum()),
         true_connected_share=float(connected.mean()) if connected.size else 1.0,
         longest_outage_m=longest_outage_m(lengths, connected),

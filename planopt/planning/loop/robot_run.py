@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.arrival import is_at_goal, stands
 from planopt.planning.loop.log import Outcome, RobotRun, StepLog
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.plan import Plan, Rung, Verdict
@@ -104,11 +105,20 @@ def robot_run(
         The outcome, and why.
     """
     log = step_log(problem, track_m, true_dbm, plans)
+    drive = driven(problem.robots[0], plans)
+    reached = problem.task == "reach" and ended[0] is Outcome.REACHED
+    arrival = _arrival(problem, track_m if drive is None else drive.states) if reached else -1
     return RobotRun(
         robot=problem.robots[0].name,
         outcome=ended[0],
         reason=ended[1],
         log=log,
-        metrics=metrics_of(log, plans, ended[0], learnt),
-        drive=driven(problem.robots[0], plans),
+        metrics=metrics_of(log, plans, ended[0], learnt, arrival),
+        drive=drive,
     )
+
+
+def _arrival(problem: Problem, states: NDArray[np.float64]) -> int:
+    """Return the step after which a robot stands at its goal, from then on."""
+    away = [not (is_at_goal(problem, state[:2]) and stands(problem, state)) for state in states]
+    return int(np.flatnonzero(away).max(initial=-1)) + 1

@@ -1,12 +1,15 @@
 """What robots and their station know of a moving target: one filter each.
 
 A robot's own filter has all its own measurements of the target; the station's has those whose
-packets arrived (equation 4.9). Everything random about the target comes from one generator.
+packets arrived (equation 4.9), or, where packets have estimates, all that their senders had
+measured: of one robot its own estimate, of several what no fusion of their estimates can exceed.
+Everything random about the target comes from one generator.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +18,7 @@ from planopt.planning.given import free_target_path
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.target_model import target_model
 from planopt.problems.problem import Problem
+from planopt.problems.target import Packets
 from planopt.targets.information_filter import (
     InformationState,
     information_state,
@@ -24,6 +28,24 @@ from planopt.targets.information_filter import (
 )
 from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
 from planopt.targets.target_model import TargetModel, predict_target, simulate_target
+
+
+@dataclass(frozen=True, eq=False)
+class Sent:
+    """Measurements of the target after one step, and whose packets got through.
+
+    Attributes
+    ----------
+    measured_m, positions_m
+        ``(n, 2)`` where each robot measured it, and where the robot was.
+    seen, delivered
+        ``(n,)`` who measured it at all, and whose packet of this step arrives.
+    """
+
+    measured_m: NDArray[np.float64]
+    positions_m: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+    delivered: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +62,14 @@ class TargetWatch:
         Each robot's own filter.
     station
         The station's filter.
+    packets, delay_steps
+        What packets have of the target, and how long they take.
+    sent
+        What robots measured and sent after each step.
+    known
+        ``(steps, robots)`` which of these measurements the station knows now.
+    past
+        The station's filter at the start and after each step but the last, from these.
     """
 
     model: TargetModel
@@ -47,6 +77,11 @@ class TargetWatch:
     true_m: NDArray[np.float64]
     robots: tuple[InformationState, ...]
     station: InformationState
+    packets: Packets = "measurements"
+    delay_steps: int = 0
+    sent: tuple[Sent, ...] = ()
+    known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    past: tuple[InformationState, ...] = ()
 
     def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
         """Where robot number `robot` expects the target after each step from now; (steps, 2)."""
@@ -100,7 +135,15 @@ def _first_watch(
     start = np.array([*target.start_m, *target.velocity_m_s])
     first = information_state(start + deviation * error, np.diag(deviation**2))
     robots = (first,) * len(problem.robots)
-    return TargetWatch(target_model(problem), sensor, true_m, robots, first)
+    return TargetWatch(
+        target_model(problem),
+        sensor,
+        true_m,
+        robots,
+        first,
+        target.packets,
+        target.packet_delay_steps,
+    )
 
 
 def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
@@ -161,8 +204,35 @@ def counted(
         _counted(watch, state, measured[i : i + 1], positions_m[i : i + 1], seen[i : i + 1])
         for i, state in enumerate(watch.robots)
     )
-    station = _counted(watch, watch.station, measured, positions_m, delivered & seen)
-    return replace(watch, robots=robots, station=station)
+    arrives = np.asarray(delivered, dtype=np.bool_)
+    sent = (*watch.sent, Sent(measured, positions_m, seen, arrives))
+    known = _known(sent, watch.packets, watch.delay_steps)
+    past = (*watch.past, watch.station)
+    # Packets that tell of earlier steps change what was known after these.
+    before = watch.known if len(watch.known) else known[:0]
+    changed = np.flatnonzero((known[:-1] != before).any(axis=1))
+    first = int(changed[0]) if len(changed) else len(known) - 1
+    states = list(past[: first + 1])
+    for step, arrived in zip(sent[first:], known[first:], strict=True):
+        states.append(_counted(watch, states[-1], step.measured_m, step.positions_m, arrived))
+    return replace(
+        watch,
+        robots=robots,
+        station=states[-1],
+        sent=sent,
+        known=known,
+        past=tuple(states[:-1]),
+    )
+
+
+def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> NDArray[np.bool_]:
+    """Which measurements of each step the station knows after the last; ``(steps, robots)``."""
+    arrived = np.array([step.delivered for step in sent])
+    arrived[len(sent) - min(delay_steps, len(sent)) :] = False
+    if packets == "estimates":
+        # An estimate has all that was measured until it was sent.
+        arrived = np.logical_or.accumulate(arrived[::-1], axis=0)[::-1]
+    return arrived & np.array([step.seen for step in sent])
 
 
 def _counted(

@@ -10,7 +10,7 @@ a robot that keeps its rule by standing still would never arrive.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,13 @@ from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.lattice_search import search_lattice
 from planopt.planning.search.moving_moves import first_steps_apart
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.planning.search.timed_search import (
+    TimedCosts,
+    TimedPath,
+    search_timed,
+    timed_places,
+)
+from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
 from planopt.planning.worth.rule_rows import step_rows
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
@@ -71,6 +77,8 @@ class GlobalStart:
         Whether path or route lead where driving is forbidden.
     is_direct
         Whether the robot is to drive this very path, having wandered enough.
+    gives_way
+        Whether it is to drive this very path, which keeps from those of other robots.
     """
 
     nodes: NDArray[np.intp]
@@ -82,6 +90,7 @@ class GlobalStart:
     metre_cost: NDArray[np.float64]
     is_blocked: bool
     is_direct: bool = False
+    gives_way: bool = False
 
 
 class GlobalSearch:
@@ -140,6 +149,59 @@ class GlobalSearch:
         if problem.constraints.rule.connectivity != "each_step":
             nodes = self._within_rule(situation, ways, nodes)
         return self._start(situation, ways, nodes)
+
+    def beside(
+        self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
+    ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
+        """Search a path to the goal that keeps from discs all the way; None if there is none.
+
+        Parameters
+        ----------
+        position_m
+            ``(2,)`` where the robot is.
+        start
+            The path that it would drive without them, found on the present belief.
+        discs
+            What moves, over all T steps that count.
+
+        Returns
+        -------
+        start, (T + 1, 2) array, TimedPath
+            Its first N steps, where the robot would be after each step, and the path.
+        """
+        problem, scene = self._problem, self._scene
+        nodes, lengths = first_moves(scene.ground, problem, position_m)
+        _, here = self.margins.at(position_m[None])
+        metre_cost = np.append(start.metre_cost, 1.0 + problem.reach.outage_price * float(here[0]))
+        costs = TimedCosts(
+            scene.road_map,
+            start.ways,
+            scene.goal_node,
+            problem.planner.step_s,
+            problem.step_length_m - STEP_PAD_M,
+            problem.reach.effort_weight_s2_m2,
+            self._rate,
+            self._rate * (metre_cost - 1.0),
+        )
+        horizon = problem.planner.horizon
+        found = search_timed(costs, position_m, nodes, lengths, discs, horizon)
+        if found is None:
+            return None
+        first = found.nodes[:horizon]
+        self.margins.correct(first)
+        places = scene.road_map.nodes_m
+        way = np.vstack([position_m, places[found.nodes]])
+        given = replace(
+            start,
+            nodes=first,
+            path_m=places[first],
+            margin_db=self.margins.margin_db[first],
+            route_m=places[np.concatenate([found.nodes[horizon:], found.route])],
+            beyond_m=np.zeros((0, 2)),
+            gives_way=True,
+        )
+        on = timed_places(way, places[found.route], costs.step_m, discs.steps)
+        return given, on, found
 
     def _has_wandered(self, history: History) -> bool:
         """Whether a run has gone in circles, or on for longer than the dearest direct path.

@@ -27,7 +27,7 @@ from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import structure_of
+from planopt.planning.worth.structure import bends_starts
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.lattice import MOVES
@@ -172,8 +172,7 @@ class StartSearch:
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
         self._move_values = move_values(problem, ground.road_map.lengths_m)
-        coupled = structure_of(problem) == "full"
-        self._coupled = CoupledStarts(problem, ground) if coupled else None
+        self._coupled = CoupledStarts(problem, ground) if bends_starts(problem) else None
 
     def find_starts(
         self,

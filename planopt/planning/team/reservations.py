@@ -26,6 +26,11 @@ from planopt.world.moving_discs import MovingDiscs, joined_discs
 from planopt.world.timed_motion import TimedMotion
 
 
+def has_separation(problem: Problem) -> bool:
+    """Return whether a problem's robots must keep apart."""
+    return len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
+
+
 def reserved_path(
     position_m: NDArray[np.float64], last_path_m: NDArray[np.float64] | None, horizon: int
 ) -> NDArray[np.float64]:

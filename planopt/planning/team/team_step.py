@@ -78,7 +78,7 @@ def plan_together(
     if stuck and len(crew) > 1 and problem.constraints.separation_m > 0.0:
         again = stuck + [number for number in order if number not in stuck]
         tried, tried_aims = _in_order(problem, crew, moment, again, keep_reserved=False)
-        if _keep_apart(problem, tried) and _verified(tried) > _verified(plans):
+        if keep_apart(problem, tried) and _verified(tried) > _verified(plans):
             plans, aims = tried, tried_aims
     if counts_others(problem) and len(crew) > 1:
         for _ in range(problem.planner.rounds - 1):
@@ -168,7 +168,8 @@ def _again_in_turn(
     return beside_each_other(problem, moment.driven, plans), aims
 
 
-def _keep_apart(problem: Problem, plans: Sequence[Plan]) -> bool:
+def keep_apart(problem: Problem, plans: Sequence[Plan]) -> bool:
+    """Return whether the plans of one step keep the separation from each other."""
     limit = problem.constraints.separation_m - CLEARANCE_TOLERANCE_M
     found = [plan.certificate.min_separation_m for plan in plans]
     return all(distance is None or distance >= limit for distance in found)

@@ -84,7 +84,7 @@ def local_worth(
         if rows.weight is not None and power is not None:
             total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
         gates = None if rule is None else rule.gates(places_m[None])
-        near = NearPath(situation, places_m, power, each, joint, told, gates, ahead, tried)
+        near = NearPath(situation, places_m, power, each, joint, told, gates, ahead, tried, path_m)
         parts = [_weighted(term.weight, term.derivatives(near)) for term in problem.terms]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 

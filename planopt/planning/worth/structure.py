@@ -15,3 +15,11 @@ def structure_of(problem: Problem) -> Structure:
     if "full" in found:
         return "full"
     return "chain" if "chain" in found else "stagewise"
+
+
+def bends_starts(problem: Problem) -> bool:
+    """Whether the places of a path are coupled by a term that no lattice search stands in for.
+
+    Then paths in all directions are tried besides those of the lattice, and more are followed.
+    """
+    return any(term.structure == "full" and term.bends_starts for term in problem.terms)

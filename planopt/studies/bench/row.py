@@ -22,7 +22,7 @@ from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.prepare import Prepared, prepare
-from planopt.planning.scene import Scene, build_scene
+from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solve import solve_on
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
@@ -113,10 +113,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Start:
-    """What the cases of one problem and seed share: the first belief, and the scene with a goal."""
+    """What the cases of one problem and seed share: the first belief, and scenes with goals."""
 
     prepared: Prepared
-    scene: Scene | None
+    scenes: tuple[Scene, ...] | None
     no_plan: str = ""
 
 
@@ -124,10 +124,8 @@ def start_of(case: Case) -> Start:
     """Draw the channel, fit it and build the scene for the cases of one problem and seed."""
     problem = problem_of(case)
     prepared = prepare(problem, case.question.seed)
-    if problem.task != "reach":
-        return Start(prepared, None)
     try:
-        return Start(prepared, build_scene(problem))
+        return Start(prepared, build_scenes(problem))
     except NoPlanError as error:
         return Start(prepared, None, str(error))
 
@@ -195,7 +193,7 @@ def _nothing(case: Case, problem: Problem) -> Row:
 
 def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
     begun = process_time()
-    solution = solve_on(problem, start.prepared.belief, nothing.seed, start.scene)
+    solution = solve_on(problem, start.prepared.belief, nothing.seed, start.scenes)
     cpu_s = process_time() - begun
     plans = solution.plans
     with tempfile.TemporaryDirectory() as folder:
@@ -221,7 +219,7 @@ def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
 
 def _run_row(problem: Problem, nothing: Row, start: Start) -> Row:
     begun = process_time()
-    run = simulate(problem, seed=nothing.seed, scene=start.scene, prepared=start.prepared)
+    run = simulate(problem, seed=nothing.seed, scenes=start.scenes, prepared=start.prepared)
     plans = tuple(plan for each in run.plans for plan in each)
     cpu_s = process_time() - begun
     with tempfile.TemporaryDirectory() as folder:

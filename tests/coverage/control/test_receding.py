@@ -195,29 +195,30 @@ def test_agents_pass_obstacles(blocks: GeodesicGround, kind: str) -> None:
     assert np.linalg.norm(agents - aims, axis=1).max() < 0.1
 
 
-@pytest.mark.parametrize("keep_m", [0.0, 0.5])
-def test_corridors_hold_no_border(blocks: GeodesicGround, keep_m: float) -> None:
-    """Places of a corridor keep off the border, and the free straight way is within it."""
+def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
+    """Places of a corridor keep the clearance, and the free straight way is within it."""
     rng = np.random.default_rng(6)
-    ground = GeodesicGround(blocks.free, blocks.region, blocks.hull)
     drawn = rng.random((400, 2)) * [60.0, 40.0]
     agents = drawn[blocks.region.contains(drawn)][:60]
-    agents[:2] = [[14.4, 24.6], [20.6, 10.0]]
+    agents[:4] = [[14.4, 24.6], [20.6, 10.0], [14.4, 10.0], [0.6, 0.6]]
     aims = rng.random((len(agents), 2)) * [60.0, 40.0]
-    sets = ground_sets(ground, agents, agents, aims, keep_m, 25.0)
+    aims[:3] = [[20.6, 24.6], [20.6, 24.6], [14.4, 24.6]]
+    sets = ground_sets(blocks, agents, agents, aims, 0.6, 25.0)
     for which, (agent, aim) in enumerate(zip(agents, aims, strict=True)):
         near = agent + 30.0 * (rng.random((300, 2)) - 0.5)
         near = near[np.linalg.norm(near - agent, axis=1) < 12.0]
         one = sets.of(np.array([which]))
         inside = (near @ one.normals.T <= one.offsets_m).all(axis=1)
-        assert inside.any()
-        places = shapely.points(near[inside])
-        assert shapely.contains(blocks.free, places).all()
-        assert shapely.distance(shapely.boundary(blocks.free), places).min() >= keep_m
-        way = shapely.LineString([agent, aim])
+        assert inside.any() and (one.normals @ agent <= one.offsets_m + 1e-9).all()
+        assert shapely.contains(blocks.free, shapely.points(near[inside])).all()
+        away = shapely.distance(shapely.boundary(blocks.free), shapely.points(near[inside]))
+        assert away.min() >= 0.6 - 1e-6
         if blocks.region.sees(agent[None], aim[None])[0]:
-            reached = agent + (aim - agent) * min(1.0, 25.0 / way.length)
+            length = float(np.linalg.norm(aim - agent))
+            reached = agent + (aim - agent) * min(1.0, 25.0 / length)
             assert (one.normals @ reached <= one.offsets_m + 1e-9).all()
+    with pytest.raises(InputError, match="clearance"):
+        ground_sets(blocks, agents, agents, aims, 0.7, 25.0)
 
 
 def test_points_may_meet(square: ConvexRegion) -> None:

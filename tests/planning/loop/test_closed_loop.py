@@ -180,16 +180,15 @@ def test_the_shortest_way_leads_across():
 
 def test_circling_is_a_stall(monkeypatch):
     """To and fro over known ground without end is one too."""
-    import planopt.planning.stepping as stepping
-    from planopt.planning.history import BEGINNING
+    from planopt.planning.team import couriers
 
-    class Pacing(stepping.ReachPlanner):
-        def plan(self, belief, position_m, warm=None, history=BEGINNING):
-            plan = super().plan(belief, position_m, None, history)
+    class Pacing(couriers.ReachPlanner):
+        def release(self, outlook, warm=None, moving=None, reserved_m=None):
+            plan, position_m = super().release(outlook), outlook.state[:2]
             there = np.array([5.0, 15.0]) if position_m[0] > 5.5 else np.array([6.0, 15.0])
             return replace(plan, positions_m=np.vstack([position_m, there, there]))
 
-    monkeypatch.setattr(stepping, "ReachPlanner", Pacing)
+    monkeypatch.setattr(couriers, "ReachPlanner", Pacing)
     done = small_run(small_problem(horizon=2, planner="lattice"))
     assert done.run.outcome is Outcome.STALLED
     assert "of one place for 30 steps" in done.run.reason

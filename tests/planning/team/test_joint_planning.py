@@ -56,7 +56,14 @@ def test_a_joint_team_tells_more_than_a_decoupled_one(seed):
     )
 
 
-@pytest.mark.parametrize("terms", [(MAPPING,), ({**TRACKING, "form": "covariance"},)])
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (MAPPING,),
+        ({**TRACKING, "form": "covariance"},),
+        ({**TRACKING, "form": "sampled", "beyond_steps": 3},),
+    ],
+)
 def test_rounds_never_make_the_team_worse(terms):
     """After each further round the plans are worth at least as much together."""
     worths = []

@@ -1,0 +1,209 @@
+"""Trees of radio links that agents keep while they move.
+
+Each agent reaches a base station over its parent in a tree. The probabilities that links fail are
+added along the way (union bound), so that no independence of the links is needed. Each link
+may get longer until its share of the allowed sum is used up, and half of that is left to each end.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
+from scipy.spatial import KDTree
+from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
+
+from planopt.coverage.control.safe_sets import SafeSets
+from planopt.coverage.limits import LinkLaw, RadioLimits
+
+LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
+"""Lengths of links at which laws are evaluated; a link counts as long as the next one."""
+
+HOP = 0.02
+"""A link counts at least this share of what may fail, so that trees are not deeper than needed."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RadioTree:
+    """Which links carry the network, and where agents keep them.
+
+    Attributes
+    ----------
+    parent
+        ``(n,)`` the agent that each agent's link leads to; station ``k`` as ``-1 - k``. An agent
+        without connection is its own parent.
+    failure
+        ``(n,)`` bound on the probability that an agent has no connection over the tree now.
+    kept
+        Discs in which agents keep all links of the tree; empty for agents without connection.
+    """
+
+    parent: NDArray[np.intp]
+    failure: Floats
+    kept: SafeSets
+
+    @property
+    def connected(self) -> NDArray[np.bool_]:
+        """Whether each agent has a connection; (n,)."""
+        return self.parent != np.arange(len(self.parent))
+
+
+def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = None) -> RadioTree:
+    """Choose the tree in which links to a station fail least, and where agents keep it.
+
+    Parameters
+    ----------
+    places_m
+        ``(n, 2)`` agents.
+    radio
+        What has to be kept.
+    stops_m
+        ``(n, 2)`` where agents can stop; None where they are.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from planopt.coverage.limits import LinkLaw
+    >>> law = LinkLaw(np.array([-10.0, 2.5]), 6.0, np.zeros((2, 2)))
+    >>> radio = RadioLimits(np.array([[0.0, 0.0]]), law, law, -70.0, 0.9)
+    >>> tree = radio_tree(np.array([[20.0, 0.0], [90.0, 0.0], [999.0, 0.0]]), radio)
+    >>> tree.parent.tolist(), tree.connected.tolist()
+    ([-1, 0, 2], [True, True, False])
+    """
+    stops = places_m if stops_m is None else stops_m
+    count, allowed = len(places_m), 1.0 - radio.p_min
+    between, direct = (_failures(law, radio) for law in (radio.agent_link, radio.station_link))
+    pairs, centres, lengths = _links(places_m, stops, _longest(between, allowed))
+    ends = np.stack((places_m, stops), axis=1)[:, :, None] - radio.stations_m
+    away = np.linalg.norm(ends, axis=3).max(axis=1)
+    station = _at(direct, away).argmin(axis=1)
+    # Links to a station come last; all stations are node n.
+    agents = np.arange(count)
+    pairs = np.concatenate((pairs, np.stack((agents, np.full(count, count)), axis=1)))
+    fails = np.concatenate((_at(between, lengths), _at(direct, away[agents, station])))
+    for least in (HOP * allowed, np.finfo(np.float64).tiny):
+        link, failure, order = _tree(pairs, np.maximum(fails, least), fails, count)
+        if (failure <= allowed).all():
+            break
+    linked = [agent for agent in order if failure[agent] <= allowed]
+    up = {agent: int(pairs[link[agent]].sum()) - agent for agent in linked}
+    depth = dict.fromkeys([count], 0)
+    for agent in linked:
+        depth[agent] = depth[up[agent]] + 1
+    # The largest sum and the most links of any way that goes over the agent.
+    most, deepest = failure.copy(), dict(depth)
+    for agent in reversed(linked):
+        if up[agent] != count:
+            most[up[agent]] = max(most[up[agent]], most[agent])
+            deepest[up[agent]] = max(deepest[up[agent]], deepest[agent])
+    parent = agents.copy()
+    discs: list[tuple[int, Floats, float]] = []
+    for agent in linked:
+        may_fail = fails[link[agent]] + (allowed - most[agent]) / deepest[agent]
+        if up[agent] == count:
+            parent[agent] = -1 - station[agent]
+            middle = radio.stations_m[station[agent]]
+            discs.append((agent, middle, _longest(direct, may_fail)))
+        else:
+            parent[agent] = up[agent]
+            half = 0.5 * _longest(between, may_fail)
+            discs += [(end, centres[link[agent]], half) for end in (agent, up[agent])]
+    kept = SafeSets(
+        np.zeros(0, dtype=np.intp),
+        np.zeros((0, 2)),
+        np.zeros(0),
+        np.array([one[0] for one in discs], dtype=np.intp),
+        np.array([one[1] for one in discs]).reshape(-1, 2),
+        np.array([one[2] for one in discs]),
+    )
+    return RadioTree(parent, np.where(failure <= allowed, failure, 1.0)[:count], kept)
+
+
+def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
+    """Probabilities that links of `LENGTHS_M` or shorter ones fail, the largest of them."""
+    decades = -10.0 * np.log10(LENGTHS_M)
+    mean = law.theta[0] + law.theta[1] * decades
+    path_loss = law.theta_covariance
+    variance = path_loss[0, 0] + decades * (2.0 * path_loss[0, 1] + decades * path_loss[1, 1])
+    deviation = np.sqrt(np.maximum(variance, 0.0) + law.deviation_db**2)
+    margin = mean - radio.threshold_dbm
+    # Without any deviation a link holds or fails for sure.
+    score = margin / np.maximum(deviation, 1e-9)
+    return np.maximum.accumulate(np.asarray(ndtr(-score), dtype=np.float64))
+
+
+def _at(failures: Floats, lengths_m: Floats) -> Floats:
+    """Failures of links, at the next length of the table; 1 beyond it."""
+    return np.append(failures, 1.0)[np.searchsorted(LENGTHS_M, lengths_m)]
+
+
+def _longest(failures: Floats, may_fail: float) -> float:
+    """The longest link of the table that fails with at most that probability; 0 if none does."""
+    number = int(np.searchsorted(failures, may_fail, side="right"))
+    return float(LENGTHS_M[number - 1]) if number else 0.0
+
+
+def _links(
+    places: Floats, stops: Floats, longest_m: float
+) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """Pairs (e, 2) of agents whose links may hold, and the least circles about both reserves.
+
+    Returns the pairs, the centres (e, 2) and the diameters (e,): a link counts as long as that.
+    """
+    middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
+    tree = KDTree(middle)
+    found = tree.query_pairs(longest_m + 2.0 * float(half.max()), output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+    pairs = cast("NDArray[np.intp]", found)
+    one, other = pairs[:, 0], pairs[:, 1]
+    if not half.any():
+        centres = 0.5 * (places[one] + places[other])
+        return pairs, centres, np.linalg.norm(places[one] - places[other], axis=1)
+    corners = np.stack((places[one], stops[one], places[other], stops[other]), axis=1)
+    best, least = corners[:, 0].copy(), np.full(len(pairs), np.inf)
+    for chosen in itertools.chain(*(itertools.combinations(range(4), size) for size in (2, 3))):
+        a, b, c = corners[:, chosen[0]], corners[:, chosen[1]], corners[:, chosen[-1]]
+        centre = 0.5 * (a + b)
+        if len(chosen) == 3:
+            u, v = b - a, c - a
+            twice = 2.0 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+            flat = np.abs(twice) < 1e-12 * ((u * u).sum(axis=1) + (v * v).sum(axis=1))
+            scaled = (u * u).sum(axis=1)[:, None] * v - (v * v).sum(axis=1)[:, None] * u
+            offset = np.stack((scaled[:, 1], -scaled[:, 0]), axis=1)
+            centre = a + offset / np.where(flat, 1.0, twice)[:, None]
+        # Any centre is valid with the radius that it needs; the least one is meant.
+        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        better = radius < least
+        best[better], least[better] = centre[better], radius[better]
+    return pairs, best, 2.0 * least
+
+
+def _tree(
+    pairs: NDArray[np.intp], weights: Floats, fails: Floats, count: int
+) -> tuple[NDArray[np.intp], Floats, list[int]]:
+    """Shortest ways from node `count` to all others over links (e, 2) with weights (e,).
+
+    Returns the link (n,) toward it, the sum of `fails` (n + 1,) along the way, and the agents that
+    are reached, in the order of their distance.
+    """
+    shape = (count + 1, count + 1)
+    graph = csr_array((weights, (pairs[:, 0], pairs[:, 1])), shape=shape)
+    number = csr_array((np.arange(1, len(pairs) + 1), (pairs[:, 0], pairs[:, 1])), shape=shape)
+    far, before = cast(
+        "tuple[Floats, NDArray[np.int32]]",
+        dijkstra(graph, directed=False, indices=count, return_predecessors=True),
+    )
+    order = [int(agent) for agent in np.argsort(far, kind="stable")[1:] if np.isfinite(far[agent])]
+    failure, link = np.full(count + 1, np.inf), np.zeros(count, dtype=np.intp)
+    failure[count] = 0.0
+    for agent in order:
+        up = int(before[agent])
+        link[agent] = cast("int", number[min(agent, up), max(agent, up)]) - 1
+        failure[agent] = failure[up] + fails[link[agent]]
+    return link, failure[: count + 1], order

@@ -1,0 +1,166 @@
+"""What agents of a network can do and must keep: motion, bodies, and radio links."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.region import positive
+from planopt.errors import InputError
+
+if TYPE_CHECKING:
+    from planopt.channel.posterior import ChannelPosterior
+
+
+@dataclass(frozen=True)
+class MoveLimits:
+    """What agents can do and must keep.
+
+    Attributes
+    ----------
+    time_step_s
+        Length of a step in s.
+    speed_m_s
+        Largest speed; infinite without limit.
+    acceleration_m_s2
+        Largest acceleration of double integrators; None for single ones, whose velocity may jump.
+    turn_rate_rad_s
+        Largest turn rate of unicycles, which turn on the spot and then drive straight, backwards
+        too; None for agents that move in all directions.
+    body_radius_m
+        Radius of the bodies; agents with 0 are points that may share a place.
+    clearance_m
+        What an agent's place keeps from obstacles and from the border; at least the body radius
+        is kept.
+
+    Raises
+    ------
+    InputError
+        A limit is out of range, or limits do not go together.
+    """
+
+    time_step_s: float = 1.0
+    speed_m_s: float = math.inf
+    acceleration_m_s2: float | None = None
+    turn_rate_rad_s: float | None = None
+    body_radius_m: float = 0.0
+    clearance_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive(self.time_step_s, "control.time_step_s")
+        if self.speed_m_s != math.inf:
+            positive(self.speed_m_s, "limits.speed_m_s")
+        positive(self.body_radius_m, "limits.body_radius_m", zero=True)
+        positive(self.clearance_m, "limits.clearance_m", zero=True)
+        for value, key in (
+            (self.acceleration_m_s2, "limits.acceleration_m_s2"),
+            (self.turn_rate_rad_s, "limits.turn_rate_rad_s"),
+        ):
+            if value is None:
+                continue
+            positive(value, key)
+            if self.speed_m_s == math.inf:
+                raise InputError(
+                    "it needs a largest speed", key=key, remedy="give limits.speed_m_s"
+                )
+        if self.acceleration_m_s2 is not None and self.turn_rate_rad_s is not None:
+            raise InputError(
+                "unicycles with a largest acceleration cannot be planned",
+                key="limits.turn_rate_rad_s",
+                remedy="give one of both limits",
+            )
+
+    @property
+    def keep_m(self) -> float:
+        """What an agent's place keeps from obstacles and border."""
+        return max(self.body_radius_m, self.clearance_m)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkLaw:
+    """How the power of a link falls with its length, as far as it is known.
+
+    Power at distance d is normal with mean ``k_pl_db - 10 n_pl log10 d``. Its variance is that of
+    shadowing and multipath and that of the uncertain path loss.
+
+    Attributes
+    ----------
+    theta
+        ``(2,)``: k_pl_db and n_pl.
+    deviation_db
+        Standard deviation of shadowing and multipath together.
+    theta_covariance
+        ``(2, 2)``; zero where path loss is known.
+
+    Raises
+    ------
+    InputError
+        A number is not finite, the exponent not positive, or the deviation negative.
+    """
+
+    theta: NDArray[np.float64]
+    deviation_db: float
+    theta_covariance: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if np.shape(self.theta) != (2,) or np.shape(self.theta_covariance) != (2, 2):
+            raise InputError("path loss has two parameters, and their covariance", key="radio.link")
+        numbers = [*np.ravel(self.theta), *np.ravel(self.theta_covariance)]
+        if not np.isfinite(numbers).all() or not self.theta[1] > 0.0:
+            raise InputError(
+                f"path loss {list(self.theta)} is not finite, or does not fall with distance",
+                key="radio.link",
+            )
+        positive(self.deviation_db, "radio.link.deviation_db", zero=True)
+        if float(np.linalg.eigvalsh(self.theta_covariance).min()) < -1e-9:
+            raise InputError("a covariance is not positive semidefinite", key="radio.link")
+
+
+def learnt_law(posterior: ChannelPosterior) -> LinkLaw:
+    """Return the law of links whose path loss is learnt from measurements, and shadowing is not."""
+    parameters = posterior.parameters
+    deviation = math.hypot(parameters.shadow_std_db, parameters.multipath_std_db)
+    return LinkLaw(posterior.theta, deviation, posterior.theta_covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class RadioLimits:
+    """The links to base stations that agents must keep, directly or over other agents.
+
+    Attributes
+    ----------
+    stations_m
+        ``(s, 2)`` places of base stations.
+    station_link, agent_link
+        Laws of links to a station, and between agents.
+    threshold_dbm
+        Power that a link needs.
+    p_min
+        Probability with which all links between an agent and a station have to hold together.
+
+    Raises
+    ------
+    InputError
+        There is no station, or the probability is not between 0 and 1.
+    """
+
+    stations_m: NDArray[np.float64]
+    station_link: LinkLaw
+    agent_link: LinkLaw
+    threshold_dbm: float
+    p_min: float
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.stations_m)
+        if len(shape) != 2 or shape[1] != 2 or not shape[0]:
+            raise InputError(f"stations of shape {shape}", key="radio.stations")
+        if not np.isfinite(self.stations_m).all():
+            raise InputError("a station is not at a finite place", key="radio.stations")
+        if not math.isfinite(self.threshold_dbm):
+            raise InputError("it is not finite", key="radio.threshold_dbm")
+        if not 0.0 < self.p_min < 1.0:
+            raise InputError(f"{self.p_min!r} is not between 0 and 1", key="radio.p_min")

@@ -1,0 +1,236 @@
+"""Judge released moves of a network, without anything of what planned them.
+
+Each move is taken as it is driven: straight at a constant velocity, with an even acceleration, or
+turning on the spot and then straight. Positions between the ends of a step are judged as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.special import erfc  # pyright: ignore[reportUnknownVariableType]
+
+from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
+from planopt.errors import InputError
+
+SLACK = 1e-6
+"""Limits of motion may be exceeded by this share, distances to borders by this share of metres."""
+
+SAMPLES = 512
+"""Lengths up to a link's own at which its probability to fail is looked at as well."""
+
+SHORTEST_M = 0.01
+"""A link counts at least as this long."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with a move.
+
+    Attributes
+    ----------
+    kind
+        ``contact``, ``clearance``, ``speed``, ``acceleration``, ``turn``, ``motion`` (the ends of
+        the move do not fit together) or ``radio``.
+    agent
+        Whose move.
+    other
+        The other agent of a contact; None else.
+    value, limit
+        What was found, and what was allowed: m, m/s, m/s^2, rad/s or a probability.
+    """
+
+    kind: str
+    agent: int
+    other: int | None
+    value: float
+    limit: float
+
+
+def verify_moves(
+    free: shapely.Polygon,
+    before_m: Floats,
+    after_m: Floats,
+    limits: MoveLimits,
+    *,
+    velocities_m_s: tuple[Floats, Floats] | None = None,
+    headings_rad: tuple[Floats, Floats] | None = None,
+    radio: RadioLimits | None = None,
+) -> tuple[Fault, ...]:
+    """Return all faults of one step of a network; none if it may be released.
+
+    Parameters
+    ----------
+    free
+        The region less its obstacles.
+    before_m, after_m
+        ``(n, 2)`` places at both ends of the step.
+    limits
+        What agents can do and must keep.
+    velocities_m_s
+        ``(n, 2)`` velocities at both ends, of double integrators.
+    headings_rad
+        ``(n,)`` headings at both ends, of unicycles.
+    radio
+        Links that must be kept; None if none.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, a number is not finite, or velocities or headings are missing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> limits = MoveLimits(speed_m_s=1.0, body_radius_m=0.5)
+    >>> before, after = np.array([[2.0, 2.0], [4.0, 2.0]]), np.array([[2.9, 2.0], [3.8, 2.0]])
+    >>> for fault in verify_moves(shapely.box(0, 0, 9, 9), before, after, limits):
+    ...     print(fault.kind, fault.agent, fault.other, round(fault.value, 3), fault.limit)
+    contact 0 1 0.9 1.0
+    """
+    needed: dict[str, tuple[Floats, ...]] = {"positions": (before_m, after_m)}
+    if limits.acceleration_m_s2 is not None:
+        needed["velocities"] = velocities_m_s or ()
+    if limits.turn_rate_rad_s is not None:
+        needed["headings"] = headings_rad or ()
+    for key, pair in needed.items():
+        shape = (len(before_m),) if key == "headings" else (len(before_m), 2)
+        if len(pair) != 2 or not all(np.shape(one) == shape for one in pair):
+            raise InputError(f"two arrays of shape {shape} are needed", key=key)
+        if not all(np.isfinite(one).all() for one in pair):
+            raise InputError("a number is not finite", key=key)
+    move, step = after_m - before_m, limits.time_step_s
+    found: list[Fault] = []
+
+    def judge(kind: str, values: Floats, limit: float, slack: float) -> None:
+        """Add a fault for every agent with a value above a limit."""
+        for agent in np.flatnonzero(values > limit + slack):
+            found.append(Fault(kind, int(agent), None, float(values[agent]), limit))
+
+    control = before_m + 0.5 * move
+    if limits.acceleration_m_s2 is not None and velocities_m_s is not None:
+        first, last = velocities_m_s
+        control = before_m + 0.5 * step * first
+        gap = np.linalg.norm(move - 0.5 * step * (first + last), axis=1)
+        judge("motion", gap, 0.0, SLACK * (1.0 + limits.speed_m_s * step))
+        speed = np.maximum(np.linalg.norm(first, axis=1), np.linalg.norm(last, axis=1))
+        change, most = np.linalg.norm(last - first, axis=1) / step, limits.acceleration_m_s2
+        judge("acceleration", change, most, SLACK * most)
+    else:
+        speed = np.linalg.norm(move, axis=1) / step
+    if limits.turn_rate_rad_s is not None and headings_rad is not None:
+        turn = np.abs(headings_rad[1] - headings_rad[0])
+        judge("turn", turn / step, limits.turn_rate_rad_s, SLACK * limits.turn_rate_rad_s)
+        across = np.stack((-np.sin(headings_rad[1]), np.cos(headings_rad[1])), axis=1)
+        judge("motion", np.abs((move * across).sum(axis=1)), 0.0, SLACK)
+        left = np.maximum(step - turn / limits.turn_rate_rad_s, SLACK * step)
+        speed = np.linalg.norm(move, axis=1) / left
+    if math.isfinite(limits.speed_m_s):
+        judge("speed", speed, limits.speed_m_s, SLACK * limits.speed_m_s)
+    corners = np.stack((before_m, control, after_m), axis=1)
+    swept = shapely.convex_hull(shapely.multipoints(corners))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    found += _border_faults(free, np.asarray(swept), max(limits.body_radius_m, limits.clearance_m))
+    if limits.body_radius_m > 0.0:
+        timed = limits.turn_rate_rad_s is None
+        found += _contacts(np.asarray(swept), corners, 2.0 * limits.body_radius_m, timed)
+    if radio is not None:
+        failure = _failures(corners, radio)
+        judge("radio", failure, 1.0 - radio.p_min, SLACK * (1.0 - radio.p_min))
+    return tuple(found)
+
+
+def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: float) -> list[Fault]:
+    """Agents whose swept areas (n,) leave the free area or come too near to its border."""
+    away = np.asarray(shapely.distance(shapely.boundary(free), swept), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
+    slack = SLACK * max(1.0, keep_m)
+    within = np.asarray(shapely.covers(free.buffer(slack), swept), dtype=np.bool_)
+    away = np.where(within, away, -1.0)
+    wrong = np.flatnonzero(away < keep_m - slack)
+    return [Fault("clearance", int(one), None, float(away[one]), keep_m) for one in wrong]
+
+
+def _contacts(
+    swept: NDArray[np.object_], corners: Floats, least_m: float, timed: bool
+) -> list[Fault]:
+    """Pairs of agents that come as near as `least_m` at one time, or if not timed, at any times."""
+    tree = shapely.STRtree(swept)
+    pairs = tree.query(swept, predicate="dwithin", distance=least_m)
+    found: list[Fault] = []
+    for one, other in pairs.T:
+        if one >= other:
+            continue
+        apart = float(shapely.distance(swept[one], swept[other]))  # pyright: ignore[reportUnknownMemberType]
+        if timed:
+            apart = _least_distance(corners[one] - corners[other])
+        if apart <= least_m:
+            found.append(Fault("contact", int(one), int(other), apart, least_m))
+    return found
+
+
+def _least_distance(corners: Floats) -> float:
+    """Least distance from the origin of the parabola with control points (3, 2)."""
+    start, bend = corners[0], corners[0] - 2.0 * corners[1] + corners[2]
+    slope = 2.0 * (corners[1] - corners[0])
+    # |start + slope t + bend t^2|^2 is least at an end or where its derivative is zero.
+    derivative = [
+        2.0 * float(bend @ bend),
+        3.0 * float(slope @ bend),
+        float(slope @ slope) + 2.0 * float(start @ bend),
+        float(start @ slope),
+    ]
+    times = [0.0, 1.0]
+    scale = max(abs(one) for one in derivative)
+    if scale > 0.0:
+        roots = np.roots([one if abs(one) > 1e-14 * scale else 0.0 for one in derivative])
+        times += [float(root.real) for root in roots if abs(root.imag) < 1e-6]
+    places = [start + slope * t + bend * t * t for t in np.clip(times, 0.0, 1.0)]
+    return min(math.hypot(*place) for place in places)
+
+
+def _failures(corners: Floats, radio: RadioLimits) -> Floats:
+    """Bounds (n,) on the probability that agents have no way to a station at some time of a step.
+
+    Links are as long as they get between any places of both ends' steps. Failures of the links of
+    a way are added; the best way counts.
+    """
+    count = len(corners)
+    length = np.zeros((count, count))
+    direct = np.zeros((count, len(radio.stations_m)))
+    for corner in range(3):
+        away = np.linalg.norm(corners[:, corner, None] - radio.stations_m, axis=2)
+        direct = np.maximum(direct, away)
+        for other in range(3):
+            gap = np.linalg.norm(corners[:, corner, None] - corners[None, :, other], axis=2)
+            length = np.maximum(length, gap)
+    step = _fails(radio.agent_link, length, radio.threshold_dbm)
+    best = _fails(radio.station_link, direct, radio.threshold_dbm).min(axis=1)
+    waiting = np.ones(count, dtype=np.bool_)
+    for _ in range(count):
+        agent = int(np.where(waiting, best, np.inf).argmin())
+        waiting[agent] = False
+        better = waiting & (best[agent] + step[agent] < best)
+        best[better] = best[agent] + step[agent, better]
+    return np.minimum(best, 1.0)
+
+
+def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
+    """Largest probability that a link of at most these lengths (any shape) is below a threshold."""
+
+    def below(distance_m: Floats) -> Floats:
+        slope = -10.0 * np.log10(distance_m)
+        mean = law.theta[0] + slope * law.theta[1] - threshold_dbm
+        (a, b), (_, c) = law.theta_covariance
+        spread = np.sqrt(np.maximum(a + 2.0 * b * slope + c * slope**2, 0.0) + law.deviation_db**2)
+        tail = erfc(mean / np.maximum(spread, 1e-9) / math.sqrt(2.0))
+        return 0.5 * np.asarray(tail, dtype=np.float64)
+
+    lengths = np.maximum(lengths_m, SHORTEST_M)
+    grid = np.geomspace(SHORTEST_M, 2.0 * float(lengths.max()), SAMPLES)
+    shorter = np.maximum.accumulate(below(grid))[np.searchsorted(grid, lengths, side="right") - 1]
+    return np.maximum(below(lengths), shorter)

@@ -1,0 +1,312 @@
+"""Search of a lattice path to a goal in space and time, beside others that drive to theirs.
+
+The search goes stage by stage over the nodes that a robot may be at after each step, waiting
+included, and knows the cost-to-go without the others: a path that costs more than the cheapest by
+`DELAYS_STEPS` of waiting is not followed. It ends as soon as the shortest route on from a promising
+place is free at the times at which it would be driven.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.objectives.reach import step_cost_s
+from planopt.planning.search.moving_moves import steps_apart
+from planopt.planning.tolerances import CLEARANCE_PAD_M
+from planopt.world.closest_approach import closest_approach_m
+from planopt.world.moving_discs import MovingDiscs
+from planopt.world.road_map import RoadMap, Ways, shortest_ways
+
+DELAYS_STEPS = (16, 64, 200)
+"""Delays, in steps of waiting, that are looked at one after the other; the last is the longest."""
+
+MOST_PLACES = 12_000
+"""The search keeps at most so many places a stage, those of the least cost."""
+
+ROUTES_TRIED = 4
+"""Routes on that are looked at in each stage, from the places of the least cost."""
+
+
+@dataclass(frozen=True, eq=False)
+class TimedCosts:
+    """Cost of driving over a lattice to a goal.
+
+    Attributes
+    ----------
+    road_map, ways, goal_node
+        The lattice, its cost-to-go without the others, and where it leads.
+    step_s, step_m, effort_s2_m2
+        Duration and longest way of a step, and the weight of effort.
+    rate_s_m
+        Cost of a metre of the cost-to-go.
+    surcharge_s_m
+        ``(n + 1,)`` added for a metre at each node, and last where the robot is.
+    """
+
+    road_map: RoadMap
+    ways: Ways
+    goal_node: int
+    step_s: float
+    step_m: float
+    effort_s2_m2: float
+    rate_s_m: float
+    surcharge_s_m: NDArray[np.float64]
+
+
+def route_nodes(ways: Ways, node: int) -> NDArray[np.intp]:
+    """Return the nodes of the shortest way from `node` on to the goal, both included."""
+    nodes = [node]
+    while (following := int(ways.next_node[nodes[-1]])) >= 0:
+        nodes.append(following)
+    return np.asarray(nodes, dtype=np.intp)
+
+
+def timed_places(
+    places_m: NDArray[np.float64], route_m: NDArray[np.float64], step_m: float, steps: int
+) -> NDArray[np.float64]:
+    """Return places at full speed along a route after the steps of a path, then at its end.
+
+    Parameters
+    ----------
+    places_m
+        ``(k + 1, 2)`` the robot's own place, and the place after each of the first k steps.
+    route_m
+        ``(r, 2)`` the route on from there.
+    step_m
+        Longest way of a step.
+    steps
+        T, at least k.
+
+    Returns
+    -------
+    (T + 1, 2) array
+    """
+    route = np.vstack([places_m[-1:], route_m])
+    driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])
+    stops = step_m * np.arange(1, steps + 2 - len(places_m))
+    # Interpolation stays at the end of what it is given.
+    on = np.stack([np.interp(stops, driven, route[:, axis]) for axis in (0, 1)], axis=1)
+    return np.vstack([places_m, on])[: steps + 1]
+
+
+def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) -> bool:
+    """Return whether a timed path keeps from all discs; from a place too near it may lead away.
+
+    Parameters
+    ----------
+    discs
+        What moves, over T steps.
+    places_m
+        ``(T - first + 1, 2)`` places after steps `first` to T.
+    first
+        Step of `discs` that the path begins with.
+    """
+    if not len(discs):
+        return True
+    centres, least = discs.centres_m[:, first:], discs.apart_m[:, first:]
+    gaps = closest_approach_m(places_m[:-1], places_m[1:], centres[:, :-1], centres[:, 1:]) - least
+    wanted = np.full(gaps.shape, CLEARANCE_PAD_M)
+    if first == 0:
+        here = np.linalg.norm(places_m[0] - centres[:, 0], axis=1) - least[:, 0]
+        wanted[:, 0] = np.minimum(CLEARANCE_PAD_M, here)
+    return bool((gaps >= wanted).all())
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPath:
+    """A path beside others.
+
+    Attributes
+    ----------
+    nodes
+        ``(k,)`` after each step.
+    route
+        ``(r,)`` nodes on to the goal, driven at full speed after these steps; none where the path
+        does not arrive.
+    cost_s
+        Of all, in seconds.
+    arrives
+        Whether it leads to the goal; else to a place that is in nobody's way.
+    """
+
+    nodes: NDArray[np.intp]
+    route: NDArray[np.intp]
+    cost_s: float
+    arrives: bool = True
+
+
+def search_timed(
+    costs: TimedCosts,
+    position_m: NDArray[np.float64],
+    first_nodes: NDArray[np.intp],
+    first_length_m: NDArray[np.float64],
+    discs: MovingDiscs,
+    least_stages: int,
+) -> TimedPath | None:
+    """Find a cheap path that keeps from all discs until the goal, and while standing there.
+
+    Parameters
+    ----------
+    costs
+        Of the robot.
+    position_m
+        ``(2,)`` where it is.
+    first_nodes, first_length_m
+        Nodes that its first step may end at, and how long it is to each.
+    discs
+        What moves, over all steps that count; after them all stand.
+    least_stages
+        The path has at least so many nodes.
+
+    Returns
+    -------
+    TimedPath or None
+        If none leads to the goal, one to a place where the robot may stand; None without that.
+    """
+    kept = steps_apart(
+        discs,
+        0,
+        np.broadcast_to(position_m, (len(first_nodes), 2)),
+        costs.road_map.nodes_m[first_nodes],
+    )
+    nodes, lengths = first_nodes[kept], first_length_m[kept]
+    half = 0.5 * costs.surcharge_s_m
+    cost = step_cost_s(lengths, costs.step_s, costs.effort_s2_m2) + lengths * (
+        half[nodes] + half[-1]
+    )
+    to_go = costs.rate_s_m * costs.ways.cost_m
+    least = float((cost + to_go[nodes]).min(initial=np.inf))
+    aside: TimedPath | None = None
+    for delay in DELAYS_STEPS:
+        limit = least + delay * costs.step_s
+        found = _search_within(costs, nodes, cost, discs, least_stages, limit)
+        if found is not None and found.arrives:
+            return found
+        aside = aside or found
+    return aside
+
+
+def _search_within(
+    costs: TimedCosts,
+    nodes: NDArray[np.intp],
+    cost: NDArray[np.float64],
+    discs: MovingDiscs,
+    least_stages: int,
+    limit_s: float,
+) -> TimedPath | None:
+    """Search paths of at most a cost, from nodes (m,) that the first step may end at.
+
+    The search in time ends when all others stand: the rest is a search on the lattice alone.
+    """
+    to_go = costs.rate_s_m * costs.ways.cost_m
+    stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = [
+        (nodes, np.zeros(len(nodes), dtype=np.intp))
+    ]
+    moved = (np.abs(np.diff(discs.centres_m, axis=1)) > 0.0).any(axis=(0, 2))
+    last = max(least_stages, int(np.flatnonzero(moved).max(initial=0)) + 1)
+    aside: TimedPath | None = None
+    for k in range(1, last + 1):
+        if not len(nodes):
+            return aside
+        if k >= least_stages:
+            for row in np.argsort(cost + to_go[nodes], kind="stable")[:ROUTES_TRIED]:
+                route = route_nodes(costs.ways, int(nodes[row]))
+                if _is_free(costs, discs, k, route):
+                    total = float(cost[row] + to_go[nodes[row]])
+                    return TimedPath(_nodes_to(stages, int(row)), route[1:], total)
+                if aside is None and _is_free(costs, discs, k, route[:1]):
+                    waiting = float(cost[row] + to_go[nodes[row]])
+                    aside = TimedPath(_nodes_to(stages, int(row)), route[:0], waiting, False)
+        if k < last:
+            nodes, cost, came = _next_stage(costs, nodes, cost, discs, k, limit_s)
+            stages.append((nodes, came))
+    ways = _ways_beside_standing(costs, discs)
+    total = cost + costs.rate_s_m * ways.cost_m[nodes]
+    row = int(np.argmin(total))
+    if not np.isfinite(total[row]):
+        return aside
+    route = route_nodes(ways, int(nodes[row]))
+    if not _is_free(costs, discs, last, route):
+        return aside
+    return TimedPath(_nodes_to(stages, row), route[1:], float(total[row]))
+
+
+def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np.intp]) -> bool:
+    """Return whether a route (r,) from a node after some steps keeps apart at full speed."""
+    route_m = costs.road_map.nodes_m[route]
+    on = timed_places(route_m[:1], route_m[1:], costs.step_m, discs.steps - step)
+    return is_apart(discs, on, step)
+
+
+def _ways_beside_standing(costs: TimedCosts, discs: MovingDiscs) -> Ways:
+    """Return the cost-to-go where all discs stand as at the end.
+
+    Nodes so near to a disc are closed that no move between others comes too near to it.
+    """
+    road_map = costs.road_map
+    factor = 1.0 + costs.surcharge_s_m[:-1] / costs.rate_s_m
+    if len(discs):
+        longest = float(road_map.lengths_m.max())
+        least = np.hypot(np.maximum(discs.apart_m[:, -1], 0.0) + CLEARANCE_PAD_M, 0.5 * longest)
+        away = np.linalg.norm(road_map.nodes_m - discs.centres_m[:, -1:], axis=2)
+        factor = np.where((away < least[:, None]).any(axis=0), np.inf, factor)
+    return shortest_ways(road_map, costs.goal_node, factor)
+
+
+def _next_stage(
+    costs: TimedCosts,
+    nodes: NDArray[np.intp],
+    cost: NDArray[np.float64],
+    discs: MovingDiscs,
+    step: int,
+    limit_s: float,
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
+    """Return where step number `step` may lead from nodes (m,), at what cost, and from which row.
+
+    Moves of the lattice are symmetric: it arrives from where it may go.
+    """
+    road_map, count = costs.road_map, len(costs.road_map.nodes_m)
+    half, to_go = 0.5 * costs.surcharge_s_m, costs.rate_s_m * costs.ways.cost_m
+    targets = road_map.sources[nodes]
+    lengths = road_map.lengths_m
+    arriving = cost[:, None] + step_cost_s(lengths, costs.step_s, costs.effort_s2_m2)
+    arriving = np.where(
+        (nodes == costs.goal_node)[:, None] & (targets == costs.goal_node), cost[:, None], arriving
+    )
+    open_moves = targets < count
+    ends = np.where(open_moves, targets, 0)
+    arriving = arriving + lengths * (half[nodes][:, None] + half[ends])
+    row, move = np.nonzero(open_moves & (arriving + to_go[ends] <= limit_s))
+    end, value = ends[row, move], arriving[row, move]
+    places = road_map.nodes_m
+    if len(discs):
+        # Only places near a disc need looking at.
+        away = np.linalg.norm(places[nodes][None] - discs.centres_m[:, step, None], axis=2)
+        driven = np.linalg.norm(discs.centres_m[:, step + 1] - discs.centres_m[:, step], axis=1)
+        reach = discs.apart_m[:, step] + driven + costs.step_m + CLEARANCE_PAD_M
+        near = (away <= reach[:, None]).any(axis=0)[row]
+        kept = np.ones(len(row), dtype=np.bool_)
+        kept[near] = steps_apart(discs, step, places[nodes[row[near]]], places[end[near]])
+        row, end, value = row[kept], end[kept], value[kept]
+    order = np.lexsort((value, end))
+    row, end, value = row[order], end[order], value[order]
+    first = np.append(True, end[1:] != end[:-1])[: len(end)]
+    row, end, value = row[first], end[first], value[first]
+    if len(end) > MOST_PLACES:
+        best = np.argpartition(value + to_go[end], MOST_PLACES)[:MOST_PLACES]
+        row, end, value = row[best], end[best], value[best]
+    return end, value, row
+
+
+def _nodes_to(
+    stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]], row: int
+) -> NDArray[np.intp]:
+    """Return the nodes of the path that ends at a row of the last stage."""
+    path: list[int] = []
+    for nodes, came in reversed(stages):
+        path.append(int(nodes[row]))
+        row = int(came[row])
+    return np.asarray(path[::-1], dtype=np.intp)

@@ -1,0 +1,260 @@
+"""Robots that are to reach goals of their own and keep apart: paths for all, then each one's plan.
+
+At each step timed paths to all goals are searched in turn (*courses*). A robot drives as if it were
+alone where that keeps from the courses found before its own; else it gives way: its course is the
+cheapest one in space and time that does (:mod:`planopt.planning.search.timed_search`). A robot that
+finds no course goes first, and all others are searched again; the order is kept for the next step.
+So a robot that stands at its goal steps aside for one that must pass, and comes back.
+
+The first steps of the courses keep apart, so that each can be released whatever the others do with
+theirs: each robot plans beside the plans already made and the courses of the robots that have not
+planned yet. Where no courses are found, or a robot with dynamics cannot drive its own, robots plan
+beside what the others have reserved (:mod:`planopt.planning.team.reservations`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.arrival import is_at_goal
+from planopt.planning.moving import obstacles_ahead
+from planopt.planning.plan import Plan, Verdict
+from planopt.planning.reach_planner import Outlook, ReachPlanner
+from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.scene import Scene
+from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
+from planopt.planning.team.reservations import (
+    beside,
+    beside_each_other,
+    has_separation,
+    planned_motion,
+    reserved_motion,
+)
+from planopt.planning.team.team_step import TeamMoment, keep_apart
+from planopt.planning.tolerances import STEP_PAD_M
+from planopt.problems.problem import Problem
+from planopt.world.moving_discs import MovingDiscs, joined_discs
+from planopt.world.timed_motion import TimedMotion
+
+NO_LIMIT_M = -1e9
+"""Radius of a moving obstacle beyond the steps for which it is predicted: it keeps nobody away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The timed path of one robot to its goal.
+
+    Attributes
+    ----------
+    outlook
+        With the path's first steps.
+    places_m
+        ``(T + 1, 2)`` where it would be after each step.
+    arrives
+        Whether it leads to the goal; else to where the robot is in nobody's way.
+    """
+
+    outlook: Outlook
+    places_m: NDArray[np.float64]
+    arrives: bool = True
+
+
+class Couriers:
+    """Plans for the robots of one problem; keeps the order in which they find their courses.
+
+    Parameters
+    ----------
+    problem
+        With all robots, each with its goal.
+    scenes
+        Geometry of each robot.
+    """
+
+    def __init__(self, problem: Problem, scenes: Sequence[Scene]) -> None:
+        count = len(problem.robots)
+        others = count - 1 if has_separation(problem) else 0
+        self._problem = problem
+        self._planners = [
+            ReachPlanner(problem_of_robot(problem, number), scene, others)
+            for number, scene in enumerate(scenes)
+        ]
+        self._order = list(range(count))
+        self._arrived: list[int] = []
+
+    def plan(self, at: TeamMoment) -> list[Plan]:
+        """Plan a step of every robot.
+
+        Raises
+        ------
+        NoPlanError
+            A robot provably has no path to its goal.
+        """
+        outlooks = [
+            planner.outlook(belief, state, history)
+            for planner, belief, state, history in zip(
+                self._planners, at.beliefs, at.states, at.histories, strict=True
+            )
+        ]
+        if not has_separation(self._problem):
+            return [
+                planner.release(outlook, warm)
+                for planner, outlook, warm in zip(self._planners, outlooks, at.warm, strict=True)
+            ]
+        courses = self._courses(at, outlooks)
+        reserved = {
+            number: reserved_motion(self._problem, number, state, warm)
+            for number, (state, warm) in enumerate(zip(at.states, at.warm, strict=True))
+        }
+        if courses is None:
+            return self._in_turn(at, outlooks, reserved)
+        planned = [course.outlook for course in courses]
+        plans = self._in_turn(at, planned, reserved | self._first_steps(courses))
+        if keep_apart(self._problem, plans) and _are_verified(plans):
+            return plans
+        instead = self._in_turn(at, outlooks, reserved)
+        return max((plans, instead), key=lambda made: self._rank(made))
+
+    def _rank(self, plans: Sequence[Plan]) -> tuple[bool, int]:
+        """Return whether plans keep apart, and how many are verified."""
+        verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
+        return keep_apart(self._problem, plans), verified
+
+    def _first_steps(self, courses: Sequence[Course]) -> dict[int, TimedMotion]:
+        """Return the part of each course that is driven in the horizon, where it can be driven."""
+        horizon = self._problem.planner.horizon
+        return {
+            number: TimedMotion(course.places_m[: horizon + 1])
+            for number, course in enumerate(courses)
+            if self._problem.robots[number].dynamics is None and course.outlook.start is not None
+        }
+
+    def _in_turn(
+        self, at: TeamMoment, outlooks: Sequence[Outlook], kept: Mapping[int, TimedMotion]
+    ) -> list[Plan]:
+        """Let robots plan, each beside the plans made and what is kept for the others."""
+        problem = self._problem
+        made: dict[int, Plan] = {}
+        for number in self._order:
+            others = {
+                other: planned_motion(problem, made[other]) if other in made else motion
+                for other, motion in kept.items()
+                if other != number
+            }
+            warm = at.warm[number]
+            reserved = reserved_motion(problem, number, at.states[number], warm)
+            made[number] = self._planners[number].release(
+                outlooks[number],
+                warm,
+                beside(problem, at.driven, others),
+                reserved.places_m[1 : problem.planner.horizon + 1],
+            )
+        return beside_each_other(problem, at.driven, [made[number] for number in sorted(made)])
+
+    def _courses(self, at: TeamMoment, outlooks: Sequence[Outlook]) -> list[Course] | None:
+        """Return courses that keep apart, and keep their order; None where none are found.
+
+        If no order lets all arrive, some wait where they are in nobody's way: a robot that has
+        been at its goal goes after those that have not, and will let them pass.
+        """
+        for number, state in enumerate(at.states):
+            if number not in self._arrived and is_at_goal(
+                self._planners[number].problem, state[:2]
+            ):
+                self._arrived.append(number)
+        alone = self._alone(outlooks)
+        order: list[int] = sorted(self._order, key=lambda number: number in self._arrived)
+        tried: list[list[int]] = []
+        waiting: list[Course] = []
+        while order not in tried:
+            tried.append(order)
+            found, late = self._in_order(at, order, alone)
+            if late is None:
+                self._order = order
+                return [found[number] for number in range(len(order))]
+            if len(found) == len(order) and not waiting:
+                self._order = order
+                waiting = [found[number] for number in range(len(order))]
+            order = [late, *[other for other in order if other != late]]
+        return waiting or None
+
+    def _in_order(
+        self, at: TeamMoment, order: Sequence[int], alone: Sequence[Course]
+    ) -> tuple[dict[int, Course], int | None]:
+        """Return the courses found in an order, and which robot does not arrive on its own."""
+        found: dict[int, Course] = {}
+        late: int | None = None
+        for number in order:
+            course = self._course(at, number, alone[number], found)
+            late = number if late is None and (course is None or not course.arrives) else late
+            if course is None:
+                break
+            found[number] = course
+        return found, late
+
+    def _alone(self, outlooks: Sequence[Outlook]) -> list[Course]:
+        """Return the course of each robot if it were alone, all over equally many steps."""
+        problem = self._problem
+        paths: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        for outlook in outlooks:
+            start, here = outlook.start, outlook.state[None, :2]
+            horizon = problem.planner.horizon
+            path = np.tile(here, (horizon, 1)) if start is None else start.path_m
+            paths.append((np.vstack([here, path]), here if start is None else start.route_m))
+        longest = [planner.problem.step_length_m - STEP_PAD_M for planner in self._planners]
+        lengths = [
+            np.linalg.norm(np.diff(np.vstack([path[-1:], route]), axis=0), axis=1).sum()
+            for path, route in paths
+        ]
+        steps = max(int(m / step_m) for m, step_m in zip(lengths, longest, strict=True))
+        steps += problem.planner.horizon + 2 + DELAYS_STEPS[-1]
+        return [
+            Course(outlook, timed_places(*path, step_m, steps))
+            for outlook, path, step_m in zip(outlooks, paths, longest, strict=True)
+        ]
+
+    def _course(
+        self, at: TeamMoment, number: int, alone: Course, found: Mapping[int, Course]
+    ) -> Course | None:
+        """Return the course of a robot beside those found; None if there is none."""
+        robots = _discs(self._problem, found, len(alone.places_m) - 1)
+        if alone.outlook.start is None or is_apart(robots, alone.places_m):
+            return alone
+        obstacles = obstacles_ahead(self._problem, at.driven)
+        discs = joined_discs(robots, _lasting(obstacles, robots.steps))
+        beside_others = self._planners[number].beside(alone.outlook, discs)
+        return None if beside_others is None else Course(*beside_others)
+
+
+def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> MovingDiscs:
+    """Return robots on their courses as what others keep from."""
+    count = len(courses)
+    return MovingDiscs(
+        tuple(problem.robots[number].name for number in courses),
+        np.reshape([course.places_m for course in courses.values()], (count, steps + 1, 2)),
+        np.zeros((count, steps)),
+        np.full(count, problem.constraints.separation_m),
+        np.ones(count, dtype=np.bool_),
+    )
+
+
+def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
+    """Return discs over more steps, in which they keep nobody away."""
+    more = steps - discs.steps
+    if not len(discs) or more <= 0:
+        return discs
+    centres = np.repeat(discs.centres_m[:, -1:], more, axis=1)
+    return MovingDiscs(
+        discs.names,
+        np.concatenate([discs.centres_m, centres], axis=1),
+        np.pad(discs.radius_m, ((0, 0), (0, more)), constant_values=NO_LIMIT_M),
+        discs.least_m,
+        discs.is_robot,
+    )
+
+
+def _are_verified(plans: Sequence[Plan]) -> bool:
+    return all(plan.verdict is Verdict.VERIFIED for plan in plans)

@@ -1,0 +1,224 @@
+"""The verifier of network moves: it finds every kind of fault, and none in planned moves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from planopt.coverage.control.radio import radio_tree
+from planopt.coverage.control.receding import plan_moves, stopping_ways
+from planopt.coverage.ground import ConvexGround, geodesic_ground
+from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
+from planopt.coverage.region import ConvexRegion
+from planopt.coverage.verify import Fault, verify_moves
+from planopt.errors import InputError
+
+HALL = shapely.box(0, 0, 60, 40) - shapely.box(20, 10, 30, 25)
+KNOWN = LinkLaw(np.array([-10.0, 2.5]), 6.0, np.zeros((2, 2)))
+RADIO = RadioLimits(np.array([[0.0, 0.0]]), KNOWN, KNOWN, -62.0, 0.9)
+
+
+def kinds(faults: tuple[Fault, ...]) -> set[str]:
+    """The kinds of some faults."""
+    return {fault.kind for fault in faults}
+
+
+def places(*pairs: tuple[float, float]) -> NDArray[np.float64]:
+    """Places (n, 2)."""
+    return np.array(pairs)
+
+
+def test_contact_between_the_ends_is_found() -> None:
+    """Agents that swap places, or pass each other on time, are told apart."""
+    limits = MoveLimits(body_radius_m=0.5, time_step_s=2.0)
+    one, other = places((5, 5), (9, 5)), places((9, 5), (5, 5))
+    (fault,) = verify_moves(HALL, one, other, limits)
+    assert (fault.kind, fault.agent, fault.other, fault.value) == ("contact", 0, 1, 0.0)
+    # The second one crosses the first one's way where that has long been.
+    crossing = places((5, 5), (10, 1)), places((15, 5), (10, 9))
+    assert kinds(verify_moves(HALL, *crossing, limits)) == {"contact"}
+    behind = places((5, 5), (7, 1)), places((15, 5), (7, 5.4))
+    assert verify_moves(HALL, *behind, limits) == ()
+    points = MoveLimits(time_step_s=2.0)
+    assert verify_moves(HALL, one, other, points) == ()
+
+
+def test_parabolas_are_judged_as_driven() -> None:
+    """A double integrator that swings near another between the ends touches it."""
+    limits = MoveLimits(speed_m_s=9.0, acceleration_m_s2=20.0, body_radius_m=0.5)
+    before = after = places((5, 5), (5, 6.5))
+    velocities = places((0, 4), (0, 0)), places((0, -4), (0, 0))
+    (fault,) = verify_moves(HALL, before, after, limits, velocities_m_s=velocities)
+    assert fault.kind == "contact" and fault.value == pytest.approx(0.5)
+    slower = places((0, 1.9), (0, 0)), places((0, -1.9), (0, 0))
+    assert verify_moves(HALL, before, after, limits, velocities_m_s=slower) == ()
+
+
+@pytest.mark.parametrize(
+    ("after", "found"),
+    [
+        ((19.4, 15.0), set()),
+        ((19.6, 15.0), {"clearance"}),
+        ((35.0, 15.0), {"clearance", "speed"}),
+        ((0.3, 15.0), {"clearance", "speed"}),
+        ((18.0, 30.9), {"speed"}),
+    ],
+)
+def test_borders_and_speed(after: tuple[float, float], found: set[str]) -> None:
+    """Obstacles, the outline and the speed are judged along the way, not at its ends alone."""
+    limits = MoveLimits(speed_m_s=4.0, body_radius_m=0.5)
+    moved = verify_moves(HALL, places((17, 15)), places(after), limits)
+    assert kinds(moved) == found
+
+
+def test_motion_of_other_kinds() -> None:
+    """Accelerations, turn rates and ends that do not fit together are found."""
+    inert = MoveLimits(speed_m_s=4.0, acceleration_m_s2=1.0)
+    start, rest = places((5, 5)), places((0, 0))
+    for after, velocity, found in (
+        ((5.5, 5), (1, 0), set()),
+        ((5.7, 5), (1, 0), {"motion"}),
+        ((6, 5), (2, 0), {"acceleration"}),
+    ):
+        pair = rest, places(velocity)
+        faults = verify_moves(HALL, start, places(after), inert, velocities_m_s=pair)
+        assert kinds(faults) == found
+    unicycle = MoveLimits(speed_m_s=4.0, turn_rate_rad_s=math.pi / 2)
+    for after, heading, found in (
+        ((5, 5), math.pi / 2, set()),
+        ((5, 6.9), math.pi / 4, {"motion"}),
+        ((5, 6), math.pi / 2, {"speed"}),
+        ((9, 5), 0.0, set()),
+        ((1, 5), 0.0, set()),
+        ((5, 5), 2.0, {"turn"}),
+    ):
+        pair = np.zeros(1), np.array([heading])
+        faults = verify_moves(HALL, start, places(after), unicycle, headings_rad=pair)
+        assert kinds(faults) == found
+
+
+def test_radio_is_judged_over_the_best_way() -> None:
+    """An agent that its neighbour carries is connected; without the neighbour it is not."""
+    far, near = (59.5, 20.0), (30.0, 10.0)
+    still = places(near, far)
+    limits = MoveLimits()
+    assert verify_moves(shapely.box(0, 0, 60, 40), still, still, limits, radio=RADIO) == ()
+    alone = places(far)
+    (fault,) = verify_moves(shapely.box(0, 0, 60, 40), alone, alone, limits, radio=RADIO)
+    length = math.hypot(*far)
+    score = (-10.0 - 25.0 * math.log10(length) + 62.0) / 6.0
+    assert fault.kind == "radio"
+    assert fault.value == pytest.approx(0.5 * math.erfc(score / math.sqrt(2.0)), rel=1e-6)
+    gone = places(near, (99.0, 59.0))
+    assert kinds(verify_moves(shapely.box(0, 0, 100, 60), still, gone, limits, radio=RADIO)) == {
+        "radio"
+    }
+
+
+@pytest.mark.parametrize("kind", ["single", "double", "unicycle"])
+def test_planned_moves_have_no_fault(kind: str) -> None:
+    """Agents that are drawn apart and together keep bodies, borders, motion and radio."""
+    bounds = {"double": {"acceleration_m_s2": 1.0}, "unicycle": {"turn_rate_rad_s": 1.0}}
+    limits = MoveLimits(speed_m_s=3.0, body_radius_m=0.8, clearance_m=1.0, **bounds.get(kind, {}))
+    rng = np.random.default_rng(9)
+    grid = np.stack(np.meshgrid(np.arange(4, 20, 4.0), np.arange(4, 20, 4.0)), axis=2)
+    agents = grid.reshape(-1, 2) + rng.random((16, 2))
+    velocities, headings = np.zeros_like(agents), np.zeros(16)
+    radio = RadioLimits(RADIO.stations_m, KNOWN, KNOWN, -48.0, 0.9)
+    wall = shapely.box(10.8, 20.5, 30, 30)
+    ground = geodesic_ground(shapely.box(0, 0, 100, 100), [wall], 5.0, clearance_m=1.0)
+    loosest, held, away = 0.0, 0, agents
+    for step in range(24):
+        if step % 8 == 0:
+            away = 200.0 * (rng.random((16, 2)) - 0.2)
+        targets = ground.steered(agents, np.clip(away, 2.0, 98.0), 0.5)
+        stops = agents + stopping_ways(velocities, 1.0) if kind == "double" else agents
+        tree = radio_tree(agents, radio, stops)
+        assert tree.connected.all()
+        loosest = max(loosest, float(tree.failure.max()))
+        moves = plan_moves(
+            ground,
+            agents,
+            targets,
+            limits,
+            0.5,
+            6,
+            velocities_m_s=velocities,
+            headings_rad=headings,
+            kept=tree.kept,
+        )
+        turned = None if moves.headings_rad is None else (headings, moves.headings_rad)
+        speeds = (velocities, moves.velocities_m_s[:, 1]) if kind == "double" else None
+        faults = verify_moves(
+            ground.free,
+            agents,
+            moves.next_m,
+            limits,
+            velocities_m_s=speeds,
+            headings_rad=turned,
+            radio=radio,
+        )
+        assert faults == ()
+        held += moves.solved
+        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
+        headings = headings if moves.headings_rad is None else moves.headings_rad
+    # Radio and cells have been in the way: otherwise nothing was tested.
+    assert 0.06 < loosest <= 0.1 and held > 50
+
+
+def test_wrong_shapes_are_refused() -> None:
+    """Missing velocities, numbers that are not finite and shapes that do not fit are named."""
+    start = places((5, 5))
+    with pytest.raises(InputError) as caught:
+        verify_moves(HALL, start, start, MoveLimits(speed_m_s=1.0, acceleration_m_s2=1.0))
+    assert caught.value.key == "velocities"
+    with pytest.raises(InputError) as caught:
+        verify_moves(HALL, start, places((5, math.nan)), MoveLimits())
+    assert caught.value.key == "positions"
+
+
+def test_tree_counts_failures_of_the_whole_way() -> None:
+    """The bound is the sum over the way, and what links may still fail is divided over it."""
+    chain = places((22, 0), (44, 0), (66, 0))
+    radio = RadioLimits(RADIO.stations_m, KNOWN, KNOWN, -62.0, 0.7)
+    tree = radio_tree(chain, radio)
+    assert tree.parent.tolist() == [-1, 0, 1]
+    score = (-10.0 - 25.0 * math.log10(22.0) + 62.0) / 6.0
+    one = 0.5 * math.erfc(score / math.sqrt(2.0))
+    np.testing.assert_allclose(tree.failure, [one, 2 * one, 3 * one], rtol=2e-2)
+    # Each end at the edge of its disc: links are as long as they may get.
+    reach = tree.kept.radii_m[tree.kept.disc_agent == 2][0] * 2.0
+    score = (-10.0 - 25.0 * math.log10(reach) + 62.0) / 6.0
+    assert 3.0 * 0.5 * math.erfc(score / math.sqrt(2.0)) == pytest.approx(0.3, rel=2e-2)
+    uncertain = LinkLaw(KNOWN.theta, 6.0, np.diag([9.0, 0.04]))
+    wary = RadioLimits(RADIO.stations_m, KNOWN, uncertain, -62.0, 0.7)
+    assert radio_tree(chain, wary).failure[2] > tree.failure[2]
+
+
+def test_law_without_radio_fails_where_tree_holds(square: ConvexRegion) -> None:
+    """Radio binds: the same agents without the tree lose their connection."""
+    agents = places((10, 10), (14, 10), (10, 14))
+    ground, targets = ConvexGround(square), np.full((3, 2), 95.0)
+    for kept in (True, False):
+        now, lost = agents, 0
+        for _ in range(40):
+            tree = radio_tree(now, RADIO)
+            moves = plan_moves(
+                ground,
+                now,
+                targets,
+                MoveLimits(speed_m_s=3.0),
+                0.5,
+                5,
+                kept=tree.kept if kept else None,
+            )
+            hall = shapely.box(0, 0, 100, 100)
+            lost += len(verify_moves(hall, now, moves.next_m, MoveLimits(), radio=RADIO))
+            now = moves.next_m
+        assert (lost == 0) == kept
+        if kept:
+            assert np.linalg.norm(now, axis=1).max() > 30.0

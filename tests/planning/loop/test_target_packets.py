@@ -1,0 +1,77 @@
+"""The station's filter where packets have estimates, and where they come late."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planopt import check, load, simulate
+from planopt.planning.loop.target_watch import counted, watch_target
+from planopt.targets.information_filter import predict
+
+STEPS = 6
+PLACES = np.array([[20.0, 30.0], [32.0, 26.0], [26.0, 16.0]])
+DELIVERED = np.random.default_rng(3).uniform(size=(STEPS, 3)) < 0.4
+MEASURED = 28.0 + np.random.default_rng(4).normal(size=(STEPS, 3, 2))
+
+
+def watched(packets="measurements", delay=0, robots=3):
+    """The filters after each step of a few robots that stand and send."""
+    problem = load("outdoor_track")
+    target = replace(problem.targets[0], packets=packets, packet_delay_steps=delay)
+    problem = replace(problem, targets=(target,), robots=problem.robots[:robots])
+    found = [watch_target(problem, np.random.default_rng(0))]
+    for measured, delivered in zip(MEASURED, DELIVERED, strict=True):
+        found.append(counted(found[-1], measured[:robots], PLACES[:robots], delivered[:robots]))
+    return found
+
+
+def test_an_estimate_restores_the_station():
+    """After any packet of the only robot the station knows what the robot knows; else it waits."""
+    watches = watched("estimates", robots=1)
+    for before, after, arrived in zip(watches[:-1], watches[1:], DELIVERED[:, 0], strict=True):
+        expected = after.robots[0] if arrived else predict(after.model, before.station)
+        np.testing.assert_allclose(after.station.matrix, expected.matrix, rtol=1e-10)
+        np.testing.assert_allclose(after.station.vector, expected.vector, rtol=1e-10)
+    assert 0 < DELIVERED[:, 0].sum() < STEPS
+
+
+def test_estimates_of_several_robots_are_all_that_they_measured():
+    """The filter of every measurement up to each robot's last packet, counted once, in order."""
+    watches = watched("estimates")
+    last = [np.flatnonzero(DELIVERED[:, i]).max(initial=-1) for i in range(3)]
+    heard = np.arange(STEPS)[:, None] <= last
+    again = watched()[0]
+    for measured, row in zip(MEASURED, heard, strict=True):
+        again = counted(again, measured, PLACES, row)
+    np.testing.assert_allclose(watches[-1].station.matrix, again.station.matrix, rtol=1e-10)
+    np.testing.assert_allclose(watches[-1].station.vector, again.station.vector, rtol=1e-10)
+    raw = watched()[-1]
+    assert watches[-1].station_variance_m2 <= raw.station_variance_m2
+
+
+@pytest.mark.parametrize("packets", ["measurements", "estimates"])
+def test_late_packets_are_those_of_before(packets):
+    """With a delay of two steps the station predicts twice from what it knew without one."""
+    on_time, late = watched(packets), watched(packets, delay=2)
+    for step in range(2, STEPS + 1):
+        expected = on_time[step - 2].station
+        for _ in range(2):
+            expected = predict(late[step].model, expected)
+        np.testing.assert_allclose(late[step].station.matrix, expected.matrix, rtol=1e-9)
+        np.testing.assert_allclose(late[step].station.vector, expected.vector, rtol=1e-9)
+
+
+def test_a_run_of_estimates_is_judged_from_its_files(tmp_path):
+    """The check finds the same filter; the station knows more than from raw measurements."""
+    problem = load("fig4")
+    problem = replace(problem, planner=replace(problem.planner, max_steps=12, horizon=1))
+    raw = simulate(problem, seed=1)
+    target = replace(problem.targets[0], packets="estimates", packet_delay_steps=1)
+    run = simulate(replace(problem, targets=(target,)), seed=1)
+    run.save(tmp_path / "run")
+    assert check(tmp_path / "run").reasons == ()
+    assert run.target is not None and raw.target is not None
+    assert not np.array_equal(run.target.station_variance_m2, raw.target.station_variance_m2)

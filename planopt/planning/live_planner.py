@@ -48,7 +48,7 @@ class Planner:
     horizon, planner, cost_to_go
         Override the problem's planner settings.
     budget_s
-        Deadline: the seconds that a step should take at most.
+        Seconds that the plan of a robot should take at most, in each round of a team.
     seed
         Of everything that is drawn.
 

@@ -36,12 +36,15 @@ class Request:
         In place of the problem's own; empty for these. ``solve`` and ``simulate`` take one each.
     on_step
         Called after every step of a run.
+    animation
+        Whether a run is drawn as an animation as well.
     """
 
     seed: int = 0
     horizons: Sequence[int] = ()
     planners: Sequence[str] = ()
     on_step: Callable[[], None] = lambda: None
+    animation: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +103,8 @@ class System:
     settings
         Horizon and planner of each run that a comparison makes of a request, each once: horizons
         count only for planners that have them. None if runs cannot be compared.
+    animates
+        Whether runs are drawn as an animation when that is asked for.
     check
         Judge a saved answer from its JSON file, what that says and its problem: reasons against
         it, none if it holds.
@@ -114,6 +119,7 @@ class System:
     solve: Callable[[SystemProblem, Request], Answer] | None = None
     simulate: Callable[[SystemProblem, Request], Answer] | None = None
     settings: Callable[[SystemProblem, Request], Sequence[tuple[int, str]]] | None = None
+    animates: bool = False
 
 
 @dataclass(frozen=True, eq=False)

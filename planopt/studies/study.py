@@ -29,6 +29,7 @@ from planopt.problems.planner_kinds import (
     register_planner,
     registered_planners,
 )
+from planopt.problems.rule_kinds import register_rule, registered_rules
 from planopt.studies.finished_runs import FinishedRuns
 
 CHECK_EVERY_S = 1.0
@@ -107,7 +108,7 @@ def run_study(
     if workers < 1:
         raise InputError(f"{workers} is less than 1", key="workers")
     require_backend(backend)
-    outside = registered_planners(), outside_terms()
+    outside = registered_planners(), outside_terms(), registered_rules()
     jobs = [(study, group, record, *outside, os.getpid()) for group in groups]
     results = BACKENDS[backend](_group_results, jobs, workers)
     if backend == "loky" or record is None:
@@ -206,6 +207,7 @@ def _group_results(
     record: FinishedRuns | None,
     planners: Sequence[PlannerKind],
     terms: Sequence[type[Term]],
+    rules: Sequence[type[Any]],
     parent: int,
 ) -> list[Finished[Result]]:
     """Do the items of a group, but for those that are finished."""
@@ -215,6 +217,8 @@ def _group_results(
             register_planner(kind)
         for term in terms:
             register(term)
+        for rule in rules:
+            register_rule(rule)
     shared: list[Shared] = []
     results: list[Finished[Result]] = []
     for item in group:

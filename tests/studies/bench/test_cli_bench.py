@@ -281,6 +281,6 @@ def test_killed_and_run_again(tmp_path: Path) -> None:
     assert all(json.loads(content)["result"]["accepted"] for content in kept.values())
     assert main(arguments) == 0
     rows = {path.name: path.read_bytes() for path in out.glob("rows/*.json")}
-    assert len(rows) == 2 * 2 * 7 and kept.items() <= rows.items()
+    assert len(rows) == 2 * 2 * 9 and kept.items() <= rows.items()
     with (out / "rows.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 28

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Hashable, Sequence
+from itertools import zip_longest
 
 from planopt.channel.validation.calibration import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
@@ -13,6 +14,9 @@ MISSING = "-"
 
 WIDTH = 100
 """Letters in a line of a comparison's table."""
+
+PAIRED_WIDTH = 30
+"""Letters in a cell of the table of paired differences."""
 
 _Column = tuple[str, Callable[[ReliabilityBin], str]]
 
@@ -112,6 +116,7 @@ def paired_lines(settings: Sequence[dict[str, Row]], metrics: Sequence[str]) -> 
     )
     if not known:
         return []
+    several = len({row.problem for each in settings for row in each.values()}) > 1
     lines = [["setting", "metric", "difference", "95 % interval"]]
     for row, low, high in apart:
         name = metric_name(row.metric)
@@ -120,7 +125,7 @@ def paired_lines(settings: Sequence[dict[str, Row]], metrics: Sequence[str]) -> 
         words = ", ".join(
             part
             for part in (
-                row.problem,
+                row.problem if several else "",
                 sweep_words(row),
                 row.cost_to_go or "",
                 row.planner,
@@ -128,7 +133,9 @@ def paired_lines(settings: Sequence[dict[str, Row]], metrics: Sequence[str]) -> 
             )
             if part
         )
-        lines.append([words, f"{name.words} [{name.unit}]", difference, " to ".join(ends)])
+        cells = [words, f"{name.words} [{name.unit}]", difference, " to ".join(ends)]
+        below = [textwrap.wrap(cell, PAIRED_WIDTH) for cell in cells]
+        lines += [list(line) for line in zip_longest(*below, fillvalue="")]
     return [title, *(aligned(lines, 2) if apart else []), ""]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -432,14 +432,23 @@ def _drive_system(asked: SystemRun, seed: int) -> RunSummary:
             str(data.get("reason", data.get("message", ""))),
             answer.exit_code,
         ),
-        metrics={
-            name: np.nan if value is None else float(value)
-            for name, value in data["metrics"].items()
-        },
+        metrics=_numbers(data["metrics"]),
         rungs={str(name): int(count) for name, count in data["rungs"].items()},
         verified_rate=np.nan if data["verified_rate"] is None else float(data["verified_rate"]),
         step_s=np.asarray(answer.step_s, dtype=float),
     )
+
+
+def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Metrics of a system as numbers; those of tables are named by both keys."""
+    found: dict[str, float] = {}
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            parts = _numbers(cast("Mapping[str, Any]", value))
+            found |= {f"{name}_{key}": part for key, part in parts.items()}
+        else:
+            found[name] = np.nan if value is None else float(value)
+    return found
 
 
 def _summary(

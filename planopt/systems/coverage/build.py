@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.coverage.assignment.demand import LEAST_ON_RING, Demand, demanded
 from planopt.coverage.control.laws import Gains
+from planopt.coverage.control.receding import MoveLimits
 from planopt.coverage.counting.tally import Counting
 from planopt.coverage.density import Density, checked_mass
 from planopt.coverage.events import Event, Sensing
@@ -23,7 +24,7 @@ from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sens
 from planopt.coverage.network import LinkModel
 from planopt.coverage.raster_density import RasterDensity
 from planopt.coverage.region import checked_polygon, convex_region
-from planopt.coverage.simulation import LawMover, Mover, Scene
+from planopt.coverage.simulation import LawMover, Mover, RecedingMover, Scene
 from planopt.errors import InputError
 from planopt.problems.build import obstacles_of
 from planopt.systems.coverage.tables import (
@@ -131,10 +132,37 @@ class CoverageProblem:
             control.stop_when_settled,
         )
 
+    @property
+    def limits(self) -> MoveLimits:
+        """What agents can do, and what they keep from obstacles and the border."""
+        agents, given = self.given.agents, self.given
+        speed = math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s
+        return MoveLimits(
+            given.control.time_step_s,
+            speed,
+            agents.acceleration_max_m_s2,
+            agents.turn_rate_max_rad_s,
+            clearance_m=given.world.clearance_m,
+        )
+
     def mover(self, planner: PlannerTable) -> Mover:
-        """Return how agents move."""
-        control = self.given.control
+        """Return how agents move.
+
+        Raises
+        ------
+        InputError
+            The laws are asked to keep a limit that they do not know.
+        """
+        control, limits = self.given.control, self.limits
         gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
+        if planner.name == "receding":
+            return RecedingMover(gains, limits, planner.horizon)
+        if limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None:
+            raise InputError(
+                "is law, which keeps no limits of acceleration or turn rate",
+                key="planner.name",
+                remedy="use receding",
+            )
         return LawMover(gains, control.time_step_s, self.given.agents.speed_max_m_s)
 
 
@@ -198,6 +226,7 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
         given, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves
     )
     problem.scene(np.random.default_rng(0))
+    _keyed(lambda: problem.mover(given.planner), {"limits": "agents"})
     return problem
 
 

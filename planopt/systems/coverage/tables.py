@@ -35,7 +35,7 @@ from planopt.world.raster_files import read_raster
 START_TRIES = 400
 """Draws for each agent that starts at a random place."""
 
-PlannerName = Literal["law"]
+PlannerName = Literal["law", "receding"]
 
 
 class HeadTable(Table):
@@ -217,6 +217,18 @@ class AgentsTable(Table):
     )
     speed_max_m_s: float | None = Field(
         default=None, ge=SMALLEST, le=1e4, description="Largest speed in m/s; left out: none."
+    )
+    acceleration_max_m_s2: float | None = Field(
+        default=None,
+        ge=SMALLEST,
+        le=1e6,
+        description="Of double integrators, for the planner receding; left out: turns at will.",
+    )
+    turn_rate_max_rad_s: float | None = Field(
+        default=None,
+        ge=SMALLEST,
+        le=1e3,
+        description="Of unicycles, for the planner receding; left out: turns at will.",
     )
 
 
@@ -409,7 +421,10 @@ class ControlTable(Table):
 class PlannerTable(Table):
     """``[planner]``: who decides the moves."""
 
-    name: PlannerName = Field(default="law", description="law: the control laws.")
+    name: PlannerName = Field(
+        default="law",
+        description="law (the control laws, speeds clipped) or receding (plans ahead).",
+    )
     horizon: int = Field(default=1, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead.")
 
 

@@ -20,6 +20,7 @@ from planopt.planning.loop.closed_loop import simulate as simulate
 from planopt.planning.plan import Plan as Plan
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.plan import Verdict as Verdict
+from planopt.planning.proof.rules.own import OwnRule as OwnRule
 from planopt.planning.run import Run as Run
 from planopt.planning.solution import Solution as Solution
 from planopt.planning.solve import solve as solve

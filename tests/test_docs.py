@@ -85,6 +85,7 @@ def test_page_of_keys(monkeypatch: pytest.MonkeyPatch) -> None:
         "truth",
         "measurements",
         "fit",
+        "given",
         "columns",
         "obstacles",
         "multipath",

@@ -16,6 +16,10 @@ from planopt.short_repr import short_repr
 MAX_POWER_DB = 1e6
 """No power is further from 0 dBm: far beyond, its squares overflow."""
 
+LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
+"""Range of powers that a receiver can report: below the least lies no noise floor of any bandwidth,
+and 100 dBm are ten megawatts."""
+
 
 class Frame(Protocol):
     """A table with named columns, such as a DataFrame of pandas or polars."""
@@ -98,8 +102,13 @@ class Measurements:
                 "not belong together",
                 remedy="give positions (n, 2) and power (n,)",
             )
-        if not (np.isfinite(self.positions_m).all() and np.isfinite(self.power_dbm).all()):
-            raise InputError("a measurement is not finite", remedy="remove it or mark it censored")
+        finite = np.isfinite(self.positions_m).all(axis=1) & np.isfinite(self.power_dbm)
+        if not finite.all():
+            raise InputError(
+                f"measurement {np.argmin(finite)} of {count} is not finite",
+                key="measurements",
+                remedy="remove it or mark it censored",
+            )
         for values, most in ((self.positions_m, MAX_COORDINATE_M), (self.power_dbm, MAX_POWER_DB)):
             if (np.abs(values) > most).any():
                 raise InputError(
@@ -142,7 +151,8 @@ def as_measurements(data: Measurements | Table) -> Measurements:
     Raises
     ------
     InputError
-        It is no table, a column is missing, or :class:`Measurements` refuses what is in them.
+        It is no table, a column is missing, :class:`Measurements` refuses what is in them, or a
+        power is outside -300 to 100 dBm.
 
     Examples
     --------
@@ -152,7 +162,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
            [10.,  5.]])
     """
     if isinstance(data, Measurements):
-        return data
+        return _of_powers(data)
     try:
         names = list(data if isinstance(data, Mapping) else data.columns)
     except (AttributeError, TypeError):
@@ -170,9 +180,28 @@ def as_measurements(data: Measurements | Table) -> Measurements:
             )
     axes = [_array(name, data[name]) for name in ("x_m", "y_m")]
     if axes[0].ndim != 1 or axes[0].shape != axes[1].shape:
-        raise InputError("x_m and y_m are no columns of equal length", key="measurements")
+        shapes = " and ".join(str(values.shape) for values in axes)
+        raise InputError(
+            f"x_m and y_m are no columns of equal length: their shapes are {shapes}",
+            key="measurements",
+            remedy="give one number for each measurement",
+        )
     more = {part.name: data[part.name] for part in fields(Measurements)[2:] if part.name in names}
-    return Measurements(np.column_stack(axes), data["power_dbm"], **more)
+    return _of_powers(Measurements(np.column_stack(axes), data["power_dbm"], **more))
+
+
+def _of_powers(given: Measurements) -> Measurements:
+    """Return measurements whose powers a receiver can have measured."""
+    within = (given.power_dbm >= LEAST_POWER_DBM) & (given.power_dbm <= LARGEST_POWER_DBM)
+    if not within.all():
+        row = int(np.argmin(within))
+        raise InputError(
+            f"power {given.power_dbm[row]:g} dBm of measurement {row} is not between "
+            f"{LEAST_POWER_DBM:g} and {LARGEST_POWER_DBM:g}",
+            key="measurements.power_dbm",
+            remedy="give powers in dBm",
+        )
+    return given
 
 
 _KINDS: dict[str, tuple[type[np.generic], str]] = {

@@ -127,6 +127,7 @@ def _answered(
                 seed,
                 () if overrides.horizon is None else (overrides.horizon,),
                 () if overrides.planner is None else (overrides.planner,),
+                animation=animation,
             ),
             out=out,
             json=json,
@@ -135,7 +136,7 @@ def _answered(
             not_for_it={
                 "--cost-to-go": overrides.cost_to_go,
                 "--calibration": overrides.calibration,
-                "--animation": "run.gif" if animation else None,
+                "--animation": "run.gif" if animation and not found.system.animates else None,
             },
         )
     asked = with_overrides(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.coverage.cost import UNIFORM, coverage
 from planopt.coverage.density import Density
-from planopt.coverage.geodesic import GeodesicRegion, geodesic_region
+from planopt.coverage.geodesic import GeodesicRegion, geodesic_region, nearest_place
 from planopt.coverage.geodesic_cells import (
     geodesic_cells,
     geodesic_distances_m,
@@ -25,10 +25,13 @@ from planopt.coverage.geodesic_cells import (
 )
 from planopt.coverage.network import Network
 from planopt.coverage.region import ConvexRegion, convex_region
-from planopt.coverage.voronoi import agent_neighbours, voronoi_cells
+from planopt.coverage.voronoi import agent_neighbours, merge_coincident, voronoi_cells
 
 DRIVE_NODES = 16
 """Grid squares along the region that agents drive in, before it gets the covered region's nodes."""
+
+TOUCHING = 1e-7
+"""Agents nearer than this share of the region's radius have the same neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +68,16 @@ class Ground(Protocol):
         """Return whether agents may be at places ``(k, 2)``; (k,)."""
         ...
 
+    def nearest(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places ``(k, 2)``, each as it is or the nearest place that agents may be at."""
+        ...
+
     def cover(self, agents_m: NDArray[np.float64]) -> Cover:
         """Return the cost and the targets of agents ``(n, 2)``."""
+        ...
+
+    def borders(self, agents_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the borders of the agents' cells as segments ``(e, 2, 2)``, for pictures."""
         ...
 
     def distances_m(
@@ -118,10 +129,22 @@ class ConvexGround:
         """Return whether places are in the region or on its border."""
         return self.region.contains(places_m)
 
+    def nearest(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places, those outside moved to the border."""
+        moved = np.array(places_m, dtype=np.float64)
+        for which in np.flatnonzero(~self.region.contains(moved)):
+            moved[which] = nearest_place(shapely.Polygon(self.region.corners_m), moved[which])
+        return moved
+
     def cover(self, agents_m: NDArray[np.float64]) -> Cover:
         """Return the exact cost and the centroids of the Voronoi cells."""
         found = coverage(voronoi_cells(self.region, agents_m), self.density, self.sensing_range_m)
         return Cover(found.cost, found.centroids_m)
+
+    def borders(self, agents_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the edges of the Voronoi cells."""
+        cells = voronoi_cells(self.region, agents_m).inside
+        return np.stack((cells.corners_m, cells.corners_m[cells.following]), axis=1)
 
     def distances_m(
         self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
@@ -147,12 +170,16 @@ class GeodesicGround:
     region
         Where agents may be. Its nodes stand for all that is covered; those within the clearance
         are at the nearest place that agents may be.
+    nodes_m, spacing_m
+        ``(m, 2)`` where these nodes are themselves, and the side of their grid squares.
     hull
         The convex region around.
     """
 
     free: shapely.Polygon
     region: GeodesicRegion
+    nodes_m: NDArray[np.float64]
+    spacing_m: float
     hull: ConvexRegion
 
     @property
@@ -164,12 +191,32 @@ class GeodesicGround:
         """Return whether places are free and keep the clearance."""
         return self.region.contains(places_m)
 
+    def nearest(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places, those that are not allowed moved to the nearest that are."""
+        return self.region.nearest(places_m)
+
     def cover(self, agents_m: NDArray[np.float64]) -> Cover:
         """Return the cost over the region's nodes, and free steps that lower it."""
         # Beside a corner agents may keep the clearance and be outside of the straight-sided region.
         agents = self.region.nearest(agents_m)
         cells = geodesic_cells(self.region, agents)
         return Cover(cells.cost, geodesic_targets(self.region, agents, cells))
+
+    def borders(self, agents_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sides of grid squares between nodes of different agents."""
+        owner = geodesic_cells(self.region, agents_m).owner
+        low = np.asarray(self.free.bounds[:2])
+        at = np.floor((self.nodes_m - low) / self.spacing_m).astype(np.intp)
+        image = np.full(at.max(axis=0) + 1, -1)
+        image[at[:, 0], at[:, 1]] = owner
+        found = [np.zeros((0, 2, 2))]
+        for axis in (0, 1):
+            one, other = (image[:-1], image[1:]) if axis == 0 else (image[:, :-1], image[:, 1:])
+            where = np.argwhere((one != other) & (one >= 0) & (other >= 0)).astype(np.float64)
+            where[:, axis] += 1.0
+            along = np.array([0.0, 1.0]) if axis == 0 else np.array([1.0, 0.0])
+            found.append(low + self.spacing_m * np.stack((where, where + along), axis=1))
+        return np.concatenate(found)
 
     def distances_m(
         self, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
@@ -212,7 +259,7 @@ def geodesic_ground(
     covered = geodesic_region(outline, obstacles, spacing_m, density, clearance_m)
     hull = convex_region(np.asarray(shapely.get_coordinates(covered.free.convex_hull)))
     if clearance_m == 0.0:
-        return GeodesicGround(covered.free, covered, hull)
+        return GeodesicGround(covered.free, covered, covered.nodes_m, spacing_m, hull)
     inner = geodesic_region(covered.allowed, (), 2.0 * hull.radius_m / DRIVE_NODES)
     nodes = inner.nearest(covered.nodes_m)
     region = replace(
@@ -222,7 +269,7 @@ def geodesic_ground(
         spread=covered.spread,
         corner_sees=inner.sees_each(nodes, inner.corners_m),
     )
-    return GeodesicGround(covered.free, region, hull)
+    return GeodesicGround(covered.free, region, covered.nodes_m, spacing_m, hull)
 
 
 def neighbour_network(ground: Ground, agents_m: NDArray[np.float64]) -> Network:
@@ -233,5 +280,7 @@ def neighbour_network(ground: Ground, agents_m: NDArray[np.float64]) -> Network:
     ground, agents_m
         What is covered, and ``(n, 2)`` by whom.
     """
-    cells = voronoi_cells(ground.hull, agents_m)
+    # Agents that nearly touch count as being at one place: bisectors between them are rounding.
+    places, group = merge_coincident(agents_m, TOUCHING * ground.hull.radius_m)
+    cells = voronoi_cells(ground.hull, places[group])
     return Network(len(agents_m), agent_neighbours(cells))

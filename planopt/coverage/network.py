@@ -12,8 +12,13 @@ from scipy.sparse.csgraph import (
     breadth_first_order,  # pyright: ignore[reportUnknownVariableType]
     shortest_path,  # pyright: ignore[reportUnknownVariableType]
 )
+from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.coverage.region import positive
 from planopt.errors import InputError
+
+Loss = float | NDArray[np.float64]
+"""Probability that a message is lost: the same for all links, or ``(e,)`` one for each link."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,3 +98,70 @@ def diameter(network: Network) -> int:
     if not np.isfinite(largest):
         raise InputError("the network is not connected", key="links")
     return int(largest)
+
+
+def gets_through(
+    messages: int, loss: Loss, generator: np.random.Generator | None
+) -> NDArray[np.bool_]:
+    """Draw which messages get through; (messages,).
+
+    Parameters
+    ----------
+    messages
+        Their number: one for each link, or one for each link in the first direction and then in
+        the other, as in :attr:`Network.directed`.
+    loss
+        Probability that a message is lost: at least 0 and below 1, or 1 for single links.
+    generator
+        Draws the losses; may be None without any.
+
+    Raises
+    ------
+    InputError
+        A loss is out of range, or there is no generator for it.
+    """
+    if not np.any(loss):
+        return np.ones(messages, dtype=np.bool_)
+    losses = np.asarray(loss, dtype=np.float64)
+    if not ((losses >= 0.0) & (losses <= 1.0)).all() or (not losses.ndim and loss == 1.0):
+        raise InputError(f"a loss of {loss!r}", key="loss", remedy="give 0 or more, less than 1")
+    if generator is None:
+        raise InputError("losses are drawn from a generator", key="generator")
+    each = np.tile(losses, messages // len(losses)) if losses.ndim else losses
+    return generator.random(messages) >= each
+
+
+@dataclass(frozen=True)
+class LinkModel:
+    """Loss of messages between agents by path loss and log-normal fading.
+
+    Attributes
+    ----------
+    k_pl_db
+        Received power at 1 m, in dBm.
+    n_pl
+        Path loss exponent.
+    fading_std_db
+        Standard deviation of the power of a message about its mean, more than 0.
+    threshold_dbm
+        A message with less power is lost.
+
+    Raises
+    ------
+    InputError
+        The exponent or the standard deviation is not positive.
+    """
+
+    k_pl_db: float
+    n_pl: float
+    fading_std_db: float
+    threshold_dbm: float
+
+    def __post_init__(self) -> None:
+        positive(self.n_pl, "links.n_pl")
+        positive(self.fading_std_db, "links.fading_std_db")
+
+    def loss(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the probability that a message over distances is lost; of the same shape."""
+        mean_dbm = self.k_pl_db - 10.0 * self.n_pl * np.log10(np.maximum(distance_m, 1.0))
+        return np.asarray(ndtr((self.threshold_dbm - mean_dbm) / self.fading_std_db))

@@ -256,37 +256,86 @@ def removed_derivatives(
     draws, count = received.shape
     weight = 2.0 * settings.tracking.weight
     steps = _Axis.of(settings)
-    predicted: list[NDArray[np.float64]] = []
+    predicted = np.empty((count, 3, draws))
     variance = np.broadcast_to(steps.start[:, None], (3, draws))
     total, idle, alone = np.zeros(draws), 0.0, steps.start
     for k in range(count):
         alone = steps.predicted(alone)
-        predicted.append(steps.predicted(variance))
-        variance = steps.updated(predicted[-1], received[:, k])
+        predicted[k] = steps.predicted(variance)
+        variance = steps.updated(predicted[k], received[:, k])
         total += weight[k] * variance[0]
         idle += weight[k] * float(alone[0])
-    # Adjoints of a, b and c after each update, backwards.
-    after = np.zeros((count, 3, draws))
+    slope = _slopes(predicted, received.T)
+    # Adjoints of (a, b, c) after each update, backwards.
+    after, ahead = np.empty((count, draws, 3)), np.zeros((draws, 3))
     by = np.empty((draws, count))
-    ahead = np.zeros((3, draws))
     for k in range(count - 1, -1, -1):
         after[k] = ahead
-        after[k, 0] += weight[k]
-        ahead, by[:, k] = steps.pulled_back(after[k], predicted[k], received[:, k])
+        after[k, :, 0] += weight[k]
+        pulled = (after[k, :, None] @ slope[k])[:, 0]
+        by[:, k] = pulled[:, 3]
+        ahead = pulled[:, :3] @ steps.transition.T
+    bent = _bends(after, predicted, received.T)
     hessian = np.zeros((draws, count, count))
     tangent = np.zeros((draws, count, 3))
     for k in range(count):
         now = tangent[:, :k] @ steps.transition
-        bent, slope = steps.curvature(after[k], predicted[k], received[:, k])
         moved = now[..., :2]
-        hessian[:, :k, :k] += (moved @ bent[:, :2, :2]) @ moved.transpose(0, 2, 1)
-        across = (moved @ bent[:, :2, 2:])[..., 0]
-        hessian[:, :k, k] = hessian[:, k, :k] = across
-        hessian[:, k, k] = bent[:, 2, 2]
-        # Of (a, b, c) after the update by a, b, c before it, and by the information.
-        tangent[:, :k] = now @ slope[:, :, :3].transpose(0, 2, 1)
-        tangent[:, k] = slope[:, :, 3]
+        turned = moved @ bent[k, :, :2]
+        hessian[:, :k, :k] += turned[..., :2] @ moved.transpose(0, 2, 1)
+        hessian[:, :k, k] = hessian[:, k, :k] = turned[..., 2]
+        hessian[:, k, k] = bent[k, :, 2, 2]
+        tangent[:, :k] = now @ slope[k, :, :, :3].transpose(0, 2, 1)
+        tangent[:, k] = slope[k, :, :, 3]
     return idle - float(total.mean()), -by, -hessian
+
+
+def _slopes(now: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Slopes of (a, b, c) after updates by a, b, c before and the information; (k, draws, 3, 4).
+
+    Parameters
+    ----------
+    now
+        ``(k, 3, draws)`` a, b and c before each update.
+    u
+        ``(k, draws)`` information of each.
+    """
+    a, b = now[:, 0], now[:, 1]
+    r = 1.0 / (1.0 + a * u)
+    r2, bu = r * r, b * u
+    slope = np.zeros((*u.shape, 3, 4))
+    slope[..., 0, 0], slope[..., 0, 3] = r2, -a * a * r2
+    slope[..., 1, 0], slope[..., 1, 1], slope[..., 1, 3] = -bu * r2, r, -a * b * r2
+    slope[..., 2, 0], slope[..., 2, 1] = bu * bu * r2, -2.0 * bu * r
+    slope[..., 2, 2], slope[..., 2, 3] = 1.0, -b * b * r2
+    return slope
+
+
+def _bends(
+    after: NDArray[np.float64], now: NDArray[np.float64], u: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Second derivatives by (a, b, u) before each update, ``(k, draws, 3, 3)``; c is linear.
+
+    Parameters
+    ----------
+    after
+        ``(k, draws, 3)`` derivatives of the total by a, b and c after each update.
+    now, u
+        As :func:`_slopes`.
+    """
+    a, b = now[:, 0], now[:, 1]
+    A, B, C = after[..., 0], after[..., 1], after[..., 2]
+    r = 1.0 / (1.0 + a * u)
+    r2, r3, bu = r * r, r * r * r, b * u
+    bent = np.empty((*u.shape, 3, 3))
+    bent[..., 0, 0] = 2.0 * u * (-A + bu * B - bu * bu * C) * r3
+    bent[..., 0, 1] = bent[..., 1, 0] = u * (2.0 * bu * C - B) * r2
+    bent[..., 0, 2] = (-2.0 * a * A + b * (a * u - 1.0) * B + 2.0 * b * bu * C) * r3
+    bent[..., 1, 1] = -2.0 * u * r * C
+    bent[..., 1, 2] = -(a * B + 2.0 * b * C) * r2
+    bent[..., 2, 2] = 2.0 * a * (a * a * A + a * b * B + b * b * C) * r3
+    bent[..., 2, 0], bent[..., 2, 1] = bent[..., 0, 2], bent[..., 1, 2]
+    return bent
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,46 +374,6 @@ class _Axis:
         found = np.empty((3, *divisor.shape))
         found[0], found[1], found[2] = a / divisor, b / divisor, c - b * b * information / divisor
         return found
-
-    def pulled_back(
-        self, by: NDArray[np.float64], now: NDArray[np.float64], u: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Derivatives by (a, b, c) a step before, and by the information, from those after."""
-        a, b, _ = now
-        inverse = 1.0 / (1.0 + a * u)
-        square = inverse * inverse
-        before = np.empty_like(by)
-        before[0] = square * (by[0] - b * u * by[1] + b * b * u * u * by[2])
-        before[1] = inverse * (by[1] - 2.0 * b * u * by[2])
-        before[2] = by[2]
-        information = -square * (a * a * by[0] + a * b * by[1] + b * b * by[2])
-        return self.transition @ before, information
-
-    def curvature(
-        self, by: NDArray[np.float64], now: NDArray[np.float64], u: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Second derivatives by (a, b, u), ``(draws, 3, 3)``, and the update's slope (draws, 3, 4).
-
-        The update is linear in c.
-        """
-        a, b, _ = now
-        A, B, C = by
-        r = 1.0 / (1.0 + a * u)
-        r2, r3 = r * r, r * r * r
-        bent = np.empty((len(u), 3, 3))
-        bent[:, 0, 0] = (-2.0 * u * A + 2.0 * b * u * u * B - 2.0 * b * b * u**3 * C) * r3
-        bent[:, 0, 1] = -u * r2 * B + 2.0 * b * u * u * r2 * C
-        bent[:, 0, 2] = (-2.0 * a * A + b * (a * u - 1.0) * B + 2.0 * b * b * u * C) * r3
-        bent[:, 1, 1] = -2.0 * u * r * C
-        bent[:, 1, 2] = -a * r2 * B - 2.0 * b * r2 * C
-        bent[:, 2, 2] = 2.0 * a * (a * a * A + a * b * B + b * b * C) * r3
-        bent[:, 1, 0], bent[:, 2, 0], bent[:, 2, 1] = bent[:, 0, 1], bent[:, 0, 2], bent[:, 1, 2]
-        slope = np.zeros((len(u), 3, 4))
-        slope[:, 0, 0], slope[:, 0, 3] = r2, -a * a * r2
-        slope[:, 1, 0], slope[:, 1, 1], slope[:, 1, 3] = -b * u * r2, r, -a * b * r2
-        slope[:, 2, 0], slope[:, 2, 1] = b * b * u * u * r2, -2.0 * b * u * r
-        slope[:, 2, 2], slope[:, 2, 3] = 1.0, -b * b * r2
-        return bent, slope
 
 
 def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -139,7 +139,6 @@ def search_length_m(
     distance_m: NDArray[np.float64],
     chance: NDArray[np.float64],
     decorrelation_m: float,
-    most_m: float,
 ) -> NDArray[np.float64]:
     """Return the expected length of a search by tries like one, R = D + (1 - P) (L + R).
 
@@ -152,11 +151,9 @@ def search_length_m(
         ``(k,)`` D and P of places.
     decorrelation_m
         L, from which on another try is independent.
-    most_m
-        No search is taken to be longer.
     """
     tried = distance_m + (1.0 - chance) * decorrelation_m
-    return np.minimum(tried / np.maximum(chance, LEAST_CHANCE), most_m)
+    return tried / np.maximum(chance, LEAST_CHANCE)
 
 
 def independent_expected_distance_m(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -266,6 +267,13 @@ def measurements_by_station(
     InputError
         There are not as many as stations, or something is no table of measurements.
     """
+    if isinstance(measurements, str | bytes | Path):
+        raise InputError(
+            f"is {measurements!r}, no table of measurements",
+            key="measurements",
+            remedy="read a file with planopt.channel.read_log, or name it in "
+            "channel.measurements.file",
+        )
     if isinstance(measurements, Sequence):
         tables = list(measurements)
     else:

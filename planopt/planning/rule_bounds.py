@@ -20,7 +20,8 @@ from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.risk_allocation import USED_SHARE, Allocation, next_allocation
-from planopt.planning.worth.rule_rows import RuleRows, step_risk
+from planopt.planning.worth.rules.joint import step_risk
+from planopt.planning.worth.rules.planned import RuleRows
 from planopt.planning.worth.situation import Situation
 
 LOCAL_PAD_DB = 0.04

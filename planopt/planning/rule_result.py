@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from planopt.problems.connectivity_rule import ConnectivityForm
+from planopt.problems.rule_kinds import rule_kind
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class RuleResult:
         as slack is allowed; of single steps, the most.
     """
 
-    connectivity: ConnectivityForm
+    connectivity: str
     achieved: float
     asked: float
     unit: str
@@ -38,7 +38,7 @@ class RuleResult:
     def missing(self) -> float:
         """By how much the bound is missed, in its unit; negative where there is some to spare."""
         short = self.asked - self.achieved
-        return -short if self.connectivity == "outage" else short
+        return -short if rule_kind(self.connectivity).greatest else short
 
     @property
     def words(self) -> str:

@@ -34,7 +34,7 @@ from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, wi
 from planopt.planning.search.start_search import Start
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.risk_allocation import Allocation
-from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rule_rows
+from planopt.planning.worth.rules.planned import has_step_rows, has_sum_row, planned_rule, rule_rows
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import structure_of
 from planopt.problems.problem import Problem
@@ -244,7 +244,7 @@ class StartPolish:
             motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive, lines.still)
             task = replace(task, motion=motion, charge=start.charge)
         task = with_bounds(task, situation, rows)
-        allocations = ALLOCATIONS if problem.constraints.rule.connectivity == "joint" else 0
+        allocations = ALLOCATIONS if planned_rule(problem.constraints.rule).allocates else 0
         found: list[Candidate] = []
         tried: list[Allocation] = []
         for attempt in range(REPAIRS + allocations):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from planopt.errors import InputError
 from planopt.plain_values import make_plain
+from planopt.problems.rule_kinds import OWN, RuleKind, rule_kind
 
 ParameterUncertainty = Literal["path_loss", "all"]
-ConnectivityForm = Literal["each_step", "stated_times", "average", "joint", "outage", "data"]
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class ConnectivityRule:
         stated. ``average``: on average over the run so far and the plan. ``joint``: that all steps
         of the plan are connected. ``outage``: steps below p_min in a row are no longer than
         stated. ``data``: the data delivered keep pace with the deadline, with probability p_min or,
-        where that is 0, in expectation.
+        where that is 0, in expectation. Or the kind of a rule of one's own (`planopt.OwnRule`).
     connected_times_s
         Of ``stated_times``, from the start of the run.
     outage_max_m, outage_max_s
@@ -38,9 +40,16 @@ class ConnectivityRule:
     parameter_uncertainty
         ``path_loss``: predictions count that theta is estimated; ``all``: that xi, beta and omega
         are as well.
+    settings
+        Values of the fields of a rule of one's own, by name.
+
+    Raises
+    ------
+    InputError
+        There is no such rule, or `settings` are not its own.
     """
 
-    connectivity: ConnectivityForm = "each_step"
+    connectivity: str = "each_step"
     connected_times_s: tuple[float, ...] = ()
     outage_max_m: float | None = None
     outage_max_s: float | None = None
@@ -50,9 +59,27 @@ class ConnectivityRule:
     slack_max_db: float | None = None
     slack_price: float = 0.0
     parameter_uncertainty: ParameterUncertainty = "path_loss"
+    settings: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
+        settings = sorted(dict(self.settings).items())
+        object.__setattr__(self, "settings", tuple(settings))
         make_plain(self)
+        kind = self.kind
+        try:
+            if settings or kind.name not in OWN:
+                kind.half(planned=False)(**dict(settings))
+        except TypeError as error:
+            raise InputError(
+                f"do not fit {self.connectivity}: {error}",
+                key="constraints.settings",
+                remedy="give a number for each field of the rule, and no others",
+            ) from None
+
+    @property
+    def kind(self) -> RuleKind:
+        """The rule that is named."""
+        return rule_kind(self.connectivity)
 
     @property
     def is_plain(self) -> bool:
@@ -62,4 +89,4 @@ class ConnectivityRule:
     @property
     def by_step(self) -> bool:
         """Whether single steps are asked for, each by itself."""
-        return self.connectivity in ("each_step", "stated_times")
+        return self.kind.by_step

@@ -39,9 +39,9 @@ class Constraints:
     @property
     def asks_connection(self) -> bool:
         """Whether anything is asked of the connection."""
-        return self.p_min > 0.0 or self.rule.connectivity == "data"
+        return self.p_min > 0.0 or self.rule.kind.asks_without_p_min
 
     @property
     def step_p_min(self) -> float:
         """What is asked of single steps; 0 where p_min is of something else, or absent."""
-        return 0.0 if self.rule.connectivity in ("average", "joint", "data") else self.p_min
+        return self.p_min if self.rule.kind.of_steps else 0.0

@@ -79,6 +79,7 @@ def _check_file(problem: Problem, path: Path, key: str) -> None:
 
 
 SYSTEMS = {
+    "coverage": "planopt.systems.coverage.system",
     "pursuit": "planopt.systems.pursuit.system",
     "pursuit_design": "planopt.systems.pursuit_design.system",
 }

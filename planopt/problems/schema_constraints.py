@@ -5,28 +5,16 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.problems.connectivity_rule import (
-    ConnectivityForm,
-    ConnectivityRule,
-    ParameterUncertainty,
-)
+from planopt.errors import InputError
+from planopt.problems.connectivity_rule import ConnectivityRule, ParameterUncertainty
 from planopt.problems.constraints import Constraints
+from planopt.problems.rule_kinds import OWN, known_rule, rule_kind
 from planopt.problems.tables import Table
 
 Positive = Annotated[float, Field(gt=0, le=1e9)]
-
-RULE_KEYS: dict[str, tuple[str, ...]] = {
-    "each_step": (),
-    "stated_times": ("connected_times_s",),
-    "average": (),
-    "joint": (),
-    "outage": ("outage_max_m", "outage_max_s"),
-    "data": ("data_mbit", "deadline_s", "rate_mbit_s"),
-}
-"""Keys that belong to one form of connectivity alone."""
 
 
 class ConstraintsTable(Table):
@@ -59,11 +47,16 @@ class ConstraintsTable(Table):
         description="Least distance in metres of any two robots at equal times, all the way; 0 "
         "asks for none.",
     )
-    connectivity: ConnectivityForm = Field(
-        default="each_step",
-        description="What p_min is asked of: each_step, stated_times, average, joint (all steps of "
-        "a plan), outage (steps below it in a row), data (delivery; 0: in expectation).",
-    )
+    connectivity: Annotated[
+        str,
+        AfterValidator(known_rule),
+        Field(
+            examples=list(OWN),
+            description="What p_min is asked of: each_step, stated_times, average, joint (all "
+            "steps of a plan), outage (steps below it in a row), data (delivery; 0: in "
+            "expectation); or a rule that is registered.",
+        ),
+    ] = "each_step"
     connected_times_s: list[Positive] = Field(
         default=[],
         max_length=100_000,
@@ -110,6 +103,11 @@ class ConstraintsTable(Table):
         description="What p_min counts as estimated: path_loss, or all, xi, beta and omega "
         "besides. all goes with each_step and stated_times.",
     )
+    settings: dict[str, float] = Field(
+        default={},
+        max_length=100,
+        description="Values of the fields of a rule that is registered, by name.",
+    )
 
     @model_validator(mode="after")
     def _keys_of_the_form(self) -> ConstraintsTable:
@@ -121,27 +119,32 @@ class ConstraintsTable(Table):
     def _fault(self) -> str | None:
         """What does not fit the form of connectivity."""
         form, given = self.connectivity, self.model_fields_set
-        for other, keys in RULE_KEYS.items():
-            for key in keys:
-                if other != form and key in given:
-                    return f'has {key}, which goes only with connectivity = "{other}"'
-        if form not in ("each_step", "data") and self.p_min == 0.0:
+        for other in OWN.values():
+            for key in other.keys:
+                if other.name != form and key in given:
+                    return f'has {key}, which goes only with connectivity = "{other.name}"'
+        kind = rule_kind(form)
+        if form != "each_step" and self.p_min == 0.0 and not kind.asks_without_p_min:
             return f'needs p_min above 0 for connectivity = "{form}"'
         if form == "outage" and (self.outage_max_m is None) == (self.outage_max_s is None):
             return 'needs one of outage_max_m and outage_max_s for connectivity = "outage"'
         if form in ("stated_times", "data"):
-            for key in RULE_KEYS[form]:
+            for key in kind.keys:
                 if not getattr(self, key):
                     return f'needs {key} for connectivity = "{form}"'
-        if self.slack_max_db is not None and self.p_min == 0.0 and form != "data":
+        if self.slack_max_db is not None and self.p_min == 0.0 and not kind.asks_without_p_min:
             return "has slack_max_db, but nothing is asked of the connection: p_min is 0"
         if self.parameter_uncertainty == "all":
-            if form not in ("each_step", "stated_times"):
+            if not kind.by_step:
                 return f'has parameter_uncertainty = "all", not for connectivity = "{form}"'
             if self.p_min == 0.0:
                 return 'has parameter_uncertainty = "all", but p_min is 0'
         if self.slack_price > 0.0 and not self.slack_max_db:
             return "has slack_price, which needs slack_max_db above 0"
+        try:
+            ConnectivityRule(form, settings=self.settings)
+        except InputError as error:
+            return f"has settings that {error.message}"
         return None
 
     @property
@@ -163,6 +166,7 @@ class ConstraintsTable(Table):
                 self.slack_max_db,
                 self.slack_price,
                 self.parameter_uncertainty,
+                self.settings,
             ),
         )
 
@@ -176,5 +180,7 @@ def constraints_table(constraints: Constraints) -> dict[str, Any]:
     rule = {key: value for key, value in asdict(constraints.rule).items() if value != default[key]}
     if constraints.rule.connected_times_s:
         rule["connected_times_s"] = list(constraints.rule.connected_times_s)
+    if constraints.rule.settings:
+        rule["settings"] = dict(constraints.rule.settings)
     own = {key: value for key, value in asdict(constraints).items() if key != "rule"}
     return {**own, **rule}

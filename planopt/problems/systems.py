@@ -19,6 +19,7 @@ from planopt.problems.load import load as load_motion
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
 from planopt.problems.tables import Table
+from planopt.short_repr import short_repr
 
 ACTIONS = ("solve", "simulate", "compare")
 """What may be asked of a system; each has some of them."""
@@ -38,6 +39,8 @@ class Request:
         Of a comparison.
     on_step
         Called after every step of a run, or every run of a comparison.
+    animation
+        Whether a run is drawn as an animation as well.
     """
 
     seed: int = 0
@@ -45,6 +48,7 @@ class Request:
     planners: Sequence[str] = ()
     seeds: Sequence[int] = ()
     on_step: Callable[[], None] = lambda: None
+    animation: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +81,10 @@ class Answer:
     draw: Callable[[Path], None] | None = None
     failure: NoPlanError | None = None
 
+    def __repr__(self) -> str:
+        """Return the words for people."""
+        return "\n".join(self.words)
+
 
 @dataclass(frozen=True, eq=False)
 class System:
@@ -97,6 +105,8 @@ class System:
         Names of the files that answers write beside the JSON file, pictures included.
     solve, simulate, compare
         Answer a request; None for what the task has not.
+    animates
+        Whether runs are drawn as an animation when that is asked for.
     check
         Judge a saved answer from its JSON file, what that says and its problem: reasons against
         it, none if it holds.
@@ -111,6 +121,7 @@ class System:
     solve: Callable[[SystemProblem, Request], Answer] | None = None
     simulate: Callable[[SystemProblem, Request], Answer] | None = None
     compare: Callable[[SystemProblem, Request], Answer] | None = None
+    animates: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +149,8 @@ class SystemProblem:
     content: Any
     given: Any = field(repr=False)
     file: Path | None
+
+    __repr__ = short_repr
 
     def tables(self) -> dict[str, Any]:
         """Return the problem in full; :func:`system_from_tables` reads it."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from planopt.objectives.terms.term import registered_terms
 from planopt.problems.planner_kinds import names_with, planner_kind
+from planopt.problems.rule_kinds import rule_kind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +35,8 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         return "task reach has no objective.terms"
     if tables.targets:
         return "task reach has no targets"
-    if tables.constraints.p_min == 0.0 and tables.constraints.connectivity != "data":
+    rule = rule_kind(tables.constraints.connectivity)
+    if tables.constraints.p_min == 0.0 and not rule.asks_without_p_min:
         return "task reach needs constraints.p_min above 0"
     if not planner_kind(tables.planner.name).reaches_goals:
         return (

@@ -10,7 +10,7 @@ from planopt.problems.constraints import Constraints
 from planopt.report.style import spaced
 
 MEANING = {
-    Verdict.VERIFIED: "every constraint holds",
+    Verdict.VERIFIED: "constraints hold; contact is left only where unavoidable or worth its price",
     Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
     Verdict.VIOLATED: "a constraint does not hold",
     Verdict.NONE: "there is no plan",

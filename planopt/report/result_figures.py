@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
 
-WORDS_WIDTH, WORDS_LINES = 66, 13
+WORDS_WIDTH, WORDS_LINES = 60, 13
 """Letters on a line, and lines, that there is room for under the curves."""
 
 

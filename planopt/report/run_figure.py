@@ -151,10 +151,10 @@ def _draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
             x,
             y,
             marker="D",
-            s=34.0,
-            facecolors=PURPLE,
-            edgecolors=BLACK,
-            linewidths=0.8,
+            s=26.0,
+            facecolors="none",  # the path stays to be seen where many follow each other
+            edgecolors=PURPLE,
+            linewidths=1.2,
             zorder=PLACE_Z,
             label="bound relaxed",
         )

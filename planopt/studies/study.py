@@ -21,6 +21,7 @@ from planopt.problems.planner_kinds import (
     register_planner,
     registered_planners,
 )
+from planopt.problems.rule_kinds import register_rule, registered_rules
 from planopt.studies.finished_runs import FinishedRuns
 
 BACKENDS = ("loky",)
@@ -104,7 +105,7 @@ def run_study(
         )
     parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
     task = cast("Callable[..., object]", delayed(_group_results))
-    outside = registered_planners(), outside_terms()
+    outside = registered_planners(), outside_terms(), registered_rules()
     jobs = [task(study, group, record, *outside, os.getpid()) for group in groups]
     return iter(cast("Iterable[list[Finished[Result]]]", parallel(jobs)))
 
@@ -115,6 +116,7 @@ def _group_results(
     record: FinishedRuns | None,
     planners: Sequence[PlannerKind],
     terms: Sequence[type[Term]],
+    rules: Sequence[type[Any]],
     parent: int,
 ) -> list[Finished[Result]]:
     """Do the items of a group, but for those that are finished."""
@@ -124,6 +126,8 @@ def _group_results(
             register_planner(kind)
         for term in terms:
             register(term)
+        for rule in rules:
+            register_rule(rule)
     shared: list[Shared] = []
     results: list[Finished[Result]] = []
     for item in group:

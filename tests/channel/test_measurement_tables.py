@@ -148,6 +148,7 @@ def test_public_calls_take_lists_of_places() -> None:
         ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "censored": ["0"]}, "true or false"),
         ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "receiver": [0.5]}, "whole numbers"),
         ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "time_s": [1.0, 2.0]}, "time_s of shape"),
+        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [-400.0]}, "measurement 0 is not between -300"),
         (3, "a int has no measurements"),
         ([1.0, 2.0], "a list has no measurements"),
         (None, "a NoneType has no measurements"),

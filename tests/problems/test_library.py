@@ -23,7 +23,12 @@ from planopt.world.clearance import clearance_m, index_obstacles
 NAMES = [
     "connect_rooftop",
     "connect_street",
+    "coverage_1000",
+    "coverage_obstacles",
+    "coverage_plain",
     "crowded_track",
+    "event_response",
+    "events_several",
     "fig4",
     "fig5",
     "fig5_wide",

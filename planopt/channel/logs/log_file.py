@@ -26,11 +26,9 @@ from planopt.channel.logs.log_cells import read_flag, read_label, read_number
 from planopt.channel.logs.log_format import (
     LARGEST_LATITUDE_DEG,
     LARGEST_LONGITUDE_DEG,
-    LARGEST_POWER_DBM,
-    LEAST_POWER_DBM,
     LogFormat,
 )
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
 from planopt.files.regular import read_text

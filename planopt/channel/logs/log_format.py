@@ -11,10 +11,6 @@ from planopt.errors import InputError
 DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
 """Names of the columns for x, y and power."""
 
-LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
-"""Range of powers that a receiver can report: below the least lies no noise floor of any bandwidth,
-and 100 dBm are ten megawatts."""
-
 LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.network import Network
+from planopt.coverage.network import Loss, Network, gets_through
 from planopt.errors import InputError
 
 
@@ -82,7 +82,7 @@ def flag_round(
     wanted: NDArray[np.intp],
     *,
     lifetime: int | None = None,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> FlagLists:
     """Let every agent send its list to its neighbours once, and keep the nearest of what it knows.
@@ -110,11 +110,8 @@ def flag_round(
     """
     n = network.count
     sender, receiver = network.directed
-    if loss > 0.0:
-        if generator is None:
-            raise InputError("losses are drawn from a generator", key="generator")
-        heard = generator.random(len(sender)) >= loss
-        sender, receiver = sender[heard], receiver[heard]
+    heard = gets_through(len(sender), loss, generator)
+    sender, receiver = sender[heard], receiver[heard]
     alive = np.isfinite(distances_m)
     # Entries by holder, so that a link's message is a slice of them.
     order = np.argsort(lists.holder, kind="stable")
@@ -161,7 +158,7 @@ def propagate_flags(
     wanted: int | NDArray[np.intp],
     *,
     rounds: int | None = None,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Flags:
     """Find the agents nearest to an event by lists that all agents send at once.
@@ -204,17 +201,16 @@ def propagate_flags(
     asked = np.broadcast_to(np.asarray(wanted, dtype=np.intp), (n,))
     if distances_m.shape != (n,) or (asked < 0).any():
         raise InputError(f"{len(distances_m)} distances for {n} agents", key="distances_m")
-    if not 0.0 <= loss < 1.0 or (loss > 0.0 and rounds is None):
-        raise InputError(
-            f"a loss of {loss!r}", key="loss", remedy="give 0 or more, less than 1, and `rounds`"
-        )
+    lossy = bool(np.any(loss))
+    if lossy and rounds is None:
+        raise InputError(f"a loss of {loss!r}", key="loss", remedy="give `rounds` as well")
     lists = start_lists(distances_m)
     lists = _kept(lists, asked[lists.holder] > 0)
     sent = np.ones(n, dtype=np.bool_)
     messages = entries = 0
     history = [flags_of(lists, n)]
     while rounds is None or len(history) <= rounds:
-        every = loss > 0.0 or rounds is not None
+        every = lossy or rounds is not None
         talking = np.ones(n, dtype=np.bool_) if every else sent
         sizes = np.bincount(lists.holder, minlength=n)
         messages += int(network.degrees[talking & (sizes > 0)].sum())

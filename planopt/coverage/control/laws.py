@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from planopt.coverage.ground import Cover, Ground
 from planopt.coverage.region import positive
+from planopt.coverage.voronoi import merge_coincident
 from planopt.errors import InputError
+
+SPLIT = 1e-9
+"""Covering agents at one place are taken apart by this share of the region's radius: their common
+cell is then cut into sectors, one for each, and they leave each other."""
 
 Partition = Literal["all", "coverage_only"]
 """Whose cells divide the region: those of all agents, or of the covering ones alone."""
@@ -104,10 +109,29 @@ def coverage_aims(
     """
     alone = partition == "coverage_only" and not responds.all()
     counted = ~responds if alone else np.ones_like(responds)
-    found = ground.cover(agents_m[counted])
+    found = ground.cover(_apart(ground, agents_m, ~responds)[counted])
     targets = agents_m.copy()
     targets[~responds] = found.targets_m[~responds[counted]]
     return Cover(found.cost, targets)
+
+
+def _apart(
+    ground: Ground, agents_m: NDArray[np.float64], covers: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Agents (n, 2), covering ones at one place moved onto a tiny ring about it."""
+    within_m = 0.5 * SPLIT * ground.hull.radius_m
+    if np.diff(np.sort(agents_m[covers, 0])).min(initial=np.inf) > within_m:
+        return agents_m
+    group = merge_coincident(agents_m[covers], within_m)[1]
+    size = np.bincount(group)[group]
+    order = np.argsort(group, kind="stable")
+    rank = np.empty(len(group), dtype=np.intp)
+    rank[order] = np.arange(len(group)) - np.searchsorted(group[order], group[order])
+    angle = 2.0 * np.pi * rank / size
+    ring = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (size > 1)[:, None]
+    moved = agents_m.copy()
+    moved[covers] = ground.nearest(agents_m[covers] + SPLIT * ground.hull.radius_m * ring)
+    return moved
 
 
 def law_velocities(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, eigsh  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.coverage.network import Network, is_connected
+from planopt.coverage.network import Loss, Network, gets_through, is_connected
 from planopt.errors import InputError
 
 DENSE = 400
@@ -184,7 +184,7 @@ def average_round(
     values: NDArray[np.float64],
     network: Network,
     *,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> NDArray[np.float64]:
     """Let every agent average with its neighbours once.
@@ -204,8 +204,8 @@ def average_round(
         Draws the losses.
     """
     links, weights = network.links, link_weights(network)
-    if loss != 0.0:
-        kept = _surviving(len(links), loss, generator)
+    if np.any(loss):
+        kept = gets_through(len(links), loss, generator)
         links, weights = links[kept], weights[kept]
     first, second = links[:, 0], links[:, 1]
     flow = (values[second] - values[first]) * (weights if values.ndim == 1 else weights[:, None])
@@ -220,7 +220,7 @@ def count_by_averaging(
     leader: int,
     rounds: int,
     *,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Count:
     """Count agents by average consensus from a leader.
@@ -266,12 +266,3 @@ def inverted(values: NDArray[np.float64]) -> NDArray[np.float64]:
     heard = values > 0.0
     counts[heard] = 1.0 / values[heard]
     return counts
-
-
-def _surviving(links: int, loss: float, generator: np.random.Generator | None) -> NDArray[np.bool_]:
-    """Which links get through; (links,)."""
-    if not 0.0 <= loss < 1.0:
-        raise InputError(f"a loss of {loss!r}", key="loss", remedy="give 0 or more, less than 1")
-    if generator is None:
-        raise InputError("losses are drawn from a generator", key="generator")
-    return generator.random(links) >= loss

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.coverage.counting.consensus import Count
-from planopt.coverage.network import Network
+from planopt.coverage.network import Loss, Network, gets_through
 from planopt.errors import InputError
 
 LEAST_DRAWS = 3
@@ -61,7 +61,7 @@ def minima_round(
     minima: Minima,
     network: Network,
     *,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Minima:
     """Let every agent send its numbers to its neighbours once and keep the smallest.
@@ -78,11 +78,8 @@ def minima_round(
         Draws the losses.
     """
     sender, receiver = network.directed
-    if loss > 0.0:
-        if generator is None or not loss < 1.0:
-            raise InputError(f"a loss of {loss!r} or no generator for it", key="loss")
-        heard = generator.random(len(sender)) >= loss
-        sender, receiver = sender[heard], receiver[heard]
+    heard = gets_through(len(sender), loss, generator)
+    sender, receiver = sender[heard], receiver[heard]
     after = minima.values.copy()
     np.minimum.at(after, receiver, minima.values[sender])
     return Minima(after)
@@ -94,7 +91,7 @@ def count_by_minima(
     rounds: int,
     generator: np.random.Generator,
     *,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
 ) -> Count:
     """Count agents by the minima of exponential numbers.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.coverage.counting.consensus import Count, inverted
-from planopt.coverage.network import Network
+from planopt.coverage.network import Loss, Network, gets_through
 from planopt.errors import InputError
 
 
@@ -54,7 +54,7 @@ def push_sum_round(
     state: PushSum,
     network: Network,
     *,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> PushSum:
     """Let every agent share what it holds with its neighbours once.
@@ -76,11 +76,7 @@ def push_sum_round(
         The loss is out of range, or there is none to draw it.
     """
     sender, receiver = network.directed
-    heard = np.ones(len(sender), dtype=np.bool_)
-    if loss != 0.0:
-        if generator is None or not 0.0 < loss < 1.0:
-            raise InputError(f"a loss of {loss!r} or no generator for it", key="loss")
-        heard = generator.random(len(sender)) >= loss
+    heard = gets_through(len(sender), loss, generator)
     share = state.held / (1.0 + network.degrees)[:, None]
     given = state.given + share
     held = share.copy()
@@ -95,7 +91,7 @@ def count_by_push_sum(
     leader: int,
     rounds: int,
     *,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Count:
     """Count agents by push-sum with running sums.

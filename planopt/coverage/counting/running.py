@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.coverage.counting.consensus import average_round, disagreement
-from planopt.coverage.network import Network, is_connected
+from planopt.coverage.network import Loss, Network, is_connected
 from planopt.errors import InputError
 
 
@@ -25,7 +25,7 @@ def running_round(
     leader: int,
     innovation: float,
     *,
-    loss: float = 0.0,
+    loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> NDArray[np.float64]:
     """Let every agent update its running count once.

@@ -87,6 +87,7 @@ def locate_events(
     events: int = 1,
     *,
     strength_known: bool = True,
+    near_m: NDArray[np.float64] | None = None,
 ) -> EventEstimate:
     """Estimate the places of events whose signals add up.
 
@@ -102,6 +103,9 @@ def locate_events(
         How many there are.
     strength_known
         Whether all have the sensor's strength; if not, each event's strength is estimated as well.
+    near_m
+        ``(g, 2)`` places to start from, such as an earlier estimate and its rivals; a grid over the
+        region if None, which takes many times as long.
 
     Raises
     ------
@@ -112,7 +116,7 @@ def locate_events(
         raise InputError("there is no reading", key="readings", remedy="measure first")
     if events < 1:
         raise InputError(f"{events} events", key="events")
-    grid = _grid(region)
+    grid = _grid(region) if near_m is None else _inside(region, near_m)
     places, strengths = np.zeros((0, 2)), np.zeros(0)
     fits = None
     for _ in range(events):

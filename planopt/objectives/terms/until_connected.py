@@ -101,7 +101,9 @@ class UntilConnectedTerm(Term):
             return at.workspace_diagonal_m if self.beyond_m is None else self.beyond_m
         chance = np.array([at.chance(way.end_m)])
         after = self.search_length_m(at, way.rest_m[:1], chance) - way.rest_m[0]
-        return max(float(after[0]), 0.0)
+        # A plan is not charged more: what it tells of chances of a thousandth is not believed.
+        most_m = at.workspace_diagonal_m if self.beyond_m is None else np.inf
+        return max(min(float(after[0]), most_m), 0.0)
 
     def search_length_m(
         self, at: StepContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
@@ -112,7 +114,7 @@ class UntilConnectedTerm(Term):
         """
         if self.beyond_m is not None:
             return length_m + (1.0 - chance) * self.beyond_m
-        return search_length_m(length_m, chance, at.decorrelation_m, at.workspace_diagonal_m)
+        return search_length_m(length_m, chance, at.decorrelation_m)
 
     def charged_beyond_m(self, at: StepContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what a plan that ends at each place (n, 2) without connection is charged; (n,).

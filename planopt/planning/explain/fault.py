@@ -8,16 +8,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.prediction import Prediction
-from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.explain.case import Case
 from planopt.planning.explain.reach_limits import best_margin_db
 from planopt.planning.history import BEGINNING
-from planopt.planning.plan import Plan
-from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit, is_priced
-from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
+from planopt.planning.proof.rules.asked import is_priced
+from planopt.planning.proof.rules.proven import asked_steps
+from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
-from planopt.problems.problem import Problem
+from planopt.planning.worth.rules.planned import planned_rule
 from planopt.robots.braked_motion import braked_motion
 from planopt.world.least_distance import step_distances_m
 
@@ -67,7 +65,12 @@ def _connection(case: Case) -> Fault | None:
         if result is None or result.slack_db > 0.0 or not is_missed(result):
             return None
         unit = "" if result.unit == "probability" else result.unit
-        return Fault("connection", _weak_steps(problem, case.plan), result.missing, unit)
+        return Fault(
+            "connection",
+            _stages(planned_rule(rule).weak_steps(problem, case.plan)),
+            result.missing,
+            unit,
+        )
     limit = rule.slack_max_db or 0.0
     missed = [
         (step, missing - limit)
@@ -85,44 +88,6 @@ def _connection(case: Case) -> Fault | None:
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
         return None  # nothing within reach keeps these steps, which excuses them
     return Fault("connection", stages, short_db, "dB")
-
-
-def _weak_steps(problem: Problem, plan: Plan) -> tuple[int, ...]:
-    """The steps by which a rule over the whole plan is missed.
-
-    For outages those in a row that is too long. Else steps that are less likely connected than all
-    would have to be, were they alike: of ``joint`` by Boole's bound.
-    """
-    constraints, chance = problem.constraints, plan.connectivity[1:]
-    rule, count = constraints.rule, len(chance)
-    if rule.connectivity == "outage":
-        power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
-        return _stages(
-            _long_outages(problem, plan, margin_missed(margins_asked_db(problem, power)))
-        )
-    level = np.full(count, constraints.p_min)
-    if rule.connectivity == "joint":
-        level = np.full(count, 1.0 - (1.0 - constraints.p_min) / count)
-    if rule.connectivity == "data":
-        each, total = data_asked_mbit(problem, BEGINNING, count)
-        share = total / max(float(each.sum()), 1e-9)
-        level = np.where(each > 0.0, max(constraints.p_min, share), 0.0)
-    return _stages(chance < level)
-
-
-def _long_outages(problem: Problem, plan: Plan, missed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Steps in rows of `missed` ones (n,) that are longer than is allowed."""
-    rule = problem.constraints.rule
-    sizes = np.full(len(missed), problem.planner.step_s)
-    limit = rule.outage_max_s
-    if rule.outage_max_m is not None:
-        sizes = np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1)
-        limit = rule.outage_max_m
-    row = np.cumsum(np.diff(missed, prepend=False))
-    long = [
-        number for number in np.unique(row[missed]) if sizes[row == number].sum() > (limit or 0.0)
-    ]
-    return missed & np.isin(row, long)
 
 
 def _distances(case: Case) -> list[Fault]:

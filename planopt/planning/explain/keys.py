@@ -10,6 +10,7 @@ from typing import Literal
 from planopt.planning.explain.case import Case
 from planopt.planning.explain.explanation import towards
 from planopt.planning.explain.fault import Fault, met_nowhere
+from planopt.planning.worth.rules.planned import planned_rule
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
@@ -227,13 +228,11 @@ def _horizon_keys(case: Case) -> list[Key]:
     problem = case.problem
     asked = problem.planner.horizon
     longest = min(max(_steps_across(case.own), 2 * asked), MAX_HORIZON, max(asked, LONGEST_HORIZON))
-    match problem.constraints.rule.connectivity:
-        case "joint" | "outage":
-            return [horizon_key(problem, MIN_HORIZON)] if asked > MIN_HORIZON else []
-        case "average" | "data":
-            return [horizon_key(problem, longest)] if asked < longest else []
-        case _:
-            return [horizon_key(problem, longest)] if met_nowhere(case) and asked < longest else []
+    rule = problem.constraints.rule
+    if not planned_rule(rule).more_steps:
+        return [horizon_key(problem, MIN_HORIZON)] if asked > MIN_HORIZON else []
+    helps = met_nowhere(case) or not rule.by_step
+    return [horizon_key(problem, longest)] if helps and asked < longest else []
 
 
 def _drive_keys(case: Case) -> list[Key]:

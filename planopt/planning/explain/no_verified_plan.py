@@ -17,6 +17,7 @@ from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.predictions import certified_prediction
+from planopt.planning.proof.rules.proven import PathCase
 from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
 from planopt.planning.robot_problem import problem_of_robot
@@ -146,7 +147,9 @@ def _is_kept(case: Case, problem: Problem) -> bool:
         broad = broad_prediction(problem, case.posteriors)
         power, _ = certified_prediction(first, plan.positions_m[1:], broad, keep=False)
     if not rule.by_step:
-        result = whole_plan_result(problem, BEGINNING, first, plan.positions_m, power, broad)
+        result = whole_plan_result(
+            PathCase(problem, BEGINNING, first, plan.positions_m, power, broad)
+        )
         return result.slack_db > 0.0 or not is_missed(result)
     margins = margins_asked_db(problem, power) + (rule.slack_max_db or 0.0)
     blamed = margins[[step - 1 for step in plan.certificate.relaxed_steps]]

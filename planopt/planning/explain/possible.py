@@ -16,10 +16,9 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.explain.reach_limits import best_by_step
-from planopt.planning.history import BEGINNING
 from planopt.planning.proof.reachability import COARSE_NODES
-from planopt.planning.proof.rules.asked import asked_steps, data_asked_mbit, is_priced
-from planopt.planning.proof.rules.outage import longest_run
+from planopt.planning.proof.rules.asked import is_priced
+from planopt.planning.worth.rules.planned import BestWithin, planned_rule
 from planopt.problems.problem import Problem
 
 GRID_ERROR_DB = 0.1
@@ -47,29 +46,13 @@ def is_possible(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> boo
     if min(places, 4.0 * (steps * COARSE_NODES) ** 2) > MOST_PLACES:
         return True
     rule = constraints.rule
-    problem = _eased(problem, (rule.slack_max_db or 0.0) + GRID_ERROR_DB)
-    if rule.by_step or rule.connectivity == "outage":
-        best = best_by_step(problem, posteriors, lambda power: margins_asked_db(problem, power))
-        if rule.connectivity == "outage":
-            longest = longest_run(np.full(steps, problem.planner.step_s), best < 0.0, 0.0)
-            return rule.outage_max_s is None or longest <= rule.outage_max_s * (1.0 + 1e-9)
-        kept = best[asked_steps(problem, BEGINNING, steps)] >= 0.0
-        return bool(kept.any() if rule.slack_max_db is None else kept.all())
-    return _sums_possible(problem, _chances(problem, posteriors))
-
-
-def _sums_possible(problem: Problem, chance: NDArray[np.float64]) -> bool:
-    """The same from the best chance (N,) within reach by each step."""
-    p_min = problem.constraints.p_min
-    match problem.constraints.rule.connectivity:
-        case "joint":
-            return bool(chance.min() >= p_min)
-        case "average":
-            return bool(chance.mean() >= p_min)
-        case _:
-            each, asked = data_asked_mbit(problem, BEGINNING, len(chance))
-            # Markov's inequality, where a probability is asked.
-            return float(each @ chance) >= asked * (p_min or 1.0)
+    eased = _eased(problem, (rule.slack_max_db or 0.0) + GRID_ERROR_DB)
+    best = BestWithin(
+        eased,
+        lambda: best_by_step(eased, posteriors, lambda power: margins_asked_db(eased, power)),
+        lambda: _chances(eased, posteriors),
+    )
+    return planned_rule(rule).is_possible(best)
 
 
 def _chances(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> NDArray[np.float64]:

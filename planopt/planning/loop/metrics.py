@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
-from planopt.planning.history import data_of_steps_mbit
 from planopt.planning.holes import Hole, holes_along
 from planopt.planning.loop.log import (
     ChannelLog,
@@ -19,6 +18,7 @@ from planopt.planning.loop.log import (
     TargetLog,
 )
 from planopt.planning.plan import Plan
+from planopt.planning.proof.rules.proven import proven_rule
 from planopt.planning.team.least_distances import (
     driven_motion,
     least_moving_clearances_m,
@@ -132,25 +132,8 @@ def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
     where there are none). ``least_connected_share``: of the steps, for the average.
     ``longest_outage_s``. ``data_mbit``: delivered by the deadline.
     """
-    rule, step_s = problem.constraints.rule, problem.planner.step_s
     connected = [log.connected[1:] for log in logs]
-    match rule.connectivity:
-        case "stated_times":
-            stated = np.unique(np.rint(np.array(rule.connected_times_s) / step_s)).astype(np.intp)
-            kept = [now[stated[stated <= len(now)] - 1] for now in connected]
-            least = min(float(now.mean()) if now.size else 1.0 for now in kept)
-            return {"stated_times_connected": least}
-        case "average":
-            least = min(float(now.mean()) if now.size else 1.0 for now in connected)
-            return {"least_connected_share": least}
-        case "outage":
-            longest = max(longest_outage_m(np.full(len(now), step_s), now) for now in connected)
-            return {"longest_outage_s": longest}
-        case "data":
-            delivered = [float(data_of_steps_mbit(problem, 0, len(now)) @ now) for now in connected]
-            return {"data_mbit": min(delivered)}
-        case _:
-            return {}
+    return proven_rule(problem.constraints.rule).run_metrics(problem, connected)
 
 
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:

@@ -25,6 +25,7 @@ from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.motion import judge_motion
 from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
+from planopt.planning.proof.rules.proven import PathCase
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
 from planopt.planning.proof.swept_motion import swept_motion
@@ -134,7 +135,7 @@ def judge(
     else:
         planned = Prediction(mean, deviation)
         result = whole_plan_result(
-            problem, under.history, posterior, positions_m, planned, under.broad
+            PathCase(problem, under.history, posterior, positions_m, planned, under.broad)
         )
         reasons += rule_reasons(problem, result)
     certificate = Certificate(

@@ -3,9 +3,9 @@
 The cost-to-go is the length of the cheapest path to the goal, a metre below the bound counting
 ``1 + outage_price (1 - P)`` metres; the path of N steps is found by dynamic programming with the
 same charges, so that both agree about every metre. A rule of connectivity over several steps is
-searched for under guides (:mod:`planopt.planning.search.guide`); of the paths that keep it the
-cheapest is taken, unless it comes less than half as near to the goal as the cheapest path of all:
-a robot that keeps its rule by standing still would never arrive.
+searched for under guides (:class:`planopt.planning.worth.rules.planned.Guide`); of the paths that
+keep it the cheapest is taken, unless it comes less than half as near to the goal as the cheapest
+path of all: a robot that keeps its rule by standing still would never arrive.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_
 from planopt.planning.ground import first_moves
 from planopt.planning.history import History
 from planopt.planning.scene import Scene
-from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.lattice_search import search_lattice
 from planopt.planning.search.moving_moves import first_steps_apart
 from planopt.planning.search.node_margins import NodeMargins
@@ -32,8 +31,8 @@ from planopt.planning.search.timed_search import (
     timed_places,
 )
 from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
-from planopt.planning.worth.rule_rows import step_rows
 from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.rules.planned import Guide, planned_rule, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import MovingDiscs
@@ -263,7 +262,8 @@ class GlobalSearch:
             return [path]
 
         found[places[cheapest].tobytes()] = cheapest
-        find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
+        rule = planned_rule(situation.problem.constraints.rule)
+        rule.find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
         all_nodes = list(found.values())
         missing = [round(rule_missing(situation, places[nodes]), 2) for nodes in all_nodes]
         costs = [self._cost_s(situation, ways, nodes) for nodes in all_nodes]

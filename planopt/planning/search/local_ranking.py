@@ -4,10 +4,6 @@ The terms are those of :mod:`planopt.planning.worth.path_worth`, by the same for
 ways. One set of measurements serves them all, so that the cost grows neither with their number nor,
 by much, with that of the ways. Where the set is all there are, nothing but rounding is between the
 two, the largest products being in single precision; what is chosen here is valued again there.
-
-How what ways miss of the rule of connectivity changes with their places.
-
-By how much many ways miss the rule of connectivity, all at once: for choosing among them.
 """
 
 from __future__ import annotations
@@ -20,12 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import (
-    Prediction,
-    bound_margin_db,
-    bound_quantile,
-    connection_probability,
-)
 from planopt.objectives.local_channel import (
     LocalChannel,
     LocalGrid,
@@ -35,103 +25,11 @@ from planopt.objectives.local_channel import (
 from planopt.objectives.terms.context import Paths
 from planopt.objectives.told_batch import ToldBatch
 from planopt.objectives.way_batch import WayBatch
-from planopt.objectives.way_slopes import Pull, pull_of_power, slopes_of
-from planopt.planning.proof.rules.asked import (
-    asked_steps,
-    connected_steps_asked,
-    data_asked_mbit,
-)
-from planopt.planning.proof.serving import connection_law
+from planopt.objectives.way_slopes import Pull, slopes_of
 from planopt.planning.worth.region import region_along
+from planopt.planning.worth.rules.planned import planned_rule
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-
-
-def missing_slope(at: Situation, batch: WayBatch) -> Pull:
-    """Derivatives of :func:`planopt.planning.search.local_ranking.ways_missing` that adds up dB.
-
-    Nothing for rules that count otherwise: a way then climbs as if there were none, but no step
-    that misses more is taken.
-    """
-    problem, (count, steps) = at.problem, batch.shape
-    rule, p_min = problem.constraints.rule.connectivity, problem.constraints.p_min
-    if rule in ("average", "data", "outage"):
-        return Pull()
-    asked = asked_steps(problem, at.circumstances.history, steps)
-    if rule == "joint":
-        p_min, asked = p_min ** (1.0 / steps), np.ones(steps, dtype=np.bool_)
-    power, law = batch.power, connection_law(at.posterior)
-    quantile = bound_quantile(p_min) if law is None else law.quantile(p_min)
-    margin = power.mean_db - quantile * power.deviation_db - problem.stations[0].threshold_dbm
-    missed = ((margin < 0.0).reshape(count, steps) & asked).astype(np.float64)
-    return pull_of_power(batch, -missed, quantile * missed)
-
-
-def ways_missing(
-    at: Situation, legs_m: NDArray[np.float64], power: Prediction
-) -> NDArray[np.float64]:
-    """A measure of what each way lacks, 0 where it keeps the rule; ``(c,)``.
-
-    In dB of all steps; of an expectation in steps or Mbit; of outages in steps. The bound on all
-    steps together is asked of each step as if outages were independent.
-
-    Parameters
-    ----------
-    at
-        What is known.
-    legs_m
-        ``(c, N)`` lengths of the ways' steps.
-    power
-        Prediction at all places, those of a way together; ``(c N,)``.
-    """
-    problem, history = at.problem, at.circumstances.history
-    constraints, count = problem.constraints, legs_m.shape[1]
-    threshold, p_min = problem.stations[0].threshold_dbm, constraints.p_min
-    rule = constraints.rule
-
-    def margins(level: float) -> NDArray[np.float64]:
-        return bound_margin_db(power.mean_db, power.deviation_db, threshold, level).reshape(
-            legs_m.shape
-        )
-
-    def chance() -> NDArray[np.float64]:
-        return connection_probability(power.mean_db, power.deviation_db, threshold).reshape(
-            legs_m.shape
-        )
-
-    match rule.connectivity:
-        case "average":
-            asked = connected_steps_asked(problem, history, count)
-            return np.maximum(asked - chance().sum(axis=1), 0.0)
-        case "data":
-            each, asked = data_asked_mbit(problem, history, count)
-            return np.maximum(asked - chance() @ each, 0.0)
-        case "joint":
-            return np.maximum(-margins(p_min ** (1.0 / count)), 0.0).sum(axis=1)
-        case "outage":
-            missed = margins(p_min) < 0.0
-            if rule.outage_max_m is not None:
-                excess = _excess(legs_m, missed, rule.outage_max_m, history.outage_m)
-                return excess / problem.step_length_m
-            step_s = problem.planner.step_s
-            limit = (rule.outage_max_s or 0.0) / step_s
-            return _excess(np.ones_like(legs_m), missed, limit, float(history.outage_steps))
-        case _:
-            asked_of = asked_steps(problem, history, count)
-            return (np.maximum(-margins(p_min), 0.0) * asked_of).sum(axis=1)
-
-
-def _excess(
-    sizes: NDArray[np.float64], missed: NDArray[np.bool_], limit: float, before: float
-) -> NDArray[np.float64]:
-    """How much longer than `limit` the longest run of missed steps is, by row; ``(c,)``."""
-    run = np.full(len(sizes), before)
-    longest = np.zeros(len(sizes))
-    for size, out in zip(sizes.T, missed.T, strict=True):
-        run = np.where(out, run + size, 0.0)
-        longest = np.maximum(longest, run)
-    return np.maximum(longest - limit, 0.0)
-
 
 ANCHORS, REGION_ANCHORS = 24, 64
 """Places among those of all ways that measurements are chosen near to, and places of a map."""
@@ -185,6 +83,7 @@ class LocalRanking:
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
         anchors = _anchors(about_m, ANCHORS)
         self._missing_db_cost: float | None = None
+        self._rule = planned_rule(situation.problem.constraints.rule)
         self._measures = any(term.is_measured for term in situation.problem.terms)
 
         def near(posterior: ChannelPosterior) -> _Station:
@@ -244,7 +143,7 @@ class LocalRanking:
                 # With several, a way climbs as if there were no bound, but takes no step that
                 # misses more.
                 own = ways.stations[0]
-                missing = Pull().plus(missing_slope(at, own), -self._missing_db_cost)
+                missing = Pull().plus(self._rule.missing_slope(at, own), -self._missing_db_cost)
                 if own is batch:
                     pull = pull.plus(missing, 1.0)
                 else:
@@ -274,7 +173,7 @@ class LocalRanking:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
-        return worth - self._missing_db_cost * ways_missing(at, ways.legs_m, ways.power)
+        return worth - self._missing_db_cost * self._rule.missing(at, ways.legs_m, ways.power)
 
 
 def _averages_map(problem: Problem) -> bool:

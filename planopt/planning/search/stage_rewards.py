@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
-from planopt.planning.search.guide import Guide
 from planopt.planning.search.lattice_window import Window
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.planning.worth.rules.planned import Guide
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import Term
 from planopt.problems.problem import Problem

@@ -16,7 +16,6 @@ from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.programme.goal_cost import GoalCharge
 from planopt.planning.search.coupled_starts import CoupledStarts
-from planopt.planning.search.guide import Guide, find_guided
 from planopt.planning.search.lattice_window import REACH
 from planopt.planning.search.move_table import move_table
 from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
@@ -26,6 +25,7 @@ from planopt.planning.search.stage_rewards import StageRewards, move_values
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.rules.planned import Guide, planned_rule
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import bends_starts
 from planopt.problems.problem import Problem
@@ -237,7 +237,7 @@ class StartSearch:
 
     def _lattice_paths(self, situation: Situation, ends: int) -> list[NDArray[np.float64]]:
         """The best paths on the lattice, under every guide that suits the rule of connectivity."""
-        return find_guided(
+        return planned_rule(self._problem.constraints.rule).find_guided(
             situation,
             lambda guide: self._guided_paths(situation, guide, ends),
             lambda path: rule_missing(situation, path) == 0.0,

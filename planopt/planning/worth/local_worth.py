@@ -25,7 +25,7 @@ from planopt.planning.programme.path_value import (
 )
 from planopt.planning.programme.stage_kernel import margins_of
 from planopt.planning.worth.region import region_along
-from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
+from planopt.planning.worth.rules.planned import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.serving_stages import (
     serving_of,
     stage_powers,

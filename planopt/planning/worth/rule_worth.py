@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.bound_margins import margins_asked_db
-from planopt.planning.proof.rules.asked import asked_steps
+from planopt.planning.proof.rules.proven import PathCase, asked_steps
 from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
 from planopt.planning.rule_result import RuleResult
@@ -57,11 +57,7 @@ def _missed_db(at: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
+    under, places_m = at.circumstances, np.vstack([at.position_m, path_m])
     return whole_plan_result(
-        at.problem,
-        at.circumstances.history,
-        at.posterior,
-        np.vstack([at.position_m, path_m]),
-        at.power(path_m),
-        at.circumstances.broad,
+        PathCase(at.problem, under.history, at.posterior, places_m, at.power(path_m), under.broad)
     )

@@ -7,8 +7,6 @@ the JSON file says is computed again from these tables.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +17,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.regular import read_text
+from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.problems.systems import SystemProblem
 from planopt.pursuit.knowledge import Track
@@ -35,9 +33,6 @@ from planopt.systems.pursuit.results import (
     run_json,
 )
 from planopt.systems.pursuit.tables import PursuitProblem
-
-LARGEST_BYTES = 512 * 2**20
-"""Size limit of the tables."""
 
 PLACE_M = 1e-6
 """Places that are computed again agree to this."""
@@ -68,8 +63,8 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         content,
         pursuit,
         str(data.get("planner")),
-        _whole(file, data, "horizon"),
-        _whole(file, data, "seed"),
+        whole_number(file, data, "horizon"),
+        whole_number(file, data, "seed"),
     )
     reasons = [
         *_moves(driven),
@@ -222,7 +217,7 @@ def _at(name: str, off: NDArray[np.float64], words: str, unit: str) -> str:
 def _read(file: Path, data: Mapping[str, Any], content: PursuitProblem) -> Pursuit:
     """The pursuit in the tables beside the JSON file."""
     given = content.given
-    steps = _table(file.parent / STEPS_FILE, STEP_COLUMNS)
+    steps = read_rows(file.parent / STEPS_FILE, STEP_COLUMNS)
     names = [each.name for each in (*given.pursuers, *given.evaders)]
     count = len(steps) // len(names)
     if count < 1 or len(steps) != count * len(names):
@@ -237,7 +232,7 @@ def _read(file: Path, data: Mapping[str, Any], content: PursuitProblem) -> Pursu
                 file=file.parent / STEPS_FILE,
                 row=row + 2,
             )
-    numbers = _numbers(file.parent / STEPS_FILE, steps, ("t_s", "x_m", "y_m"))
+    numbers = finite_numbers(file.parent / STEPS_FILE, steps, ("t_s", "x_m", "y_m"))
     numbers = numbers.reshape(len(names), count, 3)
     pursuers, evaders = len(given.pursuers), [each.name for each in given.evaders]
     states: list[NDArray[np.float64]] = []
@@ -247,11 +242,11 @@ def _read(file: Path, data: Mapping[str, Any], content: PursuitProblem) -> Pursu
         own = steps[number * count : (number + 1) * count]
         places = numbers[number, :, 1:]
         if table.turn_rate_max_rad_s is not None:
-            heading = _numbers(file.parent / STEPS_FILE, own, ("heading_rad",))
+            heading = finite_numbers(file.parent / STEPS_FILE, own, ("heading_rad",))
             places = np.hstack([places, heading])
         states.append(places)
         path = file.parent / STEPS_FILE
-        aims[number] = _numbers(path, own[:-1], ("aim_x_m", "aim_y_m"))
+        aims[number] = finite_numbers(path, own[:-1], ("aim_x_m", "aim_y_m"))
         for step, line in enumerate(own[:-1]):
             chased[number, step] = evaders.index(line["chases"]) if line["chases"] else -1
     said = data.get("evaders")
@@ -281,8 +276,8 @@ def _uses(
     evaders_m: NDArray[np.float64],
 ) -> tuple[Use, ...]:
     path, given = file.parent / RECORDS_FILE, content.given
-    rows = _table(path, RECORD_COLUMNS)
-    numbers = _numbers(path, rows, RECORD_COLUMNS[2:])
+    rows = read_rows(path, RECORD_COLUMNS)
+    numbers = finite_numbers(path, rows, RECORD_COLUMNS[2:])
     pursuers = [each.name for each in given.pursuers]
     evaders = [each.name for each in given.evaders]
     found: list[Use] = []
@@ -298,41 +293,3 @@ def _uses(
         place_m = states[pursuer][step, :2]
         found.append(Use(pursuer, evader, float(values[0]), place_m, record, sampled_m))
     return tuple(found)
-
-
-def _table(path: Path, columns: tuple[str, ...]) -> list[dict[str, str]]:
-    """Rows of a CSV file with exactly these columns."""
-    rows = list(csv.reader(io.StringIO(read_text(path, LARGEST_BYTES))))
-    if not rows or tuple(rows[0]) != columns:
-        raise InputError(
-            f"has not the columns {', '.join(columns)}", file=path, row=1, remedy="save it again"
-        )
-    for number, row in enumerate(rows[1:], start=2):
-        if len(row) != len(columns):
-            raise InputError(f"has {len(row)} of {len(columns)} columns", file=path, row=number)
-    return [dict(zip(columns, row, strict=True)) for row in rows[1:]]
-
-
-def _numbers(
-    path: Path, rows: list[dict[str, str]], columns: tuple[str, ...]
-) -> NDArray[np.float64]:
-    """Finite numbers of some columns, ``(rows, columns)``."""
-    found = np.zeros((len(rows), len(columns)))
-    for number, row in enumerate(rows):
-        for place, column in enumerate(columns):
-            try:
-                found[number, place] = float(row[column])
-            except ValueError:
-                found[number, place] = math.nan
-            if not math.isfinite(found[number, place]):
-                raise InputError(
-                    f"{row[column]!r} is no finite number", file=path, key=column, row=number + 2
-                )
-    return found
-
-
-def _whole(file: Path, data: Mapping[str, Any], key: str) -> int:
-    value = data.get(key)
-    if not isinstance(value, int):
-        raise InputError("is missing or no whole number", file=file, key=key)
-    return value

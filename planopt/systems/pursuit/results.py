@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.files.csv_tables import csv_text
 from planopt.files.whole import write_text
 from planopt.planning.files.solution_json import finite
 from planopt.pursuit.guarantees import Guarantee, Inequality, Theorem
@@ -174,8 +173,8 @@ def faults(driven: Driven) -> list[str]:
 
 def save_tables(driven: Driven, folder: Path) -> None:
     """Write ``steps.csv`` and ``records.csv``."""
-    write_text(folder / STEPS_FILE, _csv(STEP_COLUMNS, _step_rows(driven)))
-    write_text(folder / RECORDS_FILE, _csv(RECORD_COLUMNS, _record_rows(driven)))
+    write_text(folder / STEPS_FILE, csv_text(STEP_COLUMNS, _step_rows(driven)))
+    write_text(folder / RECORDS_FILE, csv_text(RECORD_COLUMNS, _record_rows(driven)))
 
 
 def in_words(name: str, data: Mapping[str, Any]) -> tuple[str, ...]:
@@ -301,11 +300,3 @@ def _record_rows(driven: Driven) -> Iterator[tuple[object, ...]]:
             y_m,
             use.record.error_m,
         )
-
-
-def _csv(columns: tuple[str, ...], rows: Iterator[tuple[object, ...]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return text.getvalue()

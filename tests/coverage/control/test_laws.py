@@ -78,6 +78,26 @@ def test_partitions_differ_by_the_responding_cells(square: ConvexRegion) -> None
     assert everybody.cost == pytest.approx(together.cost)
 
 
+def test_agents_at_one_place_leave_each_other(square: ConvexRegion, walled: GeodesicGround) -> None:
+    """Six agents that an event has let go spread as far as six that start apart."""
+    nobody = np.zeros(6, dtype=np.bool_)
+    for ground, place in (
+        (ConvexGround(square), (30.0, 40.0)),
+        (ConvexGround(square), (0.0, 0.0)),
+        (walled, (45.0, 20.0)),
+    ):
+        agents = np.tile(np.array(place), (6, 1))
+        others = np.array([[10, 10], [22, 50], [45, 20], [50, 55], [80, 20], [90, 50]], dtype=float)
+        costs, apart = list[float](), list[float]()
+        for _ in range(80):
+            for each, found in ((agents, costs), (others, apart)):
+                aims = coverage_aims(ground, each, nobody)
+                found.append(aims.cost)
+                each[:] = law_moves(each, aims.targets_m, nobody, Gains(), 1.0)
+        assert (np.diff(costs) <= 1e-6 * costs[0]).all()
+        assert costs[-1] < 1.3 * apart[-1]
+
+
 def test_event_law_is_the_exact_geometric_series() -> None:
     """After m steps the distance to the event is (1 - k dt)^m of what it was, in any dimension."""
     for dimension in (1, 2, 3):

@@ -100,15 +100,22 @@ def test_one_more_connected_place_never_makes_the_search_longer():
     """Nor does a higher chance anywhere, or a nearer place; whatever it is, by drawing tries."""
     generator = np.random.default_rng(0)
     chance, length = generator.uniform(0.05, 1.0, 50), generator.uniform(1.0, 80.0, 50)
-    found = search_length_m(length, chance, 10.0, 1e9)
-    assert (search_length_m(length, np.minimum(chance + 0.1, 1.0), 10.0, 1e9) <= found).all()
-    assert (search_length_m(0.5 * length, chance, 10.0, 1e9) < found).all()
-    np.testing.assert_allclose(search_length_m(length, np.ones(50), 10.0, 1e9), length)
+    found = search_length_m(length, chance, 10.0)
+    assert (search_length_m(length, np.minimum(chance + 0.1, 1.0), 10.0) <= found).all()
+    assert (search_length_m(0.5 * length, chance, 10.0) < found).all()
+    np.testing.assert_allclose(search_length_m(length, np.ones(50), 10.0), length)
     tries = generator.geometric(chance, (40_000, 50))
     drawn = tries * length + (tries - 1) * 10.0
     error = 5.0 * drawn.std(axis=0) / 200.0
     assert (abs(drawn.mean(axis=0) - found) < error + 1e-9).all()
-    assert search_length_m(length[:1], np.zeros(1), 10.0, 700.0) == 700.0
+
+
+def test_small_chances_are_told_apart():
+    """Where none is likely to be connected the search goes on by the odds, not in circles."""
+    length, chance = np.array([5.0, 50.0]), np.array([1e-6, 1e-3])
+    assert np.argmin(search_length_m(length, chance, 10.0)) == 1
+    unlikely = search_length_m(length, np.zeros(2), 10.0)
+    assert np.isfinite(unlikely).all() and unlikely[0] < unlikely[1]
 
 
 def test_what_was_measured_without_connection_is_no_try_again():

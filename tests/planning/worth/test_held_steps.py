@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.planning.worth.held_steps import fewest_held
+from planopt.planning.worth.rules.outage import fewest_held
 
 
 def test_fewest_held_leaves_no_run_too_long():

@@ -9,19 +9,6 @@ from planopt.planning.history import History, data_of_steps_mbit
 from planopt.problems.problem import Problem
 
 
-def asked_steps(problem: Problem, history: History, count: int) -> NDArray[np.bool_]:
-    """Whether p_min is asked of each of a plan's `count` steps by itself; ``(count,)``.
-
-    For ``stated_times`` at the steps that end at a stated time. Rules over several steps ask it of
-    none.
-    """
-    rule = problem.constraints.rule
-    if rule.connectivity == "stated_times":
-        stated = np.rint(np.array(rule.connected_times_s) / problem.planner.step_s)
-        return np.isin(history.steps + 1 + np.arange(count), stated)
-    return np.full(count, rule.connectivity == "each_step")
-
-
 def data_asked_mbit(
     problem: Problem, history: History, count: int
 ) -> tuple[NDArray[np.float64], float]:

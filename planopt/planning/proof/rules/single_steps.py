@@ -29,7 +29,8 @@ from planopt.planning.proof.goal_paths import (
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reach_of_dynamics import may_reach_from
 from planopt.planning.proof.reachability import best_margins_by_step
-from planopt.planning.proof.rules.asked import asked_steps, is_priced
+from planopt.planning.proof.rules.asked import is_priced
+from planopt.planning.proof.rules.proven import asked_steps
 from planopt.planning.rule_result import RuleResult
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
@@ -158,7 +159,7 @@ def _result(
 ) -> RuleResult | None:
     """How many of the steps that are asked for keep the bound; None for the plain rule."""
     rule = problem.constraints.rule
-    if rule.connectivity == "each_step" and rule.slack_max_db is None:
+    if rule.is_plain:
         return None
     kept = int(asked.sum()) - len(relaxation_db)
     return RuleResult(

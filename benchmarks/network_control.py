@@ -1,0 +1,262 @@
+"""Constrained control of networks in numbers: faults, horizons, optima and step times.
+
+``python benchmarks/network_control.py faults --runs 100`` moves 50 agents with active limits and
+has every move verified. ``horizons --seeds 8`` compares horizons on the same starts, ``optima
+--scenes 20`` several starts with the best of 50 runs of Lloyd's method, and ``steps --agents 1000``
+measures a step against the Voronoi diagram of the same places. All take ``--first-seed``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from time import process_time
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.coverage.control.radio import radio_tree
+from planopt.coverage.control.receding import plan_moves, stopping_ways
+from planopt.coverage.density import GaussianMixture, UniformDensity
+from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
+from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
+from planopt.coverage.optima import best_deployment
+from planopt.coverage.region import convex_region
+from planopt.coverage.verify import verify_moves
+
+SIDE_M = 100.0
+GAIN = 0.5
+MOST_LLOYD_STEPS = 500
+LINK = LinkLaw(np.array([-10.0, 2.5]), 6.0, np.diag([1.0, 0.01]))
+RADIO = RadioLimits(np.array([[5.0, 5.0]]), LINK, LINK, -50.0, 0.9)
+KINDS = ({}, {}, {}, {"acceleration_m_s2": 1.0}, {"turn_rate_rad_s": 1.0})
+
+
+def drive(
+    ground: Ground,
+    free: shapely.Polygon,
+    agents: NDArray[np.float64],
+    limits: MoveLimits,
+    horizon: int,
+    steps: int,
+    radio: RadioLimits | None,
+    event: NDArray[np.float64] | None = None,
+) -> dict[str, float]:
+    """Drive agents, verify every move, and sum up; a third of them drives to the event."""
+    velocities, headings = np.zeros_like(agents), np.zeros(len(agents))
+    sums = {"cost": 0.0, "path": 0.0, "energy": 0.0, "faults": 0.0, "bound": 0.0, "final": 0.0}
+    inert = limits.acceleration_m_s2
+    for _ in range(steps):
+        cover = ground.cover(agents)
+        targets = cover.targets_m.copy()
+        if event is not None:
+            third = len(agents) // 3
+            aims = np.tile(event, (third, 1))
+            targets[:third] = ground.steered(agents[:third], aims, GAIN)
+        kept = None
+        if radio is not None:
+            stops = agents if inert is None else agents + stopping_ways(velocities, inert)
+            kept = radio_tree(agents, radio, stops).kept
+        moves = plan_moves(
+            ground,
+            agents,
+            targets,
+            limits,
+            GAIN,
+            horizon,
+            velocities_m_s=velocities,
+            headings_rad=headings,
+            kept=kept,
+        )
+        after = moves.velocities_m_s[:, 1]
+        turned = None if moves.headings_rad is None else (headings, moves.headings_rad)
+        speeds = None if inert is None else (velocities, after)
+        sums["faults"] += len(
+            verify_moves(
+                free,
+                agents,
+                moves.next_m,
+                limits,
+                velocities_m_s=speeds,
+                headings_rad=turned,
+                radio=radio,
+            )
+        )
+        sums["cost"] += cover.cost / steps
+        sums["path"] += float(np.linalg.norm(moves.next_m - agents, axis=1).sum())
+        sums["energy"] += float(((after - velocities) ** 2).sum())
+        sums["bound"] += moves.solved
+        agents, velocities = moves.next_m, after
+        headings = headings if moves.headings_rad is None else moves.headings_rad
+    return sums | {"final": ground.cover(agents).cost}
+
+
+def spread(count: int, width_m: float, generator: np.random.Generator) -> NDArray[np.float64]:
+    """Places (n, 2) in a corner of the hall, apart from each other."""
+    side = int(np.ceil(np.sqrt(count)))
+    step = width_m / side
+    at = 3.0 + step * np.arange(side)
+    grid = np.stack(np.meshgrid(at, at), axis=2).reshape(-1, 2)[:count]
+    return grid + 0.3 * step * generator.random((count, 2))
+
+
+def hall(generator: np.random.Generator) -> Ground:
+    """A square with two obstacles away from the corner."""
+    low = 45.0 + 20.0 * generator.random((2, 2))
+    low[1] = [70.0, 15.0] + 10.0 * generator.random(2)
+    walls = [shapely.box(x, y, x + 12.0, y + 18.0) for x, y in low]
+    return geodesic_ground(shapely.box(0, 0, SIDE_M, SIDE_M), walls, 4.0, clearance_m=1.0)
+
+
+def faults(first_seed: int, runs: int, agents: int, steps: int) -> float:
+    """Print how many moves were found at fault; return the number."""
+    total, bound = 0.0, 0.0
+    for seed in range(first_seed, first_seed + runs):
+        generator = np.random.default_rng(seed)
+        ground = hall(generator)
+        limits = MoveLimits(
+            speed_m_s=3.0, body_radius_m=0.8, clearance_m=1.0, **KINDS[seed % len(KINDS)]
+        )
+        start = spread(agents, 36.0, generator)
+        event = 30.0 + 60.0 * generator.random(2)
+        sums = drive(ground, ground.free, start, limits, 8, steps, RADIO, event)  # type: ignore[attr-defined]
+        total, bound = total + sums["faults"], bound + sums["bound"]
+        print(f"seed {seed}: {total:.0f} faults so far, {bound:.0f} limited moves", flush=True)
+    return total
+
+
+SETTINGS = {
+    "speed": (MoveLimits(speed_m_s=2.0), False, False),
+    "bodies": (MoveLimits(speed_m_s=2.0, body_radius_m=1.0, clearance_m=1.0), False, False),
+    "acceleration": (MoveLimits(speed_m_s=2.0, acceleration_m_s2=0.4), False, False),
+    "obstacles": (MoveLimits(speed_m_s=2.0, body_radius_m=0.8, clearance_m=1.0), True, False),
+    "radio": (MoveLimits(speed_m_s=2.0), False, True),
+}
+
+
+def horizons(first_seed: int, seeds: int, agents: int, steps: int) -> dict[str, list[float]]:
+    """Print the mean cost over time of horizons against that of one step, paired over seeds."""
+    found: dict[str, list[float]] = {}
+    square = shapely.box(0, 0, SIDE_M, SIDE_M)
+    for name, (limits, walls, linked) in SETTINGS.items():
+        ratios: dict[int, list[list[float]]] = {3: [], 10: []}
+        for seed in range(first_seed, first_seed + seeds):
+            generator = np.random.default_rng(seed)
+            ground = hall(generator) if walls else ConvexGround(convex_region(square))
+            free = ground.free if walls else square  # type: ignore[union-attr]
+            start = spread(agents, 30.0, generator)
+            radio = RADIO if linked else None
+            one, *others = (
+                drive(ground, free, start, limits, horizon, steps, radio) for horizon in (1, 3, 10)
+            )
+            for horizon, sums in zip(ratios, others, strict=True):
+                keys = ("cost", "final", "path", "energy")
+                ratios[horizon].append([sums[key] / one[key] for key in keys])
+        for horizon, rows in ratios.items():
+            table = np.array(rows)
+            mean = table.mean(axis=0)
+            error = 1.96 * table.std(axis=0, ddof=1) / np.sqrt(len(table)) if seeds > 1 else mean
+            words = ", ".join(
+                f"{key} {m:.3f} +- {e:.3f}"
+                for key, m, e in zip(("H", "last H", "path", "energy"), mean, error, strict=True)
+            )
+            print(f"{name}, N = {horizon} over N = 1: {words}", flush=True)
+            found[f"{name} {horizon}"] = mean.tolist()
+    return found
+
+
+def optima(first_seed: int, scenes: int, lloyd_runs: int) -> list[float]:
+    """Print the cost of ten starts over that of the best of many runs of Lloyd's method."""
+    ratios: list[float] = []
+    for seed in range(first_seed, first_seed + scenes):
+        generator = np.random.default_rng(seed)
+        hull = shapely.convex_hull(shapely.multipoints(SIDE_M * generator.random((7, 2))))
+        density = UniformDensity()
+        if seed % 4 == 0:
+            means = SIDE_M * (0.2 + 0.6 * generator.random((2, 2)))
+            density = GaussianMixture(np.ones(2), means, np.array([np.eye(2) * 900.0] * 2), 1e-5)
+        ground = ConvexGround(convex_region(hull), density)
+        count = int(generator.integers(6, 17))
+        costs: list[float] = []
+        while len(costs) < lloyd_runs:
+            low, high = np.array(hull.bounds[:2]), np.array(hull.bounds[2:])
+            drawn = low + (high - low) * generator.random((20 * count, 2))
+            costs.append(lloyd(ground, drawn[ground.allows(drawn)][:count]))
+        best = best_deployment(ground, count, 10, generator)
+        ratios.append(best.cost / min(costs))
+        print(
+            f"scene {seed}, {count} agents: {ratios[-1]:.4f} of the best, "
+            f"{best.costs.min() / min(costs):.4f} before agents are moved, "
+            f"median run {np.median(costs) / min(costs):.4f}, "
+            f"lower bound {best.lower_bound / best.cost:.3f}; largest so far {max(ratios):.4f}",
+            flush=True,
+        )
+    return ratios
+
+
+def lloyd(ground: Ground, places: NDArray[np.float64]) -> float:
+    """The cost at which Lloyd's method stops."""
+    here = ground.cover(places)
+    for _ in range(MOST_LLOYD_STEPS):
+        there = ground.cover(here.targets_m)
+        if here.cost - there.cost <= 1e-6 * here.cost:
+            return there.cost
+        here = there
+    return here.cost
+
+
+def steps(agents: int, rounds: int) -> dict[str, float]:
+    """Print CPU times of a step in units of shapely's Voronoi diagram of the same places."""
+    generator = np.random.default_rng(0)
+    side = 10.0 * np.sqrt(agents)
+    ground = ConvexGround(convex_region(shapely.box(0, 0, side, side)))
+    grid = np.arange(5.0, side, 10.0)
+    places = np.stack(np.meshgrid(grid, grid), axis=2).reshape(-1, 2)[:agents]
+    places = places + 3.0 * generator.random(places.shape)
+    jobs = {
+        "diagram": lambda: shapely.voronoi_polygons(shapely.multipoints(places)),
+        "targets": lambda: ground.cover(places),
+    }
+    middle = np.full_like(places, 0.5 * side)
+    found = ground.cover(places).targets_m
+    plain, inert = {"speed_m_s": 3.0, "body_radius_m": 1.0}, {"acceleration_m_s2": 1.0}
+    for name, aims, limits in (
+        ("covering, single integrators", found, MoveLimits(**plain)),
+        ("all to one place, single integrators", middle, MoveLimits(**plain)),
+        ("covering, double integrators", found, MoveLimits(**plain, **inert)),
+    ):
+        jobs[name] = lambda aims=aims, limits=limits: plan_moves(
+            ground, places, aims, limits, GAIN, 10
+        )
+    times: dict[str, float] = {}
+    for name, job in jobs.items():
+        begun = process_time()
+        for _ in range(rounds):
+            job()
+        times[name] = (process_time() - begun) / rounds
+        print(f"{name}: {times[name]:.3f} s of CPU, {times[name] / times['diagram']:.1f} diagrams")
+    return times
+
+
+def main() -> None:
+    """Run one of the studies."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study", choices=("faults", "horizons", "optima", "steps"))
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--scenes", type=int, default=20)
+    parser.add_argument("--agents", type=int)
+    asked = parser.parse_args()
+    if asked.study == "faults":
+        faults(asked.first_seed, asked.runs, asked.agents or 50, 20)
+    elif asked.study == "horizons":
+        horizons(asked.first_seed, asked.seeds, asked.agents or 16, 30)
+    elif asked.study == "optima":
+        optima(asked.first_seed, asked.scenes, 50)
+    else:
+        steps(asked.agents or 1000, 3)
+
+
+if __name__ == "__main__":
+    main()

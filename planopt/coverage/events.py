@@ -1,0 +1,178 @@
+"""Events in a region, and what a network knows of them: detected, located, gone.
+
+Each event has a signal of its own kind, so that signals of several events do not mix. An event is
+detected when an agent reads more than noise, and gone when nobody has for some steps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.localisation.estimate import EventEstimate, locate_events
+from planopt.coverage.localisation.readings import (
+    Readings,
+    no_readings,
+    pooled,
+    single_readings,
+)
+from planopt.coverage.localisation.sensor import EventSensor, measure
+from planopt.coverage.region import ConvexRegion
+
+GRID_READINGS = 150
+"""Up to so many readings the whole region is searched; then the last estimate's surroundings."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that appears in the region.
+
+    Attributes
+    ----------
+    name
+        What outputs call it.
+    place_m
+        Where it appears.
+    appears_s, ends_s
+        When it appears and ends; it is there from the first up to before the second.
+    velocity_m_s
+        It moves with this velocity.
+    """
+
+    name: str
+    place_m: tuple[float, float]
+    appears_s: float = 0.0
+    ends_s: float = math.inf
+    velocity_m_s: tuple[float, float] = (0.0, 0.0)
+
+    def place_at(self, time_s: float) -> NDArray[np.float64]:
+        """Return where it is; (2,)."""
+        moved_s = max(time_s - self.appears_s, 0.0)
+        return np.array(self.place_m) + moved_s * np.array(self.velocity_m_s)
+
+    def is_there(self, time_s: float) -> bool:
+        """Return whether it has appeared and not ended."""
+        return self.appears_s <= time_s < self.ends_s
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """How agents measure events.
+
+    Attributes
+    ----------
+    sensor
+        The signal of an event and the noise.
+    strength_known
+        Whether agents know K; if not, they estimate it as well.
+    detection_std
+        A reading of more standard deviations of the noise than this says that there is an event.
+    silent_steps
+        An event is gone when nobody has read so much for so many steps.
+    memory_s
+        Older readings are forgotten; None for none. Needed where events move.
+    """
+
+    sensor: EventSensor
+    strength_known: bool = True
+    detection_std: float = 5.0
+    silent_steps: int = 3
+    memory_s: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """What the network knows of one event.
+
+    Attributes
+    ----------
+    logs
+        Readings with the time they were taken at.
+    estimate
+        Where it most likely is; None while it is not detected.
+    silent
+        For how many steps nobody has read it.
+    """
+
+    logs: tuple[tuple[float, Readings], ...] = ()
+    estimate: EventEstimate | None = None
+    silent: int = 0
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the network believes that the event is there."""
+        return self.estimate is not None
+
+    @property
+    def place_m(self) -> NDArray[np.float64]:
+        """The estimated place (2,); NaN while it is not detected."""
+        return np.full(2, math.nan) if self.estimate is None else self.estimate.positions_m[0]
+
+    @property
+    def std_m(self) -> float:
+        """Root of the trace of the estimate's covariance; NaN while it is not detected."""
+        if self.estimate is None:
+            return math.nan
+        return math.sqrt(float(np.trace(self.estimate.covariance_m2)))
+
+
+def signals(
+    event: Event,
+    sensing: Sensing,
+    agents_m: NDArray[np.float64],
+    time_s: float,
+    generator: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Draw what agents ``(n, 2)`` read in an event's channel; noise alone if it is not there."""
+    if event.is_there(time_s):
+        return measure(sensing.sensor, agents_m, event.place_at(time_s), generator)
+    return sensing.sensor.noise_std * generator.standard_normal(len(agents_m))
+
+
+def watched(
+    watch: Watch,
+    sensing: Sensing,
+    hull: ConvexRegion,
+    agents_m: NDArray[np.float64],
+    signal: NDArray[np.float64],
+    shared: NDArray[np.bool_],
+    time_s: float,
+) -> Watch:
+    """Return what the network knows of an event after the readings of one step.
+
+    Parameters
+    ----------
+    watch
+        What it knew.
+    sensing, hull
+        How agents measure, and where events are looked for.
+    agents_m, signal
+        ``(n, 2)`` and ``(n,)``: all readings of the step.
+    shared
+        ``(n,)`` whose readings reach those that estimate.
+    time_s
+        Now.
+    """
+    heard = bool((signal > sensing.detection_std * sensing.sensor.noise_std).any())
+    silent = 0 if heard else watch.silent + 1
+    if not heard and (not watch.is_known or silent >= sensing.silent_steps):
+        return Watch()
+    if not heard or not shared.any():
+        # A step without the signal, when the event may just have ended, would mislead.
+        return replace(watch, silent=silent)
+    logs = (*watch.logs, (time_s, single_readings(agents_m[shared], signal[shared])))
+    if sensing.memory_s is not None:
+        logs = tuple(each for each in logs if each[0] > time_s - sensing.memory_s)
+    readings = pooled(log for _, log in logs) if logs else no_readings()
+    near, known = None, watch.estimate
+    if known is not None and len(readings.signal) > GRID_READINGS:
+        near = np.concatenate((known.positions_m, known.rivals_m))
+    estimate = locate_events(
+        sensing.sensor, readings, hull, strength_known=sensing.strength_known, near_m=near
+    )
+    # Readings at the very same places are kept as their mean.
+    kept = logs if sensing.memory_s is not None else ((time_s, readings),)
+    return Watch(kept, estimate, silent)

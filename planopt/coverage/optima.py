@@ -1,0 +1,212 @@
+"""Good deployments from several starts, and bounds on how good any deployment can be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.assignment.demand import HEXAGON
+from planopt.coverage.density import UniformDensity
+from planopt.coverage.ground import ConvexGround, GeodesicGround, Ground
+from planopt.errors import InputError
+
+LEAP = 1.7
+"""Steps of this many times the way to the targets are tried first; they settle sooner."""
+
+SETTLED = 1e-6
+"""A deployment is settled when a step lowers the cost by less than this share."""
+
+MAX_STEPS = 500
+"""Steps until a start is taken as it is."""
+
+CANDIDATES = 20
+"""Places per agent that random starts are drawn from."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Deployment:
+    """Where a network should end.
+
+    Attributes
+    ----------
+    places_m
+        ``(n, 2)`` places of the best start, settled.
+    cost
+        Their coverage cost H.
+    lower_bound
+        No ``n`` places cost less; 0 where nothing better is proved.
+    costs
+        ``(starts,)`` costs of all starts, settled.
+    """
+
+    places_m: Floats
+    cost: float
+    lower_bound: float
+    costs: Floats
+
+
+def best_deployment(
+    ground: Ground,
+    count: int,
+    starts: int,
+    generator: np.random.Generator,
+    *,
+    first_m: Floats | None = None,
+) -> Deployment:
+    """Find a deployment of low cost: settle several starts, then move single agents of the best.
+
+    Parameters
+    ----------
+    ground
+        What is covered.
+    count
+        Number of agents n.
+    starts
+        Number of starts, at least 1.
+    generator
+        Random starts come from it.
+    first_m
+        ``(n, 2)`` the first start, such as where agents are; None draws it as well.
+
+    Raises
+    ------
+    InputError
+        There is no agent or no start.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from planopt.coverage.region import convex_region
+    >>> ground = ConvexGround(convex_region(np.array([[0, 0], [2, 0], [2, 1], [0, 1]])))
+    >>> found = best_deployment(ground, 2, 3, np.random.default_rng(0))
+    >>> round(found.cost, 4), bool(found.lower_bound <= found.cost)
+    (0.3333, True)
+    """
+    if count < 1 or starts < 1:
+        raise InputError(
+            f"{count} agents from {starts} starts", key="starts", remedy="give at least one of both"
+        )
+    settled: list[tuple[Floats, float]] = []
+    for number in range(starts):
+        given = number == 0 and first_m is not None
+        drawn = first_m if given and first_m is not None else draw_start(ground, count, generator)
+        settled.append(settle(ground, drawn))
+    costs = np.array([cost for _, cost in settled])
+    places, cost = settled[int(costs.argmin())]
+    places, cost = _relocated(ground, places, cost)
+    return Deployment(places, cost, cost_bound(ground, count), costs)
+
+
+def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
+    """Move agents to their targets until the cost settles; return places ``(n, 2)`` and the cost.
+
+    Parameters
+    ----------
+    ground, places_m
+        What is covered, and ``(n, 2)`` from where.
+    """
+    places, here = places_m, ground.cover(places_m)
+    for _ in range(MAX_STEPS):
+        leapt = places + LEAP * (here.targets_m - places)
+        fine = ground.allows(leapt)
+        leapt[~fine] = here.targets_m[~fine]
+        there = ground.cover(leapt)
+        if not there.cost < here.cost:
+            leapt = here.targets_m
+            there = ground.cover(leapt)
+        won = here.cost - there.cost
+        if won > 0.0:
+            places, here = leapt, there
+        if won <= SETTLED * here.cost:
+            break
+    return places, here.cost
+
+
+def draw_start(ground: Ground, count: int, generator: np.random.Generator) -> Floats:
+    """Draw places ``(n, 2)`` one after the other, each with probability as what it saves there.
+
+    That is the mass of a candidate times the squared distance to the nearest place drawn before.
+    """
+    candidates, mass = _candidates(ground, CANDIDATES * count, generator)
+    chosen = [int(generator.choice(len(candidates), p=mass / mass.sum()))]
+    nearest = np.full(len(candidates), np.inf)
+    while len(chosen) < count:
+        away = ((candidates - candidates[chosen[-1]]) ** 2).sum(axis=1)
+        nearest = np.minimum(nearest, away)
+        weight = mass * nearest
+        if not weight.sum() > 0.0:
+            weight = np.ones(len(candidates))
+        chosen.append(int(generator.choice(len(candidates), p=weight / weight.sum())))
+    return candidates[chosen]
+
+
+def _candidates(
+    ground: Ground, count: int, generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Places (m, 2) where agents may be, and masses (m,) that stand for the density."""
+    if isinstance(ground, GeodesicGround):
+        return ground.region.nodes_m, ground.region.mass
+    corners = ground.hull.corners_m
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    found = np.zeros((0, 2))
+    while len(found) < count:
+        drawn = low + (high - low) * generator.random((2 * count, 2))
+        found = np.concatenate((found, drawn[ground.allows(drawn)]))
+    mass = ground.density.at(found) if isinstance(ground, ConvexGround) else np.ones(len(found))
+    return found, mass if mass.sum() > 0.0 else np.ones(len(found))
+
+
+def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
+    """Move one agent at a time beside another and settle, as long as that lowers the cost.
+
+    Tried are the agents that would be missed least, beside those that would profit most from help:
+    both judged by the cost of all agents but one, or with one twice a little apart.
+    """
+    count = len(places)
+    if count < 3:
+        return places, cost
+    apart = 0.1 * math.sqrt(ground.area_m2 / count)
+    for _ in range(count):
+        missed = np.array([ground.cover(np.delete(places, one, 0)).cost for one in range(count)])
+        helped = np.full(count, np.inf)
+        for one in range(count):
+            helper = places[one] + apart * np.array([0.8, 0.6])
+            if ground.allows(helper[None])[0]:
+                helped[one] = ground.cover(np.concatenate((places, helper[None]))).cost
+        taken, needy = np.argsort(missed)[:2], np.argsort(helped)[:2]
+        found = (places, cost)
+        for gone in taken:
+            for near in needy:
+                if gone != near and np.isfinite(helped[near]):
+                    moved = places.copy()
+                    moved[gone] = places[near] + apart * np.array([0.8, 0.6])
+                    found = min(found, settle(ground, moved), key=lambda one: one[1])
+        if found[1] >= cost * (1.0 - 10.0 * SETTLED):
+            return places, cost
+        places, cost = found
+    return places, cost
+
+
+def cost_bound(ground: Ground, count: int) -> float:
+    """Return a cost that no deployment of `count` agents is below; 0 where none is proved.
+
+    For the uniform density every cell costs at least as much as a disc of its area about its
+    centre, and equal areas cost least. In a convex polygon of at most six sides, without sensing
+    range, regular hexagons of equal area are a better bound (Fejes Tóth's moment theorem).
+    """
+    if not isinstance(ground, ConvexGround) or not isinstance(ground.density, UniformDensity):
+        return 0.0
+    area = ground.area_m2 / count
+    reach = math.inf if ground.sensing_range_m is None else ground.sensing_range_m
+    inner = min(area, math.pi * reach**2)
+    disc = inner**2 / (2.0 * math.pi)
+    if area > inner:
+        disc += reach**2 * (area - inner)
+    if len(ground.region.corners_m) <= 6 and math.isinf(reach):
+        disc = max(disc, HEXAGON * area**2)
+    return ground.density.weight_per_m2 * count * disc

@@ -1,0 +1,532 @@
+"""A network at work: it covers, notices events, sends agents there, counts itself, and goes back.
+
+In every step agents talk to their Voronoi neighbours, measure, assign themselves and move. All that
+is random comes from one generator, so that a seed gives one run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.coverage.assignment.demand import Demand, demanded
+from planopt.coverage.assignment.flags import propagate_flags
+from planopt.coverage.assignment.latch import Circumstance, is_due
+from planopt.coverage.assignment.several import NONE, deferred_acceptance, fair_shares
+from planopt.coverage.control.laws import Gains, Partition, coverage_aims, law_moves
+from planopt.coverage.control.receding import MoveLimits, plan_moves
+from planopt.coverage.counting.tally import Counting, Tally, start_tally, tally_step
+from planopt.coverage.events import Event, Sensing, Watch, signals, watched
+from planopt.coverage.ground import Ground, neighbour_network
+from planopt.coverage.localisation.ring import ring_places
+from planopt.coverage.network import LinkModel, Loss, Network
+
+ABSENT = -2
+"""The state of an agent that has not joined yet or has left; `NONE` is that of one that covers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where agents are and how they move.
+
+    Attributes
+    ----------
+    places_m
+        ``(n, 2)``.
+    velocities_m_s
+        ``(n, 2)`` velocities at the end of the last step.
+    headings_rad
+        ``(n,)``; they matter for unicycles alone.
+    """
+
+    places_m: NDArray[np.float64]
+    velocities_m_s: NDArray[np.float64]
+    headings_rad: NDArray[np.float64]
+
+
+class Mover(Protocol):
+    """How agents get on toward their targets in one step."""
+
+    def __call__(
+        self,
+        ground: Ground,
+        motion: Motion,
+        targets_m: NDArray[np.float64],
+        responds: NDArray[np.bool_],
+    ) -> Motion:
+        """Return where agents are after the step, and how they move then."""
+        ...
+
+
+@dataclass(frozen=True)
+class LawMover:
+    """Drives by the laws, with the speed clipped.
+
+    Attributes
+    ----------
+    gains, time_step_s, speed_m_s
+        As for :func:`planopt.coverage.control.laws.law_moves`.
+    """
+
+    gains: Gains
+    time_step_s: float
+    speed_m_s: float | None
+
+    def __call__(
+        self,
+        ground: Ground,
+        motion: Motion,
+        targets_m: NDArray[np.float64],
+        responds: NDArray[np.bool_],
+    ) -> Motion:
+        """Return where agents are after a step of the laws."""
+        here, gains = motion.places_m, self.gains
+        moved = law_moves(here, targets_m, responds, gains, self.time_step_s, self.speed_m_s)
+        return Motion(moved, (moved - here) / self.time_step_s, motion.headings_rad)
+
+
+@dataclass(frozen=True)
+class RecedingMover:
+    """Plans over a horizon with the targets held, and drives the first move.
+
+    Attributes
+    ----------
+    gains, limits, horizon
+        As for :func:`planopt.coverage.control.receding.plan_moves`.
+    """
+
+    gains: Gains
+    limits: MoveLimits
+    horizon: int
+
+    def __call__(
+        self,
+        ground: Ground,
+        motion: Motion,
+        targets_m: NDArray[np.float64],
+        responds: NDArray[np.bool_],
+    ) -> Motion:
+        """Return where agents are after the first move of a plan."""
+        step_s = self.limits.time_step_s
+        moves = plan_moves(
+            ground,
+            motion.places_m,
+            targets_m,
+            self.limits,
+            self.gains.shares(responds, step_s) / step_s,
+            self.horizon,
+            velocities_m_s=motion.velocities_m_s,
+            headings_rad=motion.headings_rad,
+        )
+        if self.limits.acceleration_m_s2 is not None:
+            velocities = moves.velocities_m_s[:, 1]
+        else:
+            velocities = (moves.next_m - motion.places_m) / step_s
+        turned = motion.headings_rad if moves.headings_rad is None else moves.headings_rad
+        return Motion(moves.next_m, velocities, turned)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a network is to do, and how.
+
+    Attributes
+    ----------
+    ground
+        What is covered.
+    starts_m
+        ``(n, 2)`` where agents are at first.
+    joins_s, leaves_s
+        ``(n,)``: an agent takes part from the first time up to before the second.
+    events, demands
+        What appears, and how many agents each event asks for.
+    sensing
+        How agents measure; None without events.
+    stand_off_m
+        Radius of the ring about an event that responding agents stand on; None for the event.
+    partition
+        Whose cells divide the region.
+    gains
+        Of the laws; they also set how agents pass the corners of obstacles.
+    hysteresis_m, moved_m
+        An agent is exchanged for one that is nearer by more than the first; agents assign
+        themselves again when an estimate has moved by more than the second.
+    counting
+        How agents know their number.
+    links
+        Loss of messages by distance; None without losses.
+    flag_rounds
+        Rounds of flag propagation in a step, with losses.
+    time_step_s, duration_s
+        Length of a step and of the run.
+    settled_m
+        Agents this near to their targets have settled.
+    stop_when_settled
+        Whether the run ends when they have and nothing more is to come.
+    """
+
+    ground: Ground
+    starts_m: NDArray[np.float64]
+    joins_s: NDArray[np.float64]
+    leaves_s: NDArray[np.float64]
+    events: tuple[Event, ...]
+    demands: tuple[Demand, ...]
+    sensing: Sensing | None
+    stand_off_m: float | None
+    partition: Partition
+    gains: Gains
+    hysteresis_m: float
+    moved_m: float
+    counting: Counting
+    links: LinkModel | None
+    flag_rounds: int
+    time_step_s: float
+    duration_s: float
+    settled_m: float
+    stop_when_settled: bool = True
+
+    def has_settled(self, time_s: float, residual_m: float, known: NDArray[np.bool_]) -> bool:
+        """Return whether agents are settled for good.
+
+        They are near their targets, know of all events that are there and of no others, and nothing
+        is to begin, to end or to move on.
+
+        Parameters
+        ----------
+        time_s, residual_m
+            Now, and the largest distance of an agent to its target.
+        known
+            ``(k,)`` which events are known.
+        """
+        there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
+        if residual_m > self.settled_m or (known != there).any():
+            return False
+        ends = [each for event in self.events for each in (event.appears_s, event.ends_s)]
+        every = np.concatenate((ends, self.joins_s, self.leaves_s))
+        moving = any(any(e.velocity_m_s) and e.is_there(time_s) for e in self.events)
+        return not moving and not ((every > time_s) & (every < self.duration_s)).any()
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkRun:
+    """What a network did; ``T`` steps, ``n`` agents, ``k`` events.
+
+    Attributes
+    ----------
+    times_s
+        ``(T + 1,)``.
+    positions_m
+        ``(T + 1, n, 2)`` places; those of absent agents do not change.
+    velocities_m_s, headings_rad
+        ``(T + 1, n, 2)`` and ``(T + 1, n)``.
+    states
+        ``(T, n)`` number of the event that an agent responds to in the step, `NONE` if it covers,
+        `ABSENT` if it does not take part.
+    targets_m
+        ``(T, n, 2)`` where it drives to.
+    costs
+        ``(T,)`` coverage cost of all agents that take part, before each step.
+    residuals_m
+        ``(T,)`` largest distance of an agent to its target.
+    counts
+        ``(T, n)`` how many agents each believes there are; NaN for absent ones.
+    wanted
+        ``(T, k)`` how many agents each event asks for, as the agent nearest to it reckons; 0 for
+        an event that is not known.
+    estimates_m, stds_m
+        ``(T, k, 2)`` and ``(T, k)`` estimated places and their uncertainty; NaN if not known.
+    messages
+        ``(T, 3)`` transmissions over single links in the step: for counting, for assignment, and
+        of readings.
+    settled
+        Whether the last step found all agents settled.
+    """
+
+    times_s: NDArray[np.float64]
+    positions_m: NDArray[np.float64]
+    velocities_m_s: NDArray[np.float64]
+    headings_rad: NDArray[np.float64]
+    states: NDArray[np.intp]
+    targets_m: NDArray[np.float64]
+    costs: NDArray[np.float64]
+    residuals_m: NDArray[np.float64]
+    counts: NDArray[np.float64]
+    wanted: NDArray[np.intp]
+    estimates_m: NDArray[np.float64]
+    stds_m: NDArray[np.float64]
+    messages: NDArray[np.intp]
+    settled: bool
+
+
+def simulate_network(
+    scene: Scene,
+    mover: Mover,
+    generator: np.random.Generator,
+    on_step: Callable[[], None] = lambda: None,
+) -> NetworkRun:
+    """Simulate a network from its start until it has settled, or the time is over.
+
+    Parameters
+    ----------
+    scene
+        What is asked for.
+    mover
+        How agents move.
+    generator
+        Draws noise, losses and counts.
+    on_step
+        Called after every step.
+
+    Raises
+    ------
+    InputError
+        An agent starts where none may be, a gain is too large for the step, or nobody takes part.
+    """
+    agents, steps = len(scene.starts_m), round(scene.duration_s / scene.time_step_s)
+    here, events = scene.starts_m.astype(np.float64), len(scene.events)
+    states = np.full(agents, ABSENT, dtype=np.intp)
+    watches, last, asked = (Watch(),) * events, None, np.zeros(events, dtype=np.intp)
+    tally: Tally | None = None
+    motion = Motion(here, np.zeros((agents, 2)), np.zeros(agents))
+    motions, rows, settled = [motion], list[_Row](), False
+    for step in range(steps):
+        time_s = step * scene.time_step_s
+        members = (scene.joins_s <= time_s) & (time_s < scene.leaves_s)
+        states = np.where(members, np.maximum(states, NONE), ABSENT)
+        who, sent = np.flatnonzero(members), [0, 0, 0]
+        talks = events > 0 or scene.counting.method != "known"
+        network = neighbour_network(scene.ground, here[who]) if talks else None
+        counts = np.where(members, float(len(who)), np.nan)
+        if network is not None:
+            loss = _loss(scene, network, here[who])
+            tally = (
+                start_tally(scene.counting, network, members, generator, loss)
+                if tally is None
+                else tally_step(tally, scene.counting, network, members, generator, loss)
+            )
+            counts, sent[0] = tally.estimates, tally.messages
+            watches, sent[2] = _noticed(
+                scene, watches, network, loss, here[who], states[who], time_s, generator
+            )
+            wanted = _wanted(scene, watches, here[who], counts[who])
+            now = _circumstance(scene, watches, who)
+            lossy = bool(np.any(loss))
+            if lossy or (wanted != asked).any() or is_due(last, now, scene.moved_m):
+                states[who], sent[1] = _assigned(
+                    scene, watches, network, loss, here[who], states[who], wanted, counts[who],
+                    generator,
+                )  # fmt: skip
+                last, asked = now, wanted
+        targets, cost = _aims(scene, watches, here, states)
+        residual = float(np.linalg.norm(targets - here, axis=1).max())
+        known = np.array([watch.is_known for watch in watches], dtype=np.bool_)
+        settled = scene.has_settled(time_s, residual, known)
+        rows.append(
+            _Row(states.copy(), targets, cost, residual, counts, asked, watches, tuple(sent))
+        )
+        responds = states[who] >= 0
+        velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
+        now = Motion(here[who], motion.velocities_m_s[who], headings[who])
+        after = mover(scene.ground, now, targets[who], responds)
+        here = here.copy()
+        here[who], velocities[who], headings[who] = (
+            after.places_m,
+            after.velocities_m_s,
+            after.headings_rad,
+        )
+        motion = Motion(here, velocities, headings)
+        motions.append(motion)
+        on_step()
+        if settled and scene.stop_when_settled:
+            break
+    return _run(scene, motions, rows, settled)
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """What one step is recorded as; attributes as in :class:`NetworkRun`."""
+
+    states: NDArray[np.intp]
+    targets_m: NDArray[np.float64]
+    cost: float
+    residual_m: float
+    counts: NDArray[np.float64]
+    wanted: NDArray[np.intp]
+    watches: tuple[Watch, ...]
+    sent: tuple[int, ...]
+
+
+def _loss(scene: Scene, network: Network, agents_m: NDArray[np.float64]) -> Loss:
+    """Loss of each link by its length."""
+    if scene.links is None:
+        return 0.0
+    ends = agents_m[network.links]
+    return scene.links.loss(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+
+
+def _noticed(
+    scene: Scene,
+    watches: tuple[Watch, ...],
+    network: Network,
+    loss: Loss,
+    agents_m: NDArray[np.float64],
+    states: NDArray[np.intp],
+    time_s: float,
+    generator: np.random.Generator,
+) -> tuple[tuple[Watch, ...], int]:
+    """What is known after everybody has measured, and how many readings were sent.
+
+    Who responds to an event, or detects it, collects its neighbours' readings.
+    """
+    sensing, sent = scene.sensing, 0
+    if sensing is None:
+        return watches, 0
+    found: list[Watch] = []
+    sender, receiver = network.directed
+    lost = np.any(loss)
+    for number, (event, watch) in enumerate(zip(scene.events, watches, strict=True)):
+        signal = signals(event, sensing, agents_m, time_s, generator)
+        collects = states == number
+        if not collects.any():
+            collects = signal > sensing.detection_std * sensing.sensor.noise_std
+        asked = collects[receiver] & ~collects[sender]
+        sent += int(asked.sum())
+        if lost:
+            asked &= generator.random(len(asked)) >= np.tile(np.asarray(loss), 2)
+        shared = collects.copy()
+        shared[sender[asked]] = True
+        hull = scene.ground.hull
+        found.append(watched(watch, sensing, hull, agents_m, signal, shared, time_s))
+    return tuple(found), sent
+
+
+def _wanted(
+    scene: Scene,
+    watches: tuple[Watch, ...],
+    agents_m: NDArray[np.float64],
+    counts: NDArray[np.float64],
+) -> NDArray[np.intp]:
+    """How many agents each known event asks for (k,), by the count of the agent nearest to it."""
+    wanted = np.zeros(len(watches), dtype=np.intp)
+    for number, (watch, demand) in enumerate(zip(watches, scene.demands, strict=True)):
+        if watch.is_known:
+            nearest = int(np.linalg.norm(agents_m - watch.place_m, axis=1).argmin())
+            believed = counts[nearest]
+            wanted[number] = demanded(demand, round(believed)) if np.isfinite(believed) else 0
+    return wanted
+
+
+def _circumstance(scene: Scene, watches: tuple[Watch, ...], who: NDArray[np.intp]) -> Circumstance:
+    """What an assignment now would be made for."""
+    places = {
+        event.name: (float(watch.place_m[0]), float(watch.place_m[1]))
+        for event, watch in zip(scene.events, watches, strict=True)
+        if watch.is_known
+    }
+    return Circumstance(frozenset(who.tolist()), places)
+
+
+def _assigned(
+    scene: Scene,
+    watches: tuple[Watch, ...],
+    network: Network,
+    loss: Loss,
+    agents_m: NDArray[np.float64],
+    states: NDArray[np.intp],
+    wanted: NDArray[np.intp],
+    counts: NDArray[np.float64],
+    generator: np.random.Generator,
+) -> tuple[NDArray[np.intp], int]:
+    """New states (n,) of the members, and how many messages it took.
+
+    An agent that does not respond yet announces a distance that is larger by the hysteresis, so
+    that it replaces another only if it is nearer by more than that.
+    """
+    known = [number for number, watch in enumerate(watches) if watch.is_known]
+    after = np.full(len(states), NONE, dtype=np.intp)
+    if not known:
+        return after, 0
+    places = np.array([watches[number].place_m for number in known])
+    distances = scene.ground.distances_m(agents_m, places)
+    distances += scene.hysteresis_m * (states[:, None] != np.array(known))
+    rounds = scene.flag_rounds if np.any(loss) else None
+    if len(known) == 1:
+        demand = scene.demands[known[0]]
+        own = np.array([demanded(demand, round(c)) if np.isfinite(c) else 0 for c in counts])
+        found = propagate_flags(
+            network, distances[:, 0], own, rounds=rounds, loss=loss, generator=generator
+        )
+        after[found.flagged] = known[0]
+        return after, found.messages
+    # The lists are long enough to replace every agent that takes another event.
+    shares = fair_shares(wanted[known], len(states))
+    length, messages = int(shares.sum()), 0
+    for column in distances.T:
+        messages += propagate_flags(
+            network, column, length, rounds=rounds, loss=loss, generator=generator
+        ).messages
+    match = deferred_acceptance(distances, shares)
+    chosen = match.event_of != NONE
+    after[chosen] = np.array(known)[match.event_of[chosen]]
+    return after, messages + match.asked + match.released
+
+
+def _aims(
+    scene: Scene,
+    watches: tuple[Watch, ...],
+    here_m: NDArray[np.float64],
+    states: NDArray[np.intp],
+) -> tuple[NDArray[np.float64], float]:
+    """Targets (n, 2) of all agents, and the coverage cost of those that take part."""
+    who = np.flatnonzero(states != ABSENT)
+    agents, responds = here_m[who], states[who] >= 0
+    aims = coverage_aims(scene.ground, agents, responds, scene.partition)
+    cost = aims.cost
+    if scene.partition == "coverage_only" and responds.any():
+        cost = coverage_aims(scene.ground, agents, np.zeros_like(responds)).cost
+    targets, own = here_m.copy(), aims.targets_m.copy()
+    for number in range(len(watches)):
+        team = states[who] == number
+        if not team.any():
+            continue
+        ends = event_places(agents[team], watches[number].place_m, scene.stand_off_m)
+        share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
+        own[team] = scene.ground.steered(agents[team], scene.ground.nearest(ends), share)
+    targets[who] = own
+    return targets, cost
+
+
+def event_places(
+    agents_m: NDArray[np.float64], event_m: NDArray[np.float64], stand_off_m: float | None
+) -> NDArray[np.float64]:
+    """Return where agents ``(k, 2)`` that respond to an event should stand: at it, or round it."""
+    if stand_off_m is not None:
+        return ring_places(agents_m, event_m, stand_off_m)
+    return np.repeat(event_m[None], len(agents_m), axis=0)
+
+
+def _run(scene: Scene, motions: list[Motion], rows: list[_Row], settled: bool) -> NetworkRun:
+    """The records of all steps as arrays."""
+    steps, events = len(rows), len(scene.events)
+    places = np.array([[watch.place_m for watch in row.watches] for row in rows])
+    stds = np.array([[watch.std_m for watch in row.watches] for row in rows])
+    return NetworkRun(
+        np.arange(steps + 1, dtype=np.float64) * scene.time_step_s,
+        np.array([each.places_m for each in motions]),
+        np.array([each.velocities_m_s for each in motions]),
+        np.array([each.headings_rad for each in motions]),
+        np.array([row.states for row in rows]),
+        np.array([row.targets_m for row in rows]),
+        np.array([row.cost for row in rows]),
+        np.array([row.residual_m for row in rows]),
+        np.array([row.counts for row in rows]),
+        np.array([row.wanted for row in rows]).reshape(steps, events),
+        places.reshape(steps, events, 2),
+        stds.reshape(steps, events),
+        np.array([row.sent for row in rows]),
+        settled,
+    )

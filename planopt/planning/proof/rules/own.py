@@ -1,0 +1,118 @@
+"""Rules of connectivity of one's own: a function of the probabilities of connection."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.planning.history import History
+from planopt.planning.proof.rules.proven import BySlack, PathCase, ProvenRule
+from planopt.planning.rule_result import RuleResult
+from planopt.problems.rule_kinds import register_rule
+
+
+class OwnRule(ProvenRule):
+    """Base class of a rule of one's own: a frozen dataclass with a ``kind`` and what it counts.
+
+    The fields of a subclass are the keys of ``constraints.settings``, all numbers. The verifier
+    judges by :meth:`achieved`; planners seek plans by it and its slopes. It must not fall where a
+    probability rises.
+
+    Attributes
+    ----------
+    kind
+        Value of the key ``constraints.connectivity``.
+    unit
+        Of what is achieved.
+    asks_p_min
+        Whether p_min is what is asked; a rule that asks for something else returns that by
+        :meth:`asked`.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> from typing import ClassVar
+    >>> import numpy as np
+    >>> from planopt import OwnRule
+    >>> @dataclass(frozen=True)
+    ... class Soon(OwnRule):
+    ...     "Connected at least once within the first steps, were steps independent."
+    ...
+    ...     kind: ClassVar[str] = "soon"
+    ...     steps: float = 5
+    ...
+    ...     def achieved(self, probability, history):
+    ...         return 1.0 - np.prod(1.0 - probability[..., : int(self.steps)], axis=-1)
+    >>> Soon(2).achieved(np.array([0.5, 0.5, 0.9]), None)
+    np.float64(0.75)
+    """
+
+    kind: ClassVar[str]
+    unit: ClassVar[str] = "probability"
+    asks_p_min: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """Let problems name the rule, in this process and in workers of its studies."""
+        super().__init_subclass__(**keywords)
+        if "kind" in cls.__dict__:
+            register_rule(cls)
+
+    @abstractmethod
+    def achieved(
+        self, probability: NDArray[np.float64], history: History
+    ) -> float | NDArray[np.float64]:
+        """Return what plans achieve, which is to be large.
+
+        Parameters
+        ----------
+        probability
+            ``(..., N)`` of connection after each step of a plan, of one or of many plans.
+        history
+            What has happened before.
+        """
+
+    def asked(self, p_min: float) -> float:
+        """Return what must be achieved at least."""
+        return p_min
+
+    def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
+        """Return :meth:`achieved` as numbers ``(...)``.
+
+        Raises
+        ------
+        InputError
+            It has another shape, or is not finite.
+        """
+        try:
+            found = np.asarray(self.achieved(probability, history), dtype=np.float64)
+        except (TypeError, ValueError, IndexError) as error:
+            raise self._fault(f"cannot be computed: {error}") from error
+        if found.shape != probability.shape[:-1] or not np.isfinite(found).all():
+            raise self._fault(f"has shape {found.shape}, or is no number")
+        return found
+
+    def _fault(self, words: str) -> InputError:
+        return InputError(
+            f"what rule {self.kind} achieves {words}",
+            key="constraints.connectivity",
+            remedy="return one number for each plan of probabilities (..., N)",
+        )
+
+    def by_slack(self, case: PathCase) -> BySlack:
+        """Return what the path's probabilities achieve."""
+        asked = self.asked(case.problem.constraints.p_min)
+
+        def result(slack_db: float) -> RuleResult:
+            achieved = float(self.valued(case.probability(slack_db), case.history))
+            return RuleResult(self.kind, achieved, asked, self.unit, "of the probabilities")
+
+        return result
+
+    def missed_words(self, result: RuleResult) -> tuple[str, str]:
+        """Name the rule."""
+        key = "constraints.p_min" if self.asks_p_min else "the rule"
+        return f"what constraints.connectivity {self.kind!r} counts", key

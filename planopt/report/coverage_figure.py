@@ -1,0 +1,366 @@
+"""Pictures of networks: cells, paths, teams at events, cost over time, and an animation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+import shapely
+
+from planopt.coverage.events import Event
+from planopt.coverage.ground import Ground
+from planopt.coverage.simulation import ABSENT, NetworkRun
+from planopt.files.whole import write_whole
+from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.style import (
+    BLACK,
+    BLUE,
+    NOTE_PT,
+    OBSTACLE,
+    OBSTACLE_EDGE,
+    ORANGE,
+    SERIES,
+    VERMILLION,
+    dress,
+    head,
+    legend_below,
+    legend_inside,
+    spaced,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+FRAMES, FRAMES_PER_S, ANIMATION_DPI = 90, 10, 70
+"""Of an animation: at most so many pictures, so many a second."""
+
+CELL = "#9a9a9a"
+"""Colour of borders between cells."""
+
+EVENT_SHADE = 0.12
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkPicture:
+    """What is drawn.
+
+    Attributes
+    ----------
+    name
+        Of the problem.
+    run, ground
+        What happened on what.
+    obstacles
+        Areas that agents may not enter.
+    events
+        What appeared.
+    """
+
+    name: str
+    run: NetworkRun
+    ground: Ground
+    obstacles: tuple[shapely.Polygon, ...]
+    events: tuple[Event, ...]
+
+    @property
+    def busiest(self) -> int:
+        """The last step with an event in which most agents respond; 0 without events."""
+        times_s = self.run.times_s[:-1].tolist()
+        there = np.array([any(e.is_there(t) for e in self.events) for t in times_s])
+        team = np.where(there, (self.run.states >= 0).sum(axis=1), 0)
+        return int(len(team) - 1 - team[::-1].argmax()) if team.any() else 0
+
+
+def draw_network(picture: NetworkPicture) -> Figure:
+    """Draw where a network was when most agents responded and at its end, and what it cost."""
+    from matplotlib.gridspec import GridSpec
+
+    figure, run = new_figure(12.0, 8.2), picture.run
+    eventful = bool(picture.events)
+    columns = 6
+    grid = GridSpec(2, columns, figure=figure, height_ratios=(1.75, 1.0))
+    entries: dict[str, Artist] = {}
+    steps = (picture.busiest, len(run.costs) - 1)
+    for place, step in enumerate(steps):
+        panel = add_panel(figure, grid[0, 3 * place : 3 * place + 3])
+        words = ("at the start" if step == 0 else "while agents respond", "at the end")[place]
+        entries.update(_plane(panel, picture, step))
+        _paths(panel, picture, 0 if place == 0 else steps[0], step, entries)
+        dress(panel, f"{words}, {run.times_s[step]:g} s", "x [m]", "y [m]", grid=False)
+    times_s, each = run.times_s[:-1], columns // (3 if eventful else 2)
+    cost = add_panel(figure, grid[1, :each])
+    cost.plot(times_s, run.costs, color=BLUE, linewidth=1.6)
+    cost.set_yscale("log")
+    dress(cost, "coverage cost H", "time [s]", "H [m$^4$ x density]")
+    second = add_panel(figure, grid[1, each : 2 * each])
+    if eventful:
+        _teams(second, picture)
+        third = add_panel(figure, grid[1, 2 * each :])
+        _errors(third, picture)
+        shaded = (cost, second, third)
+    else:
+        second.plot(times_s, np.maximum(run.residuals_m, 1e-9), color=BLUE, linewidth=1.6)
+        second.set_yscale("log")
+        dress(second, "largest distance to a target", "time [s]", "distance [m]")
+        shaded = ()
+    for panel in shaded:
+        _shade(panel, picture)
+    legend_below(figure, entries.values(), len(entries))
+    head(figure, f"{spaced(picture.name)}: H {run.costs[0]:.4g} to {run.costs[-1]:.4g}")
+    return figure
+
+
+def animate_network(picture: NetworkPicture, path: Path) -> None:
+    """Write a GIF of a run: agents, their cells, events and teams.
+
+    Parameters
+    ----------
+    picture
+        What happened.
+    path
+        Ends in ``.gif``.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    from matplotlib.animation import PillowWriter
+    from matplotlib.collections import LineCollection
+    from matplotlib.gridspec import GridSpec
+
+    figure, run = new_figure(6.6, 6.4), picture.run
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    entries = _area(panel, picture)
+    borders = LineCollection([], colors=CELL, linewidths=0.7)
+    panel.add_collection(borders)
+
+    def dots(**look: Any) -> _Line:
+        return cast(_Line, panel.plot([], [], linestyle="none", **look)[0])
+
+    covering = dots(color=BLUE, marker="o", markersize=4.5, label="covers")
+    team = dots(color=ORANGE, marker="o", markersize=6.0, label="responds")
+    there = dots(color=VERMILLION, marker="*", markersize=14.0, label="event")
+    guess = dots(color=BLACK, marker="+", markersize=11.0, label="estimate")
+    handles = [
+        *entries.values(),
+        *(cast("Artist", each) for each in (covering, team, there, guess)),
+    ]
+    panel.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.1),
+        ncols=5,
+        columnspacing=1.0,
+        fontsize=NOTE_PT - 1.0,
+        frameon=False,
+    )
+    last = len(run.costs) - 1
+    steps = np.unique(np.linspace(0, last, min(FRAMES, last + 1)).round().astype(np.int64))
+
+    def show(step: int) -> None:
+        here, states = run.positions_m[step], run.states[step]
+        cast(_Segments, borders).set_segments(picture.ground.borders(here[states != ABSENT]))
+        covering.set_data(*here[states == -1].T)
+        team.set_data(*here[states >= 0].T)
+        time_s = float(run.times_s[step])
+        places = [e.place_at(time_s) for e in picture.events if e.is_there(time_s)]
+        there.set_data(*np.array(places).reshape(-1, 2).T)
+        guess.set_data(*run.estimates_m[step].reshape(-1, 2).T)
+        cost = f"{time_s:g} s, H = {run.costs[step]:.4g}"
+        dress(panel, f"{spaced(picture.name)}, {cost}", "x [m]", "y [m]", grid=False)
+
+    def write(temporary: Path) -> None:
+        writer = cast(_Writer, PillowWriter(fps=FRAMES_PER_S))
+        writer.setup(figure, str(temporary), dpi=ANIMATION_DPI)
+        # Laid out once: panels would move, and layout takes most of the time.
+        show(0)
+        cast(_Drawn, figure.canvas).draw()
+        cast(_LaidOut, figure).set_layout_engine("none")
+        for step in [*steps.tolist(), *[last] * FRAMES_PER_S]:
+            show(step)
+            writer.grab_frame()
+        writer.finish()
+
+    write_whole(path, write)
+
+
+def draw_horizons(name: str, rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw each metric of a comparison over its settings, with intervals.
+
+    Parameters
+    ----------
+    name
+        Of the problem.
+    rows
+        Those of ``planopt compare``.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    metrics = list(dict.fromkeys(str(row["metric"]) for row in rows))
+    figure = new_figure(4.2 * len(metrics), 4.2)
+    grid = GridSpec(1, len(metrics), figure=figure)
+    for number, metric in enumerate(metrics):
+        panel, own = add_panel(figure, grid[0, number]), [r for r in rows if r["metric"] == metric]
+        for place, row in enumerate(own):
+            low = row["mean"] if row["ci_low"] is None else row["ci_low"]
+            high = row["mean"] if row["ci_high"] is None else row["ci_high"]
+            colour = SERIES[0 if row["planner"] != "law" else 1]
+            panel.plot([place, place], [low, high], color=colour, linewidth=2.0)
+            panel.plot([place], [row["mean"]], color=colour, marker="o", markersize=7.0)
+        labels = [
+            row["planner"] + ("" if row["planner"] == "law" else f"\n{row['horizon']}")
+            for row in own
+        ]
+        panel.set_xticks(list(range(len(own))), labels)
+        dress(panel, "mean and 95 % interval", "planner, horizon", metric.replace("_", " "))
+    head(figure, spaced(name))
+    return figure
+
+
+def _area(panel: Panel, picture: NetworkPicture) -> dict[str, Artist]:
+    """The region's outline and obstacles; legend entries."""
+    from matplotlib.collections import PolyCollection
+
+    corners = picture.ground.hull.corners_m
+    ring = np.concatenate((corners, corners[:1]))
+    panel.plot(ring[:, 0], ring[:, 1], color=OBSTACLE_EDGE, linewidth=1.0)
+    panel.set_aspect("equal")
+    if not picture.obstacles:
+        return {}
+    rings = [shapely.get_coordinates(each.exterior) for each in picture.obstacles]
+    layer = PolyCollection(rings, facecolors=OBSTACLE, edgecolors=OBSTACLE_EDGE, label="obstacle")
+    panel.add_collection(layer)
+    return {"obstacle": layer}
+
+
+def _plane(panel: Panel, picture: NetworkPicture, step: int) -> dict[str, Artist]:
+    """The region, the cells and everybody in one step; legend entries."""
+    from matplotlib.collections import LineCollection
+
+    entries, run = _area(panel, picture), picture.run
+    here, states = run.positions_m[step], run.states[step]
+    cells = picture.ground.borders(here[states != ABSENT])
+    layer = LineCollection(list(cells), colors=CELL, linewidths=0.7, label="border of a cell")
+    panel.add_collection(layer)
+    entries["cells"] = layer
+    looks = (
+        ("covers", states == -1, BLUE, "o", 18.0),
+        ("responds", states >= 0, ORANGE, "o", 30.0),
+        ("absent", states == ABSENT, CELL, "x", 20.0),
+    )
+    for word, which, colour, marker, size in looks:
+        if which.any():
+            entries[word] = panel.scatter(
+                here[which, 0], here[which, 1], s=size, color=colour, marker=marker, zorder=3,
+                label=word,
+            )  # fmt: skip
+    time_s = float(run.times_s[step])
+    for number, event in enumerate(picture.events):
+        if event.is_there(time_s):
+            x, y = event.place_at(time_s).tolist()
+            entries["event"] = panel.scatter(
+                [x], [y], s=170.0, color=VERMILLION, marker="*", zorder=4, label="event"
+            )
+        guess = run.estimates_m[step, number]
+        if np.isfinite(guess).all():
+            entries["estimate"] = panel.scatter(
+                guess[:1], guess[1:], s=110.0, color=BLACK, marker="+", zorder=5, label="estimate"
+            )
+    return entries
+
+
+def _paths(
+    panel: Panel, picture: NetworkPicture, begin: int, end: int, entries: dict[str, Artist]
+) -> None:
+    """The paths between two steps, those of agents that respond at either end in their colour."""
+    from matplotlib.collections import LineCollection
+
+    run = picture.run
+    if end <= begin:
+        return
+    paths = run.positions_m[begin : end + 1].transpose(1, 0, 2)
+    responds = (run.states[begin] >= 0) | (run.states[end] >= 0)
+    colours = list(np.where(responds, ORANGE, BLUE))
+    layer = LineCollection(
+        list(paths), colors=colours, linewidths=0.9, alpha=0.55, label="path so far"
+    )
+    panel.add_collection(layer)
+    entries["path"] = layer
+
+
+def _teams(panel: Panel, picture: NetworkPicture) -> None:
+    """How many agents respond to each event, and how many it asks for."""
+    run, times_s = picture.run, picture.run.times_s[:-1]
+    for number, event in enumerate(picture.events):
+        colour = SERIES[number % len(SERIES)]
+        responding = (run.states == number).sum(axis=1).astype(np.float64)
+        wanted = run.wanted[:, number].astype(np.float64)
+        panel.plot(times_s, responding, color=colour, linewidth=1.8, label=event.name)
+        panel.plot(times_s, wanted, color=colour, linewidth=1.0, linestyle="--")
+    panel.set_ylim(0.0, None)
+    dress(panel, "agents that respond (dashed: wanted)", "time [s]", "agents")
+    if len(picture.events) > 1:
+        legend_inside(panel, "upper right")
+
+
+def _errors(panel: Panel, picture: NetworkPicture) -> None:
+    """How far off the estimated places are, and what the agents think."""
+    run, times_s = picture.run, picture.run.times_s[:-1]
+    for number, event in enumerate(picture.events):
+        colour = SERIES[number % len(SERIES)]
+        places = np.array([event.place_at(each) for each in times_s.tolist()])
+        error_m = np.linalg.norm(run.estimates_m[:, number] - places, axis=1)
+        panel.plot(times_s, error_m, color=colour, linewidth=1.6)
+        std_m = np.where(np.isfinite(run.stds_m[:, number]), run.stds_m[:, number], np.nan)
+        panel.plot(times_s, std_m, color=colour, linewidth=1.0, linestyle="--")
+    if np.isfinite(run.estimates_m).any():
+        panel.set_yscale("log")
+    panel.set_xlim(float(times_s[0]), float(times_s[-1]))
+    dress(panel, "error of the estimate (dashed: its std)", "time [s]", "distance [m]")
+
+
+def _shade(panel: Panel, picture: NetworkPicture) -> None:
+    """When events are there."""
+    last_s = float(picture.run.times_s[-1])
+    for number, event in enumerate(picture.events):
+        colour = SERIES[number % len(SERIES)]
+        if event.appears_s < last_s:
+            end_s = min(event.ends_s, last_s)
+            panel.axvspan(event.appears_s, end_s, color=colour, alpha=EVENT_SHADE, linewidth=0.0)
+
+
+class _Writer(Protocol):
+    """The methods of ``matplotlib.animation.PillowWriter`` that are used, typed."""
+
+    def setup(self, figure: Figure, outfile: str, *, dpi: float) -> None: ...
+    def grab_frame(self) -> None: ...
+    def finish(self) -> None: ...
+
+
+class _Drawn(Protocol):
+    """The method of a canvas that draws it."""
+
+    def draw(self) -> None: ...
+
+
+class _LaidOut(Protocol):
+    """The method of a figure that says how it is laid out, typed."""
+
+    def set_layout_engine(self, layout: str, /) -> None: ...
+
+
+class _Line(Protocol):
+    """The method of ``matplotlib.lines.Line2D`` that moves it, typed."""
+
+    def set_data(self, x: object, y: object, /) -> None: ...
+
+
+class _Segments(Protocol):
+    """The method of ``matplotlib.collections.LineCollection`` that moves it, typed."""
+
+    def set_segments(self, segments: object, /) -> None: ...

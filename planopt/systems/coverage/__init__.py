@@ -1,0 +1,1 @@
+"""The task coverage: a network of agents that covers a region and answers events."""

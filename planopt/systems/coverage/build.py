@@ -1,0 +1,366 @@
+"""The scene that a problem file of the task coverage describes, with every check of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.coverage.assignment.demand import LEAST_ON_RING, Demand, demanded
+from planopt.coverage.control.laws import Gains
+from planopt.coverage.control.receding import MoveLimits
+from planopt.coverage.counting.tally import Counting
+from planopt.coverage.density import Density, checked_mass
+from planopt.coverage.events import Event, Sensing
+from planopt.coverage.geodesic import MAX_NODES
+from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
+from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
+from planopt.coverage.network import LinkModel
+from planopt.coverage.raster_density import RasterDensity
+from planopt.coverage.region import checked_polygon, convex_region
+from planopt.coverage.simulation import LawMover, Mover, RecedingMover, Scene
+from planopt.errors import InputError
+from planopt.problems.build import obstacles_of
+from planopt.systems.coverage.tables import (
+    CoverageFile,
+    DemandContext,
+    PlacesTable,
+    PlannerTable,
+    WorldTable,
+)
+from planopt.world.raster import Raster
+from planopt.world.workspace import Obstacle
+
+NODES = 1600
+"""Geodesic cells have about so many nodes where no spacing is given."""
+
+SETTLED_SHARE = 0.01
+"""Share of the mean distance between agents that counts as settled where no distance is given."""
+
+MEMORY_STEPS = 10
+"""Where events move, readings of so many steps are kept if no memory is given."""
+
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True, eq=False)
+class CoverageProblem:
+    """A network to simulate.
+
+    Attributes
+    ----------
+    given
+        Its tables.
+    ground, density, obstacles
+        What is covered, its weights, and what stands in it.
+    events, demands, sensing
+        What appears, how many agents it asks for, and how they measure it.
+    joins_s, leaves_s
+        ``(n,)`` when agents take part.
+    """
+
+    given: CoverageFile
+    ground: Ground
+    density: Density
+    obstacles: tuple[Obstacle, ...]
+    events: tuple[Event, ...]
+    demands: tuple[Demand, ...]
+    sensing: Sensing | None
+    joins_s: NDArray[np.float64]
+    leaves_s: NDArray[np.float64]
+
+    @property
+    def settled_m(self) -> float:
+        """Agents this near to their targets have settled."""
+        given = self.given.control.settled_m
+        spacing_m = math.sqrt(self.ground.area_m2 / len(self.joins_s))
+        return SETTLED_SHARE * spacing_m if given is None else given
+
+    @property
+    def stand_off_m(self) -> float | None:
+        """Radius of the ring that responding agents stand on; None for the event itself."""
+        if self.sensing is None or not self.given.assignment.stand_off:
+            return None
+        return best_distance_m(self.sensing.sensor)
+
+    def scene(self, generator: np.random.Generator) -> Scene:
+        """Return the scene of one run: starts may be drawn.
+
+        Raises
+        ------
+        InputError
+            An agent starts where none may be.
+        """
+        given, control = self.given, self.given.control
+        starts = given.agents.start.places(self.ground, generator)
+        outside = np.flatnonzero(~self.ground.allows(starts))
+        if len(outside):
+            x, y = starts[outside[0]]
+            raise InputError(
+                f"agent {outside[0]} starts at ({x:g}, {y:g}), outside the region, in an obstacle "
+                "or too near to one",
+                key=f"agents.start.places_m[{outside[0]}]"
+                if isinstance(given.agents.start, PlacesTable)
+                else "agents.start",
+            )
+        rules, links = given.assignment, given.links
+        return Scene(
+            self.ground,
+            starts,
+            self.joins_s,
+            self.leaves_s,
+            self.events,
+            self.demands,
+            self.sensing,
+            self.stand_off_m,
+            control.partition,
+            Gains(control.event_gain_per_s, control.coverage_gain_per_s),
+            rules.hysteresis_m,
+            rules.moved_m,
+            Counting(**given.counting.model_dump()),
+            None if links is None else LinkModel(**links.model_dump()),
+            rules.flag_rounds,
+            control.time_step_s,
+            control.duration_s,
+            self.settled_m,
+            control.stop_when_settled,
+        )
+
+    @property
+    def limits(self) -> MoveLimits:
+        """What agents can do, and what they keep from obstacles and the border."""
+        agents, given = self.given.agents, self.given
+        speed = math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s
+        return MoveLimits(
+            given.control.time_step_s,
+            speed,
+            agents.acceleration_max_m_s2,
+            agents.turn_rate_max_rad_s,
+            clearance_m=given.world.clearance_m,
+        )
+
+    def mover(self, planner: PlannerTable) -> Mover:
+        """Return how agents move.
+
+        Raises
+        ------
+        InputError
+            The laws are asked to keep a limit that they do not know.
+        """
+        control, limits = self.given.control, self.limits
+        gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
+        if planner.name == "receding":
+            return RecedingMover(gains, limits, planner.horizon)
+        if limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None:
+            raise InputError(
+                "is law, which keeps no limits of acceleration or turn rate",
+                key="planner.name",
+                remedy="use receding",
+            )
+        return LawMover(gains, control.time_step_s, self.given.agents.speed_max_m_s)
+
+
+def build(given: CoverageFile, folder: Path) -> CoverageProblem:
+    """Return the problem in validated tables.
+
+    Raises
+    ------
+    InputError
+        The region crosses itself or obstacles cut it in two, the density is negative or zero
+        everywhere, an agent or an event is outside, or there are fewer agents than events need.
+    """
+    obstacles = tuple(
+        obstacle
+        for index, table in enumerate(given.world.obstacles)
+        for obstacle in obstacles_of(table, index, folder)
+    )
+    density = _keyed(lambda: given.density.density(folder), {})
+    outline = "bounds_m" if given.world.outline_m is None else "outline_m"
+    ground = _keyed(
+        lambda: _ground(given.world, obstacles, density),
+        {
+            "region": f"world.{outline}",
+            "obstacles": "world.obstacles",
+            "spacing_m": "world.spacing_m",
+            "clearance_m": "world.clearance_m",
+        },
+    )
+    agents = given.agents.start.number
+    joins, leaves = _times(given, agents)
+    control, sensing = given.control, _sensing(given)
+    Gains(control.event_gain_per_s, control.coverage_gain_per_s).shares(
+        np.array([True]), control.time_step_s
+    )
+    if control.duration_s < control.time_step_s:
+        raise InputError("is shorter than a step", key="control.duration_s")
+    events = tuple(_event(given, number, ground) for number in range(len(given.events)))
+    names = [each.name for each in events]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError(f"{name!r} is there twice", key=f"events[{number}].name")
+    demands: list[Demand] = []
+    for number, table in enumerate(given.events):
+        if sensing is None:
+            raise InputError("is left out", key="sensor", remedy="events need [sensor]")
+        context = DemandContext(sensing.sensor, ground.area_m2, agents)
+        demand = _keyed(
+            lambda table=table, context=context: table.demand.demand(context),
+            {
+                "demand": f"events[{number}].demand",
+                "accuracy_m": f"events[{number}].demand.accuracy_m",
+            },
+        )
+        _keyed(
+            lambda demand=demand: demanded(demand, agents), {"demand": f"events[{number}].demand"}
+        )
+        demands.append(demand)
+    _require_agents(events, joins, leaves)
+    _require_pair(given, agents)
+    problem = CoverageProblem(
+        given, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves
+    )
+    problem.scene(np.random.default_rng(0))
+    _keyed(lambda: problem.mover(given.planner), {"limits": "agents"})
+    return problem
+
+
+def density_table(problem: CoverageProblem) -> dict[str, Any]:
+    """Return the density as a table that needs no other file."""
+    density = problem.density
+    if isinstance(density, RasterDensity):
+        raster: Raster = density.raster
+        return {
+            "kind": "raster",
+            "x_m": raster.x_m.tolist(),
+            "y_m": raster.y_m.tolist(),
+            "values": raster.values.tolist(),
+        }
+    return problem.given.density.model_dump(mode="json", exclude_none=True)
+
+
+def _keyed(make: Callable[[], Made], keys: dict[str, str]) -> Made:
+    """What `make` returns; keys of the library in its errors become those of the file."""
+    try:
+        return make()
+    except InputError as error:
+        key = error.key
+        for short, full in keys.items():
+            if key is not None and (key == short or key.startswith((f"{short}[", f"{short}."))):
+                key = full + key[len(short) :]
+                break
+        raise InputError(
+            error.message, file=error.file, key=key, row=error.row, remedy=error.remedy
+        ) from error
+
+
+def _ground(world: WorldTable, obstacles: tuple[Obstacle, ...], density: Density) -> Ground:
+    if world.bounds_m is not None:
+        x0, y0, x1, y1 = world.bounds_m
+        if not (x0 < x1 and y0 < y1):
+            raise InputError("is empty", key="world.bounds_m", remedy="give x_min < x_max")
+        outline = shapely.box(x0, y0, x1, y1)
+    else:
+        outline = checked_polygon(np.array(world.outline_m))
+    missing_m2 = outline.convex_hull.area - outline.area
+    if not obstacles and world.clearance_m == 0.0 and missing_m2 <= 1e-9 * outline.area:
+        region = convex_region(outline)
+        if isinstance(density, RasterDensity) and not density.covers(region):
+            raise InputError("does not cover the region", key="density")
+        checked_mass(region, density)
+        return ConvexGround(region, density, world.sensing_range_m)
+    if world.sensing_range_m is not None:
+        raise InputError(
+            "is given, and the region is not convex and free",
+            key="world.sensing_range_m",
+            remedy="leave it out: geodesic cells have no limited range",
+        )
+    spacing_m = world.spacing_m or math.sqrt(outline.area / NODES)
+    x0, y0, x1, y1 = outline.bounds
+    if (x1 - x0) * (y1 - y0) > MAX_NODES * spacing_m**2:
+        raise InputError(
+            f"gives more than {MAX_NODES} nodes", key="world.spacing_m", remedy="give a larger one"
+        )
+    shapes = [each.polygon for each in obstacles]
+    return geodesic_ground(outline, shapes, spacing_m, density, world.clearance_m)
+
+
+def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """When agents join and leave, (n,) each."""
+    joins, leaves = np.zeros(agents), np.full(agents, np.inf)
+    for number, table in enumerate(given.changes):
+        for agent in table.agents:
+            if not 0 <= agent < agents:
+                raise InputError(
+                    f"there is no agent {agent} of {agents}", key=f"changes[{number}].agents"
+                )
+            joins[agent] = table.joins_s
+            leaves[agent] = math.inf if table.leaves_s is None else table.leaves_s
+        if table.leaves_s is not None and table.leaves_s <= table.joins_s:
+            raise InputError(
+                "is not after joins_s", key=f"changes[{number}].leaves_s", remedy="give a later one"
+            )
+    for time_s in np.concatenate(([0.0], leaves[np.isfinite(leaves)])).tolist():
+        if time_s < given.control.duration_s and not ((joins <= time_s) & (time_s < leaves)).any():
+            raise InputError(f"nobody takes part at {time_s:g} s", key="changes")
+    return joins, leaves
+
+
+def _sensing(given: CoverageFile) -> Sensing | None:
+    table = given.sensor
+    if table is None:
+        return None
+    sensor = diffusion_sensor(table.noise_std, table.strength, table.scale_m)
+    memory_s = table.memory_s
+    if memory_s is None and any(any(each.velocity_m_s) for each in given.events):
+        memory_s = MEMORY_STEPS * given.control.time_step_s
+    return Sensing(sensor, table.strength_known, table.detection_std, table.silent_steps, memory_s)
+
+
+def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
+    table, key = given.events[number], f"events[{number}]"
+    ends_s = math.inf if table.ends_s is None else table.ends_s
+    if ends_s <= table.appears_s:
+        raise InputError("is not after appears_s", key=f"{key}.ends_s", remedy="give a later one")
+    event = Event(table.name, table.place_m, table.appears_s, ends_s, table.velocity_m_s)
+    last_s = min(ends_s, max(given.control.duration_s, table.appears_s))
+    path = np.linspace(event.place_at(table.appears_s), event.place_at(last_s), 65)
+    out = np.flatnonzero(~ground.allows(path))
+    if len(out):
+        x, y = path[out[0]]
+        raise InputError(
+            f"{table.name} is at ({x:g}, {y:g}), outside the region, in an obstacle or too near "
+            "to one",
+            key=f"{key}.place_m" if out[0] == 0 else f"{key}.velocity_m_s",
+            remedy="keep it where agents may be",
+        )
+    return event
+
+
+def _require_agents(
+    events: tuple[Event, ...], joins: NDArray[np.float64], leaves: NDArray[np.float64]
+) -> None:
+    """There is an agent for each event at least, whenever one appears."""
+    for number, event in enumerate(events):
+        there = sum(each.is_there(event.appears_s) for each in events)
+        agents = int(((joins <= event.appears_s) & (event.appears_s < leaves)).sum())
+        if agents < there:
+            raise InputError(
+                f"there are {there} events and {agents} agents at {event.appears_s:g} s",
+                key=f"events[{number}].appears_s",
+                remedy="give more agents, or fewer events at a time",
+            )
+
+
+def _require_pair(given: CoverageFile, agents: int) -> None:
+    if given.assignment.stand_off and agents < LEAST_ON_RING:
+        raise InputError(
+            f"one agent of {agents} tells no place from a ring",
+            key="assignment.stand_off",
+            remedy=f"give {LEAST_ON_RING} agents or more",
+        )

@@ -1,0 +1,267 @@
+"""Judge a saved run of a network from its files: moves, targets, teams, estimates and numbers.
+
+Moves are judged by the outline, the obstacles and the speeds alone; targets and costs by dividing
+the region again; then everything that the JSON file says is computed again from the tables.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import shapely
+
+from planopt.coverage.assignment.demand import demanded
+from planopt.coverage.control.laws import coverage_aims
+from planopt.coverage.simulation import ABSENT, NetworkRun, event_places
+from planopt.coverage.verify import verify_moves
+from planopt.errors import InputError
+from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
+from planopt.planning.check.agreement import disagreements, in_words
+from planopt.problems.systems import SystemProblem
+from planopt.systems.coverage.build import CoverageProblem
+from planopt.systems.coverage.results import (
+    EVENT_COLUMNS,
+    EVENTS_FILE,
+    NETWORK_COLUMNS,
+    NETWORK_FILE,
+    STEP_COLUMNS,
+    STEPS_FILE,
+    Driven,
+    agent_name,
+    run_json,
+    state_names,
+)
+
+PLACE_M = 1e-6
+"""Places that are computed again agree to this."""
+
+COST_SHARE = 1e-6
+"""Coverage costs that are computed again agree to this share."""
+
+
+def faults(driven: Driven) -> list[str]:
+    """Return what is wrong with the moves of a run; nothing if every move is allowed."""
+    run, problem = driven.run, driven.problem
+    world, limits = problem.given.world, problem.limits
+    moving = (run.positions_m, run.velocities_m_s, run.headings_rad)
+    if not all(np.isfinite(each).all() for each in moving):
+        return [f"{STEPS_FILE}: a place, velocity or heading is not finite"]
+    free = shapely.box(*world.bounds_m) if world.bounds_m else shapely.Polygon(world.outline_m)
+    for obstacle in problem.obstacles:
+        free = free.difference(obstacle.polygon)
+    reasons = list[str]()
+    for step in range(len(run.costs)):
+        who = np.flatnonzero(run.states[step] != ABSENT)
+        both = [(each[step, who], each[step + 1, who]) for each in moving]
+        found = verify_moves(
+            cast("shapely.Polygon", free),
+            *both[0],
+            limits,
+            velocities_m_s=both[1],
+            headings_rad=both[2],
+        )
+        reasons += [
+            f"{STEPS_FILE}: {agent_name(int(who[fault.agent]))} has a fault of {fault.kind} in "
+            f"step {step}: {fault.value:.6g}, {fault.limit:g} is allowed"
+            for fault in found
+        ]
+        idle = np.flatnonzero(run.states[step] == ABSENT)
+        away = idle[(run.positions_m[step, idle] != run.positions_m[step + 1, idle]).any(axis=1)]
+        reasons += [
+            f"{STEPS_FILE}: {agent_name(each)} moves in step {step} and takes no part"
+            for each in away.tolist()
+        ]
+    return reasons
+
+
+def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[str]:
+    """Return what is wrong with a saved run; nothing if it holds.
+
+    Raises
+    ------
+    InputError
+        A table is missing, truncated or not what it should be.
+    """
+    content: CoverageProblem = problem.content
+    seed, horizon = whole_number(file, data, "seed"), whole_number(file, data, "horizon")
+    run = _read(file.parent, content, seed)
+    driven = Driven(content, run, str(data.get("planner")), horizon, seed)
+    moved = faults(driven)
+    if moved:
+        # The region cannot be divided among places outside it.
+        return moved
+    reasons = [*_starts(driven), *_targets(driven), *_events(driven)]
+    kept = {key: data.get(key) for key in ("wall_s", "step_s", "problem_file")}
+    found = {
+        "problem": problem.name,
+        **run_json(driven),
+        **{"faults": moved, "verified_rate": 1.0},
+        **kept,
+    }
+    return reasons + in_words(file.name, disagreements(data, found))
+
+
+def _targets(driven: Driven) -> list[str]:
+    """Covering agents drive to their centroids, and the cost is that of the places."""
+    run, problem = driven.run, driven.problem
+    control, reasons = problem.given.control, list[str]()
+    for step in range(len(run.costs)):
+        who = np.flatnonzero(run.states[step] != ABSENT)
+        agents, responds = run.positions_m[step, who], run.states[step, who] >= 0
+        aims = coverage_aims(problem.ground, agents, responds, control.partition)
+        cost = aims.cost
+        if control.partition == "coverage_only" and responds.any():
+            cost = coverage_aims(problem.ground, agents, np.zeros_like(responds)).cost
+        if abs(cost - run.costs[step]) > COST_SHARE * cost:
+            reasons.append(f"{NETWORK_FILE}: step {step}: the coverage cost is {cost:.9g}")
+        off_m = np.linalg.norm(aims.targets_m - run.targets_m[step, who], axis=1)[~responds]
+        if len(off_m) and off_m.max() > PLACE_M:
+            agent = agent_name(int(who[~responds][off_m.argmax()]))
+            reasons.append(
+                f"{STEPS_FILE}: {agent} covers, and its target in step {step} is {off_m.max():.3g} "
+                "m off its centroid"
+            )
+        away_m = np.linalg.norm(run.targets_m[step] - run.positions_m[step], axis=1).max()
+        if abs(away_m - run.residuals_m[step]) > PLACE_M:
+            reasons.append(f"{NETWORK_FILE}: step {step}: the residual is {away_m:.6g} m")
+        if driven.planner == "law":
+            reasons += _law(driven, step)
+        if len(reasons) > 5:
+            break
+    return reasons
+
+
+def _law(driven: Driven, step: int) -> list[str]:
+    """Agents move by their gain's share of the way to the target, or as fast as they may."""
+    run, given = driven.run, driven.problem.given
+    control, here = given.control, run.positions_m[step]
+    gain = np.where(run.states[step] >= 0, control.event_gain_per_s, control.coverage_gain_per_s)
+    way = run.targets_m[step] - here
+    length = np.linalg.norm(way, axis=1)
+    share = gain * control.time_step_s
+    if given.agents.speed_max_m_s is not None:
+        most_m = given.agents.speed_max_m_s * control.time_step_s
+        share = np.minimum(share, most_m / np.maximum(length, 1e-300))
+    wanted = here + np.where(run.states[step] == ABSENT, 0.0, share)[:, None] * way
+    off_m = np.linalg.norm(wanted - run.positions_m[step + 1], axis=1)
+    if off_m.max() > PLACE_M:
+        name = agent_name(int(off_m.argmax()))
+        return [f"{STEPS_FILE}: {name} is {off_m.max():.3g} m off the law after step {step}"]
+    return []
+
+
+def _events(driven: Driven) -> list[str]:
+    """Who responds, responds to a known event, and as many are wanted as the demand says."""
+    run, problem, reasons = driven.run, driven.problem, list[str]()
+    control = problem.given.control
+    share = min(control.event_gain_per_s * control.time_step_s, 1.0)
+    for number, event in enumerate(problem.events):
+        known = np.isfinite(run.estimates_m[:, number, 0])
+        lonely = np.flatnonzero((run.states == number).any(axis=1) & ~known)
+        if len(lonely):
+            reasons.append(
+                f"{STEPS_FILE}: step {lonely[0]}: nobody knows {event.name}, agents respond"
+            )
+        for step in np.flatnonzero(known).tolist():
+            team = run.positions_m[step, run.states[step] == number]
+            if len(team):
+                ends = event_places(team, run.estimates_m[step, number], problem.stand_off_m)
+                aims = problem.ground.steered(team, problem.ground.nearest(ends), share)
+                off_m = np.linalg.norm(
+                    aims - run.targets_m[step, run.states[step] == number], axis=1
+                )
+                if off_m.max() > PLACE_M:
+                    reasons.append(
+                        f"{STEPS_FILE}: step {step}: who responds to {event.name} has a target "
+                        f"{off_m.max():.3g} m off the estimate"
+                    )
+                    break
+            who = np.flatnonzero(run.states[step] != ABSENT)
+            away = np.linalg.norm(
+                run.positions_m[step, who] - run.estimates_m[step, number], axis=1
+            )
+            believed = run.counts[step, who][int(away.argmin())]
+            asked = demanded(problem.demands[number], round(believed))
+            if asked != run.wanted[step, number]:
+                reasons.append(
+                    f"{EVENTS_FILE}: step {step}: {event.name} asks for {asked} agents, not "
+                    f"{run.wanted[step, number]}"
+                )
+                break
+    return reasons
+
+
+def _starts(driven: Driven) -> list[str]:
+    """Agents start where the problem or the seed says."""
+    scene = driven.problem.scene(np.random.default_rng(driven.seed))
+    off_m = np.linalg.norm(scene.starts_m - driven.run.positions_m[0], axis=1)
+    if off_m.max() > PLACE_M:
+        return [f"{STEPS_FILE}: {agent_name(int(off_m.argmax()))} starts somewhere else"]
+    return []
+
+
+def _read(folder: Path, problem: CoverageProblem, seed: int) -> NetworkRun:
+    """The run in the tables of a folder."""
+    agents, events = len(problem.joins_s), len(problem.events)
+    rows = read_rows(folder / STEPS_FILE, STEP_COLUMNS)
+    network = read_rows(folder / NETWORK_FILE, NETWORK_COLUMNS)
+    told = read_rows(folder / EVENTS_FILE, EVENT_COLUMNS)
+    steps = len(network)
+    sizes = (
+        (STEPS_FILE, len(rows), agents * (steps + 1)),
+        (EVENTS_FILE, len(told), events * steps),
+    )
+    for name, count, wanted in sizes:
+        if count != wanted or not steps:
+            raise InputError(f"has {count} rows, not {wanted}", file=folder / name)
+    for row, line in enumerate(rows):
+        agent, step = divmod(row, steps + 1)
+        if line["robot"] != agent_name(agent) or line["step"] != str(step):
+            raise InputError(
+                f"is of {line['robot']} {line['step']}, not {agent_name(agent)} {step}",
+                file=folder / STEPS_FILE,
+                row=row + 2,
+            )
+    words = {word: state for state, word in state_names(problem).items()}
+    for row, line in enumerate(rows):
+        if (row + 1) % (steps + 1) and line["state"] not in words:
+            raise InputError(
+                f"{line['state']!r} is no state", file=folder / STEPS_FILE, row=row + 2
+            )
+    numbers = finite_numbers(folder / STEPS_FILE, rows, STEP_COLUMNS[2:8])
+    numbers = numbers.reshape(agents, steps + 1, 6)
+    times_s = numbers[0, :, 0]
+    if np.abs(times_s - np.arange(steps + 1) * problem.given.control.time_step_s).max() > PLACE_M:
+        raise InputError("are not control.time_step_s apart", file=folder / STEPS_FILE, key="t_s")
+    moving = [line for row, line in enumerate(rows) if (row + 1) % (steps + 1)]
+    targets = finite_numbers(folder / STEPS_FILE, moving, ("target_x_m", "target_y_m"))
+    counts = finite_numbers(folder / STEPS_FILE, moving, ("count",), empty=math.nan)
+    series = finite_numbers(folder / NETWORK_FILE, network, NETWORK_COLUMNS)
+    known = finite_numbers(folder / EVENTS_FILE, told, EVENT_COLUMNS[6:], empty=math.nan)
+    known = known.reshape(events, steps, 5).transpose(1, 0, 2)
+    states = np.array([words[line["state"]] for line in moving]).reshape(agents, steps).T
+    stds = np.where(np.isfinite(known[..., 0]) & np.isnan(known[..., 2]), np.inf, known[..., 2])
+    scene = problem.scene(np.random.default_rng(seed))
+    settled = scene.has_settled(
+        float(times_s[-2]), float(series[-1, 3]), np.isfinite(known[-1, :, 0])
+    )
+    return NetworkRun(
+        times_s,
+        numbers[:, :, 1:3].transpose(1, 0, 2),
+        numbers[:, :, 3:5].transpose(1, 0, 2),
+        numbers[:, :, 5].T,
+        states,
+        targets.reshape(agents, steps, 2).transpose(1, 0, 2),
+        series[:, 2],
+        series[:, 3],
+        counts.reshape(agents, steps).T,
+        np.nan_to_num(known[..., 3]).astype(np.intp),
+        known[..., :2],
+        stds,
+        series[:, 4:].astype(np.intp),
+        settled,
+    )

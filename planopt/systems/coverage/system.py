@@ -1,0 +1,117 @@
+"""Simulate, compare, print and draw networks that cover a region and answer events."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planopt.problems.save import obstacle_table
+from planopt.problems.systems import Answer, Request, System, SystemProblem
+from planopt.systems.coverage.build import CoverageProblem, build, density_table
+from planopt.systems.coverage.check import check, faults
+from planopt.systems.coverage.driving import REACHED, drive, planners
+from planopt.systems.coverage.results import (
+    EVENTS_FILE,
+    NETWORK_FILE,
+    Driven,
+    in_words,
+    run_json,
+    save_tables,
+)
+from planopt.systems.coverage.study import compare
+from planopt.systems.coverage.tables import CoverageFile
+
+PICTURE, ANIMATION = "run.png", "run.gif"
+NOT_REACHED, NOT_VERIFIED = 4, 3
+
+
+def simulate(problem: SystemProblem, request: Request) -> Answer:
+    """Simulate one run and judge its moves."""
+    content: CoverageProblem = problem.content
+    planner = planners(content, request)[0]
+    ends_s = [time.perf_counter()]
+
+    def after_step() -> None:
+        ends_s.append(time.perf_counter())
+        request.on_step()
+
+    driven = drive(content, planner, request.seed, after_step)
+    broken = faults(driven)
+    data: dict[str, Any] = {"problem": problem.name, **run_json(driven), "faults": broken}
+    data["verified_rate"] = 0.0 if broken else 1.0
+    lasts_s = np.diff(np.array(ends_s))
+    p50, p95 = np.percentile(lasts_s, [50, 95]).tolist()
+    data["wall_s"] = ends_s[-1] - ends_s[0]
+    data["step_s"] = {"p50": p50, "p95": p95, "max": float(lasts_s.max())}
+    reached = data["outcome"] in REACHED
+    drawn = content.given.report.figures or request.animation
+    return Answer(
+        driven,
+        data,
+        (*in_words(problem.name, data), *(f"  {each}" for each in broken)),
+        NOT_VERIFIED if broken else 0 if reached else NOT_REACHED,
+        save=lambda folder: save_tables(driven, folder),
+        draw=(lambda folder: _draw(problem.name, driven, request, folder)) if drawn else None,
+    )
+
+
+def tables(problem: SystemProblem) -> dict[str, Any]:
+    """Return the tables with every default, obstacles as polygons, rasters in place."""
+    content: CoverageProblem = problem.content
+    found = content.given.model_dump(mode="json", by_alias=True, exclude_none=True)
+    found["world"]["obstacles"] = [obstacle_table(each) for each in content.obstacles]
+    found["density"] = density_table(content)
+    return found
+
+
+def words(problem: SystemProblem) -> tuple[str, ...]:
+    """Return the problem in lines of text."""
+    content: CoverageProblem = problem.content
+    given = content.given
+    limit = given.agents.speed_max_m_s
+    speed = "without a speed limit" if limit is None else f"at most {limit:g} m/s"
+    lines = [
+        f"{problem.name}: {problem.description}",
+        f"  task        coverage, planner {given.planner.name}, steps of "
+        f"{given.control.time_step_s:g} s, at most {given.control.duration_s:g} s",
+        f"  region      {content.ground.area_m2:g} m^2, {len(content.obstacles)} obstacles, "
+        f"density {given.density.kind}",
+        f"  agents      {given.agents.start.number}, {speed}; their number is "
+        f"{'known' if given.counting.method == 'known' else 'counted: ' + given.counting.method}",
+    ]
+    for event in content.events:
+        x, y = event.place_m
+        end = "" if np.isinf(event.ends_s) else f" to {event.ends_s:g} s"
+        lines.append(
+            f"  event       {event.name} at ({x:g}, {y:g}) m from {event.appears_s:g} s{end}"
+        )
+    return tuple(lines)
+
+
+def _draw(name: str, driven: Driven, request: Request, folder: Path) -> None:
+    from planopt.report.coverage_figure import NetworkPicture, animate_network, draw_network
+    from planopt.report.saving import save_figure
+
+    problem = driven.problem
+    shapes = tuple(each.polygon for each in problem.obstacles)
+    picture = NetworkPicture(name, driven.run, problem.ground, shapes, problem.events)
+    if problem.given.report.figures:
+        save_figure(draw_network(picture), folder / PICTURE)
+    if request.animation:
+        animate_network(picture, folder / ANIMATION)
+
+
+SYSTEM = System(
+    model=CoverageFile,
+    build=build,
+    tables=tables,
+    words=words,
+    files=(NETWORK_FILE, EVENTS_FILE, PICTURE, ANIMATION, "comparison.png"),
+    check=check,
+    simulate=simulate,
+    compare=compare,
+    animates=True,
+)

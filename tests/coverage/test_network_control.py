@@ -1,0 +1,27 @@
+"""A small run of every study of benchmarks/network_control.py."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+def test_studies_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No move is at fault, and more starts are no worse than runs of Lloyd's method."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import network_control  # pyright: ignore[reportMissingImports]
+
+    try:
+        assert network_control.faults(0, 5, 9, 4) == 0
+        assert network_control.optima(1, 1, 5)[0] < 1.02
+        compared = network_control.horizons(0, 2, 9, 4)
+        times = network_control.steps(64, 1)
+    finally:
+        sys.modules.pop("network_control")
+    # With a free way the horizon changes nothing.
+    assert compared["speed 10"] == pytest.approx([1.0] * 4)
+    assert set(times) > {"diagram", "targets"}

@@ -1,0 +1,183 @@
+"""A rule of connectivity of one's own, against the average written as one, and by hand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from rules_scene import ruled_problem
+
+from planopt import ConnectivityRule, InputError, OwnRule, check, simulate, solve
+from planopt.planning.history import History
+from planopt.planning.proof.rules.proven import proven_rule
+from planopt.planning.worth.rules.planned import planned_rule
+
+SEED = 3
+
+
+@dataclass(frozen=True)
+class Mean(OwnRule):
+    """The average share of connected steps, written as a rule of one's own."""
+
+    kind: ClassVar[str] = "mean"
+
+    def achieved(self, probability, history):
+        """Return it."""
+        steps = history.steps + probability.shape[-1]
+        return (history.connected_steps + probability.sum(axis=-1)) / steps
+
+
+@dataclass(frozen=True)
+class Weakest(OwnRule):
+    """The least certain of the first steps: not smooth, and no sum."""
+
+    kind: ClassVar[str] = "weakest"
+    steps: float = 2
+
+    def achieved(self, probability, history):
+        """Return it."""
+        return probability[..., : int(self.steps)].min(axis=-1)
+
+
+@dataclass(frozen=True)
+class Odd(OwnRule):
+    """Returns one number too many."""
+
+    kind: ClassVar[str] = "odd"
+
+    def achieved(self, probability, history):
+        """Return the probabilities themselves."""
+        return probability
+
+
+def under(rule: ConnectivityRule, p_min: float):
+    """The small tracking problem under a rule of one's own."""
+    problem = ruled_problem("average")
+    return replace(problem, constraints=replace(problem.constraints, p_min=p_min, rule=rule))
+
+
+@pytest.mark.parametrize("p_min", [0.5, 0.93])
+def test_average_as_an_own_rule_is_the_average(p_min):
+    """The same value in the certificate, and a plan that is worth the same."""
+    built_in = solve(under(ConnectivityRule("average"), p_min), seed=SEED).plans[0]
+    own = solve(under(ConnectivityRule("mean"), p_min), seed=SEED).plans[0]
+    assert own.verdict == built_in.verdict == "verified"
+    for plan in (built_in, own):
+        mean = float(np.mean(plan.connectivity[1:]))
+        assert plan.certificate.rule.achieved == pytest.approx(mean, abs=1e-9)
+        assert mean >= p_min - 1e-6
+    assert own.objective == pytest.approx(built_in.objective, rel=1e-3)
+
+
+def test_the_tangent_is_that_of_the_rule():
+    """Its weights and total, against the closed form of a sum."""
+    rule = ConnectivityRule("mean")
+    weight, total = planned_rule(rule).total_asked(
+        under(rule, 0.8), History(steps=5, connected_steps=3), np.array([0.2, 0.9, 1.0])
+    )
+    np.testing.assert_allclose(weight, np.full(3, 1.0 / 8.0), rtol=1e-9)
+    assert total == pytest.approx(0.8 - 3.0 / 8.0)
+
+
+def test_a_rule_that_binds_is_kept_in_the_loop_and_by_the_files(tmp_path):
+    """Each released plan keeps it by its own probabilities, and `check` agrees from the files."""
+    rule = ConnectivityRule("weakest", settings={"steps": 2})
+    problem = under(rule, 0.96)
+    free = solve(under(rule, 0.01), seed=SEED).plans[0]
+    assert free.connectivity[1:3].min() < 0.96, "the rule would not bind"
+    settings = replace(problem.planner, max_steps=3)
+    run = simulate(replace(problem, planner=settings), seed=SEED)
+    for plan in run.plans[0]:
+        kept = plan.connectivity[1:3].min() >= 0.96 - 1e-6
+        assert kept == (plan.verdict == "verified")
+    assert run.plans[0][0].verdict == "verified"
+    run.save(tmp_path / "run")
+    judged = check(tmp_path / "run")
+    assert (judged.verdict, judged.reasons) == ("verified", ())
+
+
+def test_a_level_at_every_step_is_found():
+    """Where the slopes at the best path say little of what keeps the rule."""
+    plan = solve(under(ConnectivityRule("weakest", settings={"steps": 8}), 0.92), seed=SEED).plans[
+        0
+    ]
+    assert plan.verdict == "verified"
+    assert plan.connectivity[1:].min() >= 0.92 - 1e-6
+    assert np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1).sum() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        ("unheard", {}, "constraints.connectivity.*unheard.*each_step"),
+        ("weakest", {"hops": 2.0}, "constraints.settings.*hops"),
+        ("average", {"steps": 2.0}, "constraints.settings"),
+    ],
+)
+def test_unknown_rules_and_settings(name, settings, words):
+    """One error of ours that says what there is."""
+    with pytest.raises(InputError, match=words):
+        ConnectivityRule(name, settings=settings)
+
+
+def test_one_value_a_plan():
+    """Not one for each step."""
+    with pytest.raises(InputError, match="rule odd achieves has shape"):
+        solve(under(ConnectivityRule("odd"), 0.5), seed=SEED)
+
+
+def test_names_of_planopt_stay():
+    """No own rule takes one."""
+    with pytest.raises(InputError, match="cannot be the name of a rule"):
+
+        @dataclass(frozen=True)
+        class Average(OwnRule):
+            """A name that is taken."""
+
+            kind: ClassVar[str] = "average"
+
+
+SCRIPT = """
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import planopt
+
+
+@dataclass(frozen=True)
+class Likely(planopt.OwnRule):
+    kind: ClassVar[str] = "likely"
+
+    def achieved(self, probability, history):
+        return probability.max(axis=-1)
+
+
+if __name__ == "__main__":
+    problem = planopt.load("outdoor_track")
+    rule = planopt.ConnectivityRule("likely")
+    limits = replace(problem.constraints, p_min=0.5, rule=rule)
+    settings = replace(problem.planner, max_steps=2)
+    problem = replace(problem, constraints=limits, planner=settings)
+    found = planopt.compare_horizons(problem, [2], seeds=range(2), workers=2)
+    print(len(found.runs))
+"""
+
+
+def test_workers_know_rules_of_a_script(tmp_path: Path):
+    """A class that only the script has reaches the processes of its comparison."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
+
+
+def test_own_rules_make_their_halves():
+    """With the settings that the problem has."""
+    assert proven_rule(ConnectivityRule("weakest", settings={"steps": 4})) == Weakest(4.0)

@@ -1,0 +1,307 @@
+"""The task coverage: command, saved folder, what the check rejects, and bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import planopt
+from planopt.cli import main
+from planopt.errors import InputError
+from planopt.problems.systems import system_from_tables
+from planopt.systems.coverage.system import drive
+
+SMALL = """
+[problem]
+schema = 1
+name = "small"
+task = "coverage"
+[world]
+bounds_m = [0, 0, 40, 30]
+[agents]
+start = { kind = "random", count = 12 }
+speed_max_m_s = 2.0
+[[events]]
+name = "leak"
+place_m = [12, 11]
+appears_s = 8
+ends_s = 40
+demand = { kind = "number", agents = 3 }
+[sensor]
+strength = 60.0
+noise_std = 0.5
+scale_m = 3.0
+[control]
+duration_s = 200
+coverage_gain_per_s = 1.0
+[report]
+figures = false
+"""
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    """Write the small problem with some texts replaced and others added."""
+
+    def write(*changes: tuple[str, str], more: str = "") -> Path:
+        text = SMALL
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        file = tmp_path / "problem.toml"
+        file.write_text(text + more)
+        return file
+
+    return write
+
+
+def run(capsys, *arguments: object) -> tuple[int, dict]:
+    """The exit code of a command and its JSON."""
+    code = main([*map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_simulate_and_check(written, tmp_path, capsys):
+    """The event is served and given up, the folder agrees, a seed gives the same bytes again."""
+    out, again = tmp_path / "out", tmp_path / "again"
+    code, found = run(capsys, "simulate", written(), "--seed", 3, "--out", out)
+    assert code == 0 and found["outcome"] == "settled" and found["faults"] == []
+    leak = found["events"][0]
+    assert leak["wanted"] == leak["responding"] == leak["switches"] == 3
+    assert 8.0 <= leak["detected_s"] < leak["served_s"] < 40.0 < leak["given_up_s"] <= 43.0
+    assert leak["error_m"] < 1.0
+    assert found["metrics"]["messages"]["assignment"] > 0
+    assert found["metrics"]["messages"]["counting"] == 0
+    names = {"run.json", "steps.csv", "network.csv", "events.csv"}
+    assert {path.name for path in out.iterdir()} == names
+    assert run(capsys, "check", out)[0] == 0
+    run(capsys, "simulate", written(), "--seed", 3, "--out", again)
+    for name in names - {"run.json"}:
+        assert (out / name).read_bytes() == (again / name).read_bytes()
+    other = planopt.load_system(written()).simulate(seed=4).data
+    assert other["metrics"]["cost_first"] != found["metrics"]["cost_first"]
+
+
+def test_pictures(written, tmp_path, capsys):
+    """A picture is drawn, and an animation where one is asked for."""
+    file = written(("figures = false", "figures = true"), ("duration_s = 200", "duration_s = 5"))
+    assert run(capsys, "simulate", file, "--out", tmp_path / "out", "--animation")[0] == 4
+    assert (tmp_path / "out" / "run.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "out" / "run.gif").read_bytes()[:6] == b"GIF89a"
+
+
+def test_saved_problems_need_no_other_files(written, tmp_path):
+    """A problem written out in full, with a raster from a file, builds the same run."""
+    cells = "\n".join(f"{x},{y},{1 + x}" for y in (5, 15, 25) for x in (5, 15, 25, 35))
+    (tmp_path / "weights.csv").write_text(f"x_m,y_m,density\n{cells}\n")
+    more = '\n[density]\nkind = "raster"\nfile = "weights.csv"\n'
+    problem = planopt.load_system(written(more=more))
+    (tmp_path / "weights.csv").unlink()
+    again = system_from_tables(
+        json.loads(json.dumps(problem.tables())), folder=tmp_path / "nowhere", file=None
+    )
+    assert again is not None
+    first, second = (each.simulate(seed=1).data["metrics"] for each in (problem, again))
+    assert first == second
+    assert first["cost_first"] > 10.0 * planopt.load_system(written()).simulate(seed=1).data[
+        "metrics"
+    ]["cost_first"]  # fmt: skip
+
+
+def cell(file: str, column: str, number: int, new: str):
+    """A change of a cell in a row of a table."""
+
+    def change(folder: Path) -> None:
+        rows = list(csv.reader((folder / file).read_text().splitlines()))
+        rows[number][rows[0].index(column)] = new
+        (folder / file).write_text("\n".join(",".join(row) for row in rows) + "\n")
+
+    return change
+
+
+def nudged(folder: Path) -> None:
+    """Move an agent by a centimetre."""
+    row = list(csv.DictReader((folder / "steps.csv").read_text().splitlines()))[5]
+    cell("steps.csv", "x_m", 6, repr(float(row["x_m"]) + 0.01))(folder)
+
+
+def said(**values: object):
+    """A change of keys of run.json."""
+
+    def change(folder: Path) -> None:
+        data = json.loads((folder / "run.json").read_text())
+        (folder / "run.json").write_text(json.dumps({**data, **values}))
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory) -> Path:
+    """A saved run of the small problem."""
+    folder = tmp_path_factory.mktemp("coverage")
+    (folder / "problem.toml").write_text(SMALL)
+    assert main(["simulate", str(folder / "problem.toml"), "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (cell("steps.csv", "x_m", 5, "41.0"), "fault of clearance"),
+        (cell("steps.csv", "x_m", 5, "20.0"), "fault of speed"),
+        (nudged, "off the law"),
+        (cell("steps.csv", "target_x_m", 3, "20.0"), "off its centroid"),
+        (cell("steps.csv", "state", 3, "leak"), "nobody knows leak"),
+        (cell("network.csv", "cost", 3, "10.0"), "the coverage cost is"),
+        (cell("network.csv", "residual_m", 3, "10.0"), "the residual is"),
+        (cell("events.csv", "wanted", 20, "5"), "asks for 3 agents"),
+        (cell("events.csv", "estimate_x_m", 20, "15.0"), "off the estimate"),
+        (said(outcome="not_settled"), "key outcome"),
+        (said(seed=1), "starts somewhere else"),
+        (said(faults=["none"]), "key faults"),
+        (said(metrics={}), "key metrics"),
+    ],
+)
+def test_false_folders_are_rejected(change, words, saved, tmp_path, capsys):
+    """Each lie about a move, a target, a team or a number is found."""
+    folder = tmp_path / "false"
+    folder.mkdir()
+    for path in saved.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    assert run(capsys, "check", folder)[0] == 0
+    change(folder)
+    code, found = run(capsys, "check", folder)
+    assert code == 3
+    assert words in " ".join(found["reasons"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "more", "key", "words"),
+    [
+        ((("[12, 11]", "[50, 11]"),), "", "events[0].place_m", "outside"),
+        ((("ends_s = 40", "ends_s = 7"),), "", "events[0].ends_s", "not after"),
+        ((("agents = 3 }", "agents = 3 }\nvelocity_m_s = [1, 0]"),), "", "velocity_m_s", "outside"),
+        (
+            (('kind = "random", count = 12', 'kind = "list", places_m = [[1, 1], [50, 1]]'),),
+            "",
+            "agents.start.places_m[1]",
+            "outside",
+        ),
+        (
+            (("bounds_m = [0, 0, 40, 30]", "outline_m = [[0, 0], [40, 30], [40, 0], [0, 30]]"),),
+            "",
+            "world.outline_m",
+            "not simple",
+        ),
+        (
+            (
+                (
+                    "bounds_m = [0, 0, 40, 30]",
+                    'bounds_m = [0, 0, 40, 30]\nobstacles = [{ name = "wall", '
+                    "polygon = [[20, -1], [22, -1], [22, 31], [20, 31]] }]",
+                ),
+            ),
+            "",
+            "world.obstacles",
+            "2 parts",
+        ),
+        (
+            (),
+            '[density]\nkind = "raster"\nx_m = [0, 40]\ny_m = [0, 30]\nvalues = [[1, -1], [1, 1]]',
+            "density",
+            "-1",
+        ),
+        (
+            (),
+            '[density]\nkind = "raster"\nx_m = [0, 40]\ny_m = [0, 30]\nvalues = [[0, 0], [0, 0]]',
+            "density",
+            "zero everywhere",
+        ),
+        (
+            (),
+            '[density]\nkind = "gaussians"\nbumps = [{ weight = 0, mean_m = [1, 1], std_m = 1 }]',
+            "density.weights",
+            "not all 0",
+        ),
+        ((('kind = "number", agents = 3', 'kind = "accuracy", accuracy_m = 1e-4'),), "",
+         "events[0].demand.accuracy_m", "there are 12"),
+        ((("count = 12", "count = 1"),),
+         '[[events]]\nname = "two"\nplace_m = [3, 3]\nappears_s = 9\n'
+         'demand = { kind = "number", agents = 1 }',
+         "events[1].appears_s", "2 events and 1 agents"),
+        ((("[sensor]\nstrength = 60.0\nnoise_std = 0.5\nscale_m = 3.0\n", ""),), "", "sensor",
+         "left out"),
+        ((("coverage_gain_per_s = 1.0", "coverage_gain_per_s = 1.5"),), "",
+         "control.time_step_s", "overshoot"),
+        ((), "[[changes]]\nagents = [12]", "changes[0].agents", "no agent 12"),
+        ((), "[[changes]]\nagents = [0,1,2,3,4,5,6,7,8,9,10,11]\nleaves_s = 20", "changes",
+         "nobody takes part"),
+        ((("bounds_m = [0, 0, 40, 30]", "bounds_m = [40, 0, 0, 30]"),), "", "world.bounds_m",
+         "empty"),
+    ],
+)  # fmt: skip
+def test_bad_input_names_its_key(changes, more, key, words, written):
+    """Each mistake gets one error with its key, and no run."""
+    with pytest.raises(InputError, match=words) as caught:
+        planopt.load_system(written(*changes, more=more))
+    assert caught.value.key is not None and key in caught.value.key
+
+
+def test_exactly_the_wanted_agents_and_a_centroidal_rest(written):
+    """While the event lasts, the nearest agents stand at it, and all others on their centroids."""
+    changes = (("ends_s = 40\n", ""), ("duration_s = 200", "duration_s = 900"))
+    content = planopt.load_system(written(*changes)).content
+    for seed in range(3):
+        done = drive(content, content.given.planner, seed).run
+        assert done.settled
+        at_event = np.linalg.norm(done.positions_m[-1] - (12.0, 11.0), axis=1) < 1.0
+        assert at_event.sum() == 3
+        assert (done.states[-1][at_event] == 0).all()
+        assert done.residuals_m[-1] <= content.settled_m
+
+
+def test_receding_horizon_within_limits(written, tmp_path, capsys):
+    """Double integrators and unicycles answer the event, and their folders are judged."""
+    for number, limit in enumerate(("acceleration_max_m_s2 = 0.7", "turn_rate_max_rad_s = 0.8")):
+        file = written(
+            ("speed_max_m_s = 2.0", f"speed_max_m_s = 2.0\n{limit}"),
+            ("ends_s = 40", "ends_s = 25"),
+            ("duration_s = 200", "duration_s = 28"),
+            more='\n[planner]\nname = "receding"\nhorizon = 4\n',
+        )
+        out = tmp_path / str(number)
+        _, found = run(capsys, "simulate", file, "--out", out)
+        assert found["faults"] == [] and found["planner"] == "receding"
+        assert found["events"][0]["responding"] == 3
+        assert found["metrics"]["cost_last"] < 0.7 * found["metrics"]["cost_first"]
+        assert run(capsys, "check", out)[0] == 0
+        cell("steps.csv", "vx_m_s" if number == 0 else "heading_rad", 9, "1.9")(out)
+        assert run(capsys, "check", out)[0] == 3
+    with pytest.raises(InputError, match="keeps no limits"):
+        planopt.load_system(file).simulate(planner="law")
+
+
+def test_compare_horizons_paired(written, tmp_path, capsys):
+    """Settings are paired by seed; without limits that bind, receding is the law."""
+    file = written(("duration_s = 200", "duration_s = 12"), ("speed_max_m_s = 2.0\n", ""))
+    out = tmp_path / "out"
+    code, found = run(
+        capsys, "compare", file, "--planners", "law,receding", "--horizons", "1,3", "--seeds", "2",
+        "--out", out,
+    )  # fmt: skip
+    assert code == 4 and found["faults"] == 0
+    rows = [row for row in found["rows"] if row["metric"] == "cost_mean"]
+    assert [(row["planner"], row["horizon"]) for row in rows] == [
+        ("law", 1),
+        ("receding", 1),
+        ("receding", 3),
+    ]
+    assert [row["paired_ratio"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
+    one = planopt.load_system(file).simulate(seed=1).data["metrics"]
+    mine = next(each for each in found["runs"] if each["seed"] == 1 and each["planner"] == "law")
+    assert mine["cost_mean"] == pytest.approx(one["cost_mean"])
+    assert mine["path_m"] == pytest.approx(one["path_m"])

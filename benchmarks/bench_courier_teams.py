@@ -27,7 +27,7 @@ def test_distances_are_between_the_ends_of_steps_too() -> None:
     """Two that swap places are at the same place half-way."""
     ends = np.array([[0.0, 0.0], [4.0, 0.0]])
     assert least_distances_m(ends, ends[::-1]) == pytest.approx([0.0])
-    assert least_distances_m(ends, ends + (0.0, 3.0)) == pytest.approx([3.0])
+    assert least_distances_m(ends, ends + np.array([0.0, 3.0])) == pytest.approx([3.0])
 
 
 def test_study_prints_and_remembers(

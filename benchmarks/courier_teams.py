@@ -1,4 +1,4 @@
-"""Couriers that cross Munich at the same time: do all arrive, and does any come too near another?
+"""Drive couriers through Munich at the same time; count who arrives, and who comes too near.
 
 ``python benchmarks/courier_teams.py --counts 2 3 5 --seeds 10 --log FILE`` draws, for each seed, as
 many places in the streets of a square of 300 m somewhere on the map of the library problem

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
+from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
@@ -217,7 +217,7 @@ def search_room(
         return None
     here = int(first_nodes[np.argmin(first_length_m)])
     ways = shortest_ways(road_map, here)
-    away, _ = KDTree(others_m).query(road_map.nodes_m)
+    away = PlaceTree(others_m).nearest(road_map.nodes_m, 1)[1][:, 0]
     longest = float(road_map.lengths_m.max())
     cost = np.where(away >= np.hypot(least_m + CLEARANCE_PAD_M, longest), ways.cost_m, np.inf)
     room = int(np.argmin(cost))

@@ -18,10 +18,12 @@ from planopt.coverage.assignment.flags import propagate_flags
 from planopt.coverage.assignment.latch import Circumstance, is_due
 from planopt.coverage.assignment.several import NONE, deferred_acceptance, fair_shares
 from planopt.coverage.control.laws import Gains, Partition, coverage_aims, law_moves
-from planopt.coverage.control.receding import MoveLimits, plan_moves
+from planopt.coverage.control.radio import radio_tree
+from planopt.coverage.control.receding import plan_moves, stopping_ways
 from planopt.coverage.counting.tally import Counting, Tally, start_tally, tally_step
 from planopt.coverage.events import Event, Sensing, Watch, signals, watched
 from planopt.coverage.ground import Ground, neighbour_network
+from planopt.coverage.limits import MoveLimits, RadioLimits
 from planopt.coverage.localisation.ring import ring_places
 from planopt.coverage.network import LinkModel, Loss, Network
 
@@ -97,11 +99,14 @@ class RecedingMover:
     ----------
     gains, limits, horizon
         As for :func:`planopt.coverage.control.receding.plan_moves`.
+    radio
+        Links to base stations that agents keep over a tree; None for none.
     """
 
     gains: Gains
     limits: MoveLimits
     horizon: int
+    radio: RadioLimits | None = None
 
     def __call__(
         self,
@@ -111,7 +116,13 @@ class RecedingMover:
         responds: NDArray[np.bool_],
     ) -> Motion:
         """Return where agents are after the first move of a plan."""
-        step_s = self.limits.time_step_s
+        step_s, kept = self.limits.time_step_s, None
+        most = self.limits.acceleration_m_s2
+        if self.radio is not None:
+            stops = motion.places_m
+            if most is not None:
+                stops = stops + stopping_ways(motion.velocities_m_s * step_s, most * step_s**2)
+            kept = radio_tree(motion.places_m, self.radio, stops).kept
         moves = plan_moves(
             ground,
             motion.places_m,
@@ -121,8 +132,9 @@ class RecedingMover:
             self.horizon,
             velocities_m_s=motion.velocities_m_s,
             headings_rad=motion.headings_rad,
+            kept=kept,
         )
-        if self.limits.acceleration_m_s2 is not None:
+        if most is not None:
             velocities = moves.velocities_m_s[:, 1]
         else:
             velocities = (moves.next_m - motion.places_m) / step_s
@@ -231,7 +243,7 @@ class NetworkRun:
     costs
         ``(T,)`` coverage cost of all agents that take part, before each step.
     residuals_m
-        ``(T,)`` largest distance of an agent to its target.
+        ``(T,)`` :func:`residual_m` of each step.
     counts
         ``(T, n)`` how many agents each believes there are; NaN for absent ones.
     wanted
@@ -322,16 +334,16 @@ def simulate_network(
                 )  # fmt: skip
                 last, asked = now, wanted
         targets, cost = _aims(scene, watches, here, states)
-        residual = float(np.linalg.norm(targets - here, axis=1).max())
+        responds = states[who] >= 0
+        velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
+        now = Motion(here[who], motion.velocities_m_s[who], headings[who])
+        after = mover(scene.ground, now, targets[who], responds)
+        residual = residual_m(scene.gains, scene.time_step_s, now, after, targets[who], responds)
         known = np.array([watch.is_known for watch in watches], dtype=np.bool_)
         settled = scene.has_settled(time_s, residual, known)
         rows.append(
             _Row(states.copy(), targets, cost, residual, counts, asked, watches, tuple(sent))
         )
-        responds = states[who] >= 0
-        velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
-        now = Motion(here[who], motion.velocities_m_s[who], headings[who])
-        after = mover(scene.ground, now, targets[who], responds)
         here = here.copy()
         here[who], velocities[who], headings[who] = (
             after.places_m,
@@ -498,6 +510,24 @@ def _aims(
         own[team] = scene.ground.steered(agents[team], scene.ground.nearest(ends), share)
     targets[who] = own
     return targets, cost
+
+
+def residual_m(
+    gains: Gains,
+    time_step_s: float,
+    now: Motion,
+    after: Motion,
+    targets_m: NDArray[np.float64],
+    responds: NDArray[np.bool_],
+) -> float:
+    """Return how far the farthest agent still has to go in one step.
+
+    That is the distance to its target, or less if limits such as radio links let it move less: then
+    the distance for which the laws would ask for this move.
+    """
+    left = np.linalg.norm(targets_m - now.places_m, axis=1)
+    moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
+    return float(np.minimum(left, moved / gains.shares(responds, time_step_s)).max())
 
 
 def event_places(

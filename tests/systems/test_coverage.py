@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import planopt
 from planopt.cli import main
 from planopt.errors import InputError
 from planopt.problems.systems import system_from_tables
-from planopt.systems.coverage.system import drive
+from planopt.systems.coverage.check import faults
+from planopt.systems.coverage.driving import drive
 
 SMALL = """
 [problem]
@@ -293,7 +295,8 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
         capsys, "compare", file, "--planners", "law,receding", "--horizons", "1,3", "--seeds", "2",
         "--out", out,
     )  # fmt: skip
-    assert code == 4 and found["faults"] == 0
+    assert code == 4
+    assert {row["verified_rate"] for row in found["rows"]} == {1.0}
     rows = [row for row in found["rows"] if row["metric"] == "cost_mean"]
     assert [(row["planner"], row["horizon"]) for row in rows] == [
         ("law", 1),
@@ -303,5 +306,25 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
     assert [row["paired_ratio"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
     one = planopt.load_system(file).simulate(seed=1).data["metrics"]
     mine = next(each for each in found["runs"] if each["seed"] == 1 and each["planner"] == "law")
+    mine = mine["metrics"]
     assert mine["cost_mean"] == pytest.approx(one["cost_mean"])
     assert mine["path_m"] == pytest.approx(one["path_m"])
+
+
+def test_radio_is_kept_where_the_law_loses_it():
+    """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
+    problem = planopt.load_system("coverage_radio")
+    content = problem.content
+    planner = content.given.planner
+    short = content.given.control.model_copy(update={"duration_s": 30.0})
+    content = replace(content, given=content.given.model_copy(update={"control": short}))
+    kept = drive(content, planner, 0)
+    assert faults(kept) == []
+    lost = faults(drive(content, planner.model_copy(update={"name": "law"}), 0))
+    assert lost and all("fault of radio" in each for each in lost)
+    with pytest.raises(InputError, match="without a link to a station") as caught:
+        away = content.given.radio.model_copy(update={"stations_m": [(200.0, 150.0)]})
+        replace(content, given=content.given.model_copy(update={"radio": away})).scene(
+            np.random.default_rng(0)
+        )
+    assert caught.value.key == "agents.start"

@@ -15,8 +15,8 @@ import numpy as np
 import shapely
 
 from planopt.coverage.assignment.demand import demanded
-from planopt.coverage.control.laws import coverage_aims
-from planopt.coverage.simulation import ABSENT, NetworkRun, event_places
+from planopt.coverage.control.laws import Gains, coverage_aims
+from planopt.coverage.simulation import ABSENT, Motion, NetworkRun, event_places, residual_m
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
@@ -63,6 +63,7 @@ def faults(driven: Driven) -> list[str]:
             limits,
             velocities_m_s=both[1],
             headings_rad=both[2],
+            radio=problem.radio,
         )
         reasons += [
             f"{STEPS_FILE}: {agent_name(int(who[fault.agent]))} has a fault of {fault.kind} in "
@@ -125,7 +126,14 @@ def _targets(driven: Driven) -> list[str]:
                 f"{STEPS_FILE}: {agent} covers, and its target in step {step} is {off_m.max():.3g} "
                 "m off its centroid"
             )
-        away_m = np.linalg.norm(run.targets_m[step] - run.positions_m[step], axis=1).max()
+        now, after = (
+            Motion(run.positions_m[at, who], run.velocities_m_s[at, who], run.headings_rad[at, who])
+            for at in (step, step + 1)
+        )
+        gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
+        away_m = residual_m(
+            gains, control.time_step_s, now, after, run.targets_m[step, who], responds
+        )
         if abs(away_m - run.residuals_m[step]) > PLACE_M:
             reasons.append(f"{NETWORK_FILE}: step {step}: the residual is {away_m:.6g} m")
         if driven.planner == "law":

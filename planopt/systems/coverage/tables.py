@@ -400,6 +400,23 @@ class LinksTable(Table):
     threshold_dbm: float = Field(ge=-500, le=300, description="Weaker messages are lost.")
 
 
+class RadioTable(Table):
+    """``[radio]``: links to base stations that agents keep, directly or over other agents."""
+
+    stations_m: list[Pair] = Field(min_length=1, max_length=100, description="Base stations.")
+    p_min: float = Field(
+        gt=0, lt=1, description="Each agent keeps its way to a station with this probability."
+    )
+    k_pl_db: float = Field(ge=-300, le=300, description="Received power at 1 m in dBm.")
+    n_pl: float = Field(ge=0.1, le=10, description="Path loss exponent.")
+    deviation_db: float = Field(
+        ge=0, le=100, description="Standard deviation of shadowing and multipath together."
+    )
+    k_pl_std_db: float = Field(default=0.0, ge=0, le=100, description="How uncertain k_pl_db is.")
+    n_pl_std: float = Field(default=0.0, ge=0, le=10, description="How uncertain n_pl is.")
+    threshold_dbm: float = Field(ge=-500, le=300, description="Power that a link needs.")
+
+
 class ControlTable(Table):
     """``[control]``: how agents move, and for how long."""
 
@@ -449,6 +466,7 @@ class CoverageFile(Table):
     assignment: AssignmentTable = Field(default_factory=AssignmentTable)
     counting: CountingTable = Field(default_factory=CountingTable)
     links: LinksTable | None = None
+    radio: RadioTable | None = None
     control: ControlTable
     planner: PlannerTable = Field(default_factory=PlannerTable)
     report: ReportTable = Field(default_factory=ReportTable)

@@ -208,7 +208,7 @@ def lloyd(ground: Ground, places: NDArray[np.float64]) -> float:
 def steps(agents: int, rounds: int) -> dict[str, float]:
     """Print CPU times of a step in units of shapely's Voronoi diagram of the same places."""
     generator = np.random.default_rng(0)
-    side = 10.0 * np.sqrt(agents)
+    side = 10.0 * np.ceil(np.sqrt(agents))
     ground = ConvexGround(convex_region(shapely.box(0, 0, side, side)))
     grid = np.arange(5.0, side, 10.0)
     places = np.stack(np.meshgrid(grid, grid), axis=2).reshape(-1, 2)[:agents]

@@ -134,11 +134,15 @@ SETTINGS = {
 }
 
 
-def horizons(first_seed: int, seeds: int, agents: int, steps: int) -> dict[str, list[float]]:
+def horizons(
+    first_seed: int, seeds: int, agents: int, steps: int, only: str | None = None
+) -> dict[str, list[float]]:
     """Print the mean cost over time of horizons against that of one step, paired over seeds."""
     found: dict[str, list[float]] = {}
     square = shapely.box(0, 0, SIDE_M, SIDE_M)
     for name, (limits, walls, linked) in SETTINGS.items():
+        if only not in (None, name):
+            continue
         ratios: dict[int, list[list[float]]] = {3: [], 10: []}
         for seed in range(first_seed, first_seed + seeds):
             generator = np.random.default_rng(seed)
@@ -247,11 +251,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--agents", type=int)
+    parser.add_argument("--only", choices=tuple(SETTINGS), help="one setting of horizons")
     asked = parser.parse_args()
     if asked.study == "faults":
         faults(asked.first_seed, asked.runs, asked.agents or 50, 20)
     elif asked.study == "horizons":
-        horizons(asked.first_seed, asked.seeds, asked.agents or 16, 30)
+        horizons(asked.first_seed, asked.seeds, asked.agents or 16, 30, asked.only)
     elif asked.study == "optima":
         optima(asked.first_seed, asked.scenes, 50)
     else:

@@ -3,7 +3,9 @@
 import pkgutil
 import subprocess
 import sys
+from collections.abc import Callable
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -51,3 +53,20 @@ def test_former_names_warn_and_give_their_successors() -> None:
     """Code that was written for an earlier version goes on, and says what to change."""
     with pytest.warns(DeprecationWarning, match="planopt.TeamSolution is now planopt.Solution"):
         assert planopt.TeamSolution is planopt.Solution
+
+
+def test_problems_of_a_system_are_sent_to_their_own_methods() -> None:
+    """Every function that plans motion says so, and shows them in a few lines."""
+    system = planopt.load_system("pursuit_static")
+    actions: list[Callable[[Any], object]] = [
+        planopt.solve,
+        planopt.simulate,
+        planopt.Planner,
+        lambda problem: planopt.Planner(problem, budget_s=0.1),
+        lambda problem: planopt.compare_horizons(problem, [1]),
+    ]
+    for action in actions:
+        with pytest.raises(planopt.InputError, match=r"is a SystemProblem.*methods solve and simu"):
+            action(system)
+    assert len(repr(system).splitlines()) <= 5
+    assert repr(system.simulate()).startswith("pursuit_static: captured")

@@ -18,14 +18,36 @@ from planopt.coverage.assignment.flags import propagate_flags
 from planopt.coverage.assignment.latch import Circumstance, is_due
 from planopt.coverage.assignment.several import NONE, deferred_acceptance, fair_shares
 from planopt.coverage.control.laws import Gains, Partition, coverage_aims, law_moves
+from planopt.coverage.control.radio import radio_tree
+from planopt.coverage.control.receding import plan_moves, stopping_ways
 from planopt.coverage.counting.tally import Counting, Tally, start_tally, tally_step
 from planopt.coverage.events import Event, Sensing, Watch, signals, watched
 from planopt.coverage.ground import Ground, neighbour_network
+from planopt.coverage.limits import MoveLimits, RadioLimits
 from planopt.coverage.localisation.ring import ring_places
 from planopt.coverage.network import LinkModel, Loss, Network
 
 ABSENT = -2
 """The state of an agent that has not joined yet or has left; `NONE` is that of one that covers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where agents are and how they move.
+
+    Attributes
+    ----------
+    places_m
+        ``(n, 2)``.
+    velocities_m_s
+        ``(n, 2)`` velocities at the end of the last step.
+    headings_rad
+        ``(n,)``; they matter for unicycles alone.
+    """
+
+    places_m: NDArray[np.float64]
+    velocities_m_s: NDArray[np.float64]
+    headings_rad: NDArray[np.float64]
 
 
 class Mover(Protocol):
@@ -34,11 +56,11 @@ class Mover(Protocol):
     def __call__(
         self,
         ground: Ground,
-        agents_m: NDArray[np.float64],
+        motion: Motion,
         targets_m: NDArray[np.float64],
         responds: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
-        """Return where agents ``(n, 2)`` are after the step."""
+    ) -> Motion:
+        """Return where agents are after the step, and how they move then."""
         ...
 
 
@@ -59,14 +81,65 @@ class LawMover:
     def __call__(
         self,
         ground: Ground,
-        agents_m: NDArray[np.float64],
+        motion: Motion,
         targets_m: NDArray[np.float64],
         responds: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
+    ) -> Motion:
         """Return where agents are after a step of the laws."""
-        return law_moves(
-            agents_m, targets_m, responds, self.gains, self.time_step_s, self.speed_m_s
+        here, gains = motion.places_m, self.gains
+        moved = law_moves(here, targets_m, responds, gains, self.time_step_s, self.speed_m_s)
+        return Motion(moved, (moved - here) / self.time_step_s, motion.headings_rad)
+
+
+@dataclass(frozen=True)
+class RecedingMover:
+    """Plans over a horizon with the targets held, and drives the first move.
+
+    Attributes
+    ----------
+    gains, limits, horizon
+        As for :func:`planopt.coverage.control.receding.plan_moves`.
+    radio
+        Links to base stations that agents keep over a tree; None for none.
+    """
+
+    gains: Gains
+    limits: MoveLimits
+    horizon: int
+    radio: RadioLimits | None = None
+
+    def __call__(
+        self,
+        ground: Ground,
+        motion: Motion,
+        targets_m: NDArray[np.float64],
+        responds: NDArray[np.bool_],
+    ) -> Motion:
+        """Return where agents are after the first move of a plan."""
+        step_s, kept = self.limits.time_step_s, None
+        most = self.limits.acceleration_m_s2
+        if self.radio is not None:
+            stops = motion.places_m
+            if most is not None:
+                stops = stops + stopping_ways(motion.velocities_m_s * step_s, most * step_s**2)
+            kept = radio_tree(motion.places_m, self.radio, stops).kept
+        moves = plan_moves(
+            ground,
+            motion.places_m,
+            targets_m,
+            self.limits,
+            self.gains.shares(responds, step_s) / step_s,
+            self.horizon,
+            velocities_m_s=motion.velocities_m_s,
+            headings_rad=motion.headings_rad,
+            kept=kept,
         )
+        if most is not None:
+            velocities = moves.velocities_m_s[:, 1]
+        else:
+            velocities = (moves.next_m - motion.places_m) / step_s
+        turned = motion.headings_rad if moves.headings_rad is None else moves.headings_rad
+        return Motion(moves.next_m, velocities, turned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +233,8 @@ class NetworkRun:
         ``(T + 1,)``.
     positions_m
         ``(T + 1, n, 2)`` places; those of absent agents do not change.
+    velocities_m_s, headings_rad
+        ``(T + 1, n, 2)`` and ``(T + 1, n)``.
     states
         ``(T, n)`` number of the event that an agent responds to in the step, `NONE` if it covers,
         `ABSENT` if it does not take part.
@@ -168,7 +243,7 @@ class NetworkRun:
     costs
         ``(T,)`` coverage cost of all agents that take part, before each step.
     residuals_m
-        ``(T,)`` largest distance of an agent to its target.
+        ``(T,)`` :func:`residual_m` of each step.
     counts
         ``(T, n)`` how many agents each believes there are; NaN for absent ones.
     wanted
@@ -185,6 +260,8 @@ class NetworkRun:
 
     times_s: NDArray[np.float64]
     positions_m: NDArray[np.float64]
+    velocities_m_s: NDArray[np.float64]
+    headings_rad: NDArray[np.float64]
     states: NDArray[np.intp]
     targets_m: NDArray[np.float64]
     costs: NDArray[np.float64]
@@ -226,7 +303,8 @@ def simulate_network(
     states = np.full(agents, ABSENT, dtype=np.intp)
     watches, last, asked = (Watch(),) * events, None, np.zeros(events, dtype=np.intp)
     tally: Tally | None = None
-    positions, rows, settled = [here], list[_Row](), False
+    motion = Motion(here, np.zeros((agents, 2)), np.zeros(agents))
+    motions, rows, settled = [motion], list[_Row](), False
     for step in range(steps):
         time_s = step * scene.time_step_s
         members = (scene.joins_s <= time_s) & (time_s < scene.leaves_s)
@@ -256,21 +334,28 @@ def simulate_network(
                 )  # fmt: skip
                 last, asked = now, wanted
         targets, cost = _aims(scene, watches, here, states)
-        residual = float(np.linalg.norm(targets - here, axis=1).max())
+        responds = states[who] >= 0
+        velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
+        now = Motion(here[who], motion.velocities_m_s[who], headings[who])
+        after = mover(scene.ground, now, targets[who], responds)
+        residual = residual_m(scene.gains, scene.time_step_s, now, after, targets[who], responds)
         known = np.array([watch.is_known for watch in watches], dtype=np.bool_)
         settled = scene.has_settled(time_s, residual, known)
         rows.append(
             _Row(states.copy(), targets, cost, residual, counts, asked, watches, tuple(sent))
         )
-        responds = states[who] >= 0
-        moved = here.copy()
-        moved[who] = mover(scene.ground, here[who], targets[who], responds)
-        here = moved
-        positions.append(here)
+        here = here.copy()
+        here[who], velocities[who], headings[who] = (
+            after.places_m,
+            after.velocities_m_s,
+            after.headings_rad,
+        )
+        motion = Motion(here, velocities, headings)
+        motions.append(motion)
         on_step()
         if settled and scene.stop_when_settled:
             break
-    return _run(scene, positions, rows, settled)
+    return _run(scene, motions, rows, settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,6 +512,24 @@ def _aims(
     return targets, cost
 
 
+def residual_m(
+    gains: Gains,
+    time_step_s: float,
+    now: Motion,
+    after: Motion,
+    targets_m: NDArray[np.float64],
+    responds: NDArray[np.bool_],
+) -> float:
+    """Return how far the farthest agent still has to go in one step.
+
+    That is the distance to its target, or less if limits such as radio links let it move less: then
+    the distance for which the laws would ask for this move.
+    """
+    left = np.linalg.norm(targets_m - now.places_m, axis=1)
+    moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
+    return float(np.minimum(left, moved / gains.shares(responds, time_step_s)).max())
+
+
 def event_places(
     agents_m: NDArray[np.float64], event_m: NDArray[np.float64], stand_off_m: float | None
 ) -> NDArray[np.float64]:
@@ -436,16 +539,16 @@ def event_places(
     return np.repeat(event_m[None], len(agents_m), axis=0)
 
 
-def _run(
-    scene: Scene, positions: list[NDArray[np.float64]], rows: list[_Row], settled: bool
-) -> NetworkRun:
+def _run(scene: Scene, motions: list[Motion], rows: list[_Row], settled: bool) -> NetworkRun:
     """The records of all steps as arrays."""
     steps, events = len(rows), len(scene.events)
     places = np.array([[watch.place_m for watch in row.watches] for row in rows])
     stds = np.array([[watch.std_m for watch in row.watches] for row in rows])
     return NetworkRun(
         np.arange(steps + 1, dtype=np.float64) * scene.time_step_s,
-        np.array(positions),
+        np.array([each.places_m for each in motions]),
+        np.array([each.velocities_m_s for each in motions]),
+        np.array([each.headings_rad for each in motions]),
         np.array([row.states for row in rows]),
         np.array([row.targets_m for row in rows]),
         np.array([row.cost for row in rows]),

@@ -24,7 +24,7 @@ from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scenes
 from planopt.planning.stepping import Stepper, plan_step
 from planopt.planning.team.team_seeds import team_seeds
-from planopt.problems.overrides import with_overrides
+from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.problem import Problem
 from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
@@ -85,6 +85,7 @@ class Planner:
         seed: int = 0,
     ) -> None:
         problem, given = with_measurements(problem, measurements)
+        require_motion(problem)
         if budget_s is not None:
             problem = replace(problem, planner=replace(problem.planner, budget_s=budget_s))
         problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)

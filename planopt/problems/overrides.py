@@ -8,6 +8,7 @@ from typing import Any, TypeVar, cast, get_args
 from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
+from planopt.plain_values import part_of
 from planopt.problems.channel_setup import CalibrationName
 from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables
@@ -53,8 +54,9 @@ def with_overrides(
     InputError
         A value is not allowed by the schema, or does not fit the rest of the problem; the key is
         the one of the problem file. Where the problem alone would pass, the error says which
-        settings were given and names no file, since the value is in none.
+        settings were given and names no file, since the value is in none. Or `problem` is none.
     """
+    require_motion(problem)
     given = {
         name: value
         for name, value in (
@@ -77,6 +79,16 @@ def with_overrides(
             key=error.key,
             remedy=error.remedy,
         ) from None
+
+
+def require_motion(problem: Problem) -> None:
+    """Raise an error for what is no problem of motion planning, whatever its type says."""
+    part_of(
+        "problem",
+        problem,
+        Problem,
+        "load or make a Problem; one of load_system has methods solve and simulate of its own",
+    )
 
 
 def _calibrated(problem: Problem, calibration: str | None) -> Problem:

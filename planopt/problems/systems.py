@@ -19,6 +19,7 @@ from planopt.problems.load import load as load_motion
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
 from planopt.problems.tables import Table
+from planopt.short_repr import short_repr
 
 ACTIONS = ("solve", "simulate", "compare")
 """What may be asked of a system; each has some of them."""
@@ -79,6 +80,10 @@ class Answer:
     save: Callable[[Path], None] = lambda folder: None
     draw: Callable[[Path], None] | None = None
     failure: NoPlanError | None = None
+
+    def __repr__(self) -> str:
+        """Return the words for people."""
+        return "\n".join(self.words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +149,8 @@ class SystemProblem:
     content: Any
     given: Any = field(repr=False)
     file: Path | None
+
+    __repr__ = short_repr
 
     def tables(self) -> dict[str, Any]:
         """Return the problem in full; :func:`system_from_tables` reads it."""

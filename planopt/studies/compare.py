@@ -19,7 +19,7 @@ from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import ARRIVED, RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
-from planopt.problems.overrides import with_overrides
+from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.problem import Problem
 from planopt.studies.comparison import Comparison, Row
 from planopt.studies.finished_runs import FinishedRuns, run_key
@@ -81,6 +81,7 @@ def compare_horizons(
     NoPlanError
         Obstacles cut the goal off.
     """
+    require_motion(problem)
     begun = perf_counter()
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     costs = costs_to_go if costs_to_go is not None else default_costs_to_go(problem)

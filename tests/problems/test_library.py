@@ -26,6 +26,7 @@ NAMES = [
     "coverage_1000",
     "coverage_obstacles",
     "coverage_plain",
+    "coverage_radio",
     "crowded_track",
     "event_response",
     "events_several",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import planopt
 from planopt.cli import main
 from planopt.errors import InputError
 from planopt.problems.systems import system_from_tables
-from planopt.systems.coverage.system import drive
+from planopt.systems.coverage.check import faults
+from planopt.systems.coverage.driving import drive
 
 SMALL = """
 [problem]
@@ -151,8 +153,8 @@ def saved(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (cell("steps.csv", "x_m", 5, "41.0"), "leaves the region"),
-        (cell("steps.csv", "x_m", 5, "20.0"), "is too fast"),
+        (cell("steps.csv", "x_m", 5, "41.0"), "fault of clearance"),
+        (cell("steps.csv", "x_m", 5, "20.0"), "fault of speed"),
         (nudged, "off the law"),
         (cell("steps.csv", "target_x_m", 3, "20.0"), "off its centroid"),
         (cell("steps.csv", "state", 3, "leak"), "nobody knows leak"),
@@ -262,3 +264,65 @@ def test_exactly_the_wanted_agents_and_a_centroidal_rest(written):
         assert at_event.sum() == 3
         assert (done.states[-1][at_event] == 0).all()
         assert done.residuals_m[-1] <= content.settled_m
+
+
+def test_receding_horizon_within_limits(written, tmp_path, capsys):
+    """Double integrators and unicycles answer the event, and their folders are judged."""
+    for number, limit in enumerate(("acceleration_max_m_s2 = 0.7", "turn_rate_max_rad_s = 0.8")):
+        file = written(
+            ("speed_max_m_s = 2.0", f"speed_max_m_s = 2.0\n{limit}"),
+            ("ends_s = 40", "ends_s = 25"),
+            ("duration_s = 200", "duration_s = 28"),
+            more='\n[planner]\nname = "receding"\nhorizon = 4\n',
+        )
+        out = tmp_path / str(number)
+        _, found = run(capsys, "simulate", file, "--out", out)
+        assert found["faults"] == [] and found["planner"] == "receding"
+        assert found["events"][0]["responding"] == 3
+        assert found["metrics"]["cost_last"] < 0.7 * found["metrics"]["cost_first"]
+        assert run(capsys, "check", out)[0] == 0
+        cell("steps.csv", "vx_m_s" if number == 0 else "heading_rad", 9, "1.9")(out)
+        assert run(capsys, "check", out)[0] == 3
+    with pytest.raises(InputError, match="keeps no limits"):
+        planopt.load_system(file).simulate(planner="law")
+
+
+def test_compare_horizons_paired(written, tmp_path, capsys):
+    """Settings are paired by seed; without limits that bind, receding is the law."""
+    file = written(("duration_s = 200", "duration_s = 12"), ("speed_max_m_s = 2.0\n", ""))
+    out = tmp_path / "out"
+    code, found = run(
+        capsys, "compare", file, "--planners", "law,receding", "--horizons", "1,3", "--seeds", "2",
+        "--out", out,
+    )  # fmt: skip
+    assert code == 4 and found["faults"] == 0
+    rows = [row for row in found["rows"] if row["metric"] == "cost_mean"]
+    assert [(row["planner"], row["horizon"]) for row in rows] == [
+        ("law", 1),
+        ("receding", 1),
+        ("receding", 3),
+    ]
+    assert [row["paired_ratio"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
+    one = planopt.load_system(file).simulate(seed=1).data["metrics"]
+    mine = next(each for each in found["runs"] if each["seed"] == 1 and each["planner"] == "law")
+    assert mine["cost_mean"] == pytest.approx(one["cost_mean"])
+    assert mine["path_m"] == pytest.approx(one["path_m"])
+
+
+def test_radio_is_kept_where_the_law_loses_it():
+    """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
+    problem = planopt.load_system("coverage_radio")
+    content = problem.content
+    planner = content.given.planner
+    short = content.given.control.model_copy(update={"duration_s": 30.0})
+    content = replace(content, given=content.given.model_copy(update={"control": short}))
+    kept = drive(content, planner, 0)
+    assert faults(kept) == []
+    lost = faults(drive(content, planner.model_copy(update={"name": "law"}), 0))
+    assert lost and all("fault of radio" in each for each in lost)
+    with pytest.raises(InputError, match="without a link to a station") as caught:
+        away = content.given.radio.model_copy(update={"stations_m": [(200.0, 150.0)]})
+        replace(content, given=content.given.model_copy(update={"radio": away})).scene(
+            np.random.default_rng(0)
+        )
+    assert caught.value.key == "agents.start"

@@ -37,7 +37,8 @@ class Counting:
     draws
         Numbers that each agent draws, for ``minima``.
     innovation
-        Of the running count.
+        Of the running count: smaller ones leave all agents nearer to the number, and follow slower
+        (:func:`planopt.coverage.counting.running.largest_innovation`).
 
     Raises
     ------
@@ -49,7 +50,7 @@ class Counting:
     rounds: int = 30
     epoch_rounds: int = 600
     draws: int = 400
-    innovation: float = 0.05
+    innovation: float = 0.01
 
     def __post_init__(self) -> None:
         for key in ("rounds", "epoch_rounds"):

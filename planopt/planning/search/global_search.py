@@ -3,9 +3,9 @@
 The cost-to-go is the length of the cheapest path to the goal, a metre below the bound counting
 ``1 + outage_price (1 - P)`` metres; the path of N steps is found by dynamic programming with the
 same charges, so that both agree about every metre. A rule of connectivity over several steps is
-searched for under guides (:mod:`planopt.planning.search.guide`); of the paths that keep it the
-cheapest is taken, unless it comes less than half as near to the goal as the cheapest path of all:
-a robot that keeps its rule by standing still would never arrive.
+searched for under guides (:class:`planopt.planning.worth.rules.planned.Guide`); of the paths that
+keep it the cheapest is taken, unless it comes less than half as near to the goal as the cheapest
+path of all: a robot that keeps its rule by standing still would never arrive.
 """
 
 from __future__ import annotations

@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 
 from planopt.coverage.assignment.demand import LEAST_ON_RING, Demand, demanded
 from planopt.coverage.control.laws import Gains
+from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.counting.tally import Counting
 from planopt.coverage.density import Density, checked_mass
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.geodesic import MAX_NODES
 from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
+from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
 from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
 from planopt.coverage.network import LinkModel
 from planopt.coverage.raster_density import RasterDensity
 from planopt.coverage.region import checked_polygon, convex_region
-from planopt.coverage.simulation import LawMover, Mover, Scene
+from planopt.coverage.simulation import LawMover, Mover, RecedingMover, Scene
 from planopt.errors import InputError
 from planopt.problems.build import obstacles_of
 from planopt.systems.coverage.tables import (
@@ -108,6 +110,14 @@ class CoverageProblem:
                 if isinstance(given.agents.start, PlacesTable)
                 else "agents.start",
             )
+        if self.radio is not None:
+            lonely = np.flatnonzero(~radio_tree(starts[self.joins_s == 0.0], self.radio).connected)
+            if len(lonely):
+                raise InputError(
+                    f"{len(lonely)} of {len(starts)} agents start without a link to a station",
+                    key="agents.start",
+                    remedy="start nearer to a station, or ask for a smaller radio.p_min",
+                )
         rules, links = given.assignment, given.links
         return Scene(
             self.ground,
@@ -131,10 +141,47 @@ class CoverageProblem:
             control.stop_when_settled,
         )
 
+    @property
+    def limits(self) -> MoveLimits:
+        """What agents can do, and what they keep from obstacles and the border."""
+        agents, given = self.given.agents, self.given
+        speed = math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s
+        return MoveLimits(
+            given.control.time_step_s,
+            speed,
+            agents.acceleration_max_m_s2,
+            agents.turn_rate_max_rad_s,
+            clearance_m=given.world.clearance_m,
+        )
+
+    @property
+    def radio(self) -> RadioLimits | None:
+        """The links that agents keep; None for none."""
+        table = self.given.radio
+        if table is None:
+            return None
+        spread = np.diag([table.k_pl_std_db**2, table.n_pl_std**2])
+        law = LinkLaw(np.array([table.k_pl_db, table.n_pl]), table.deviation_db, spread)
+        return RadioLimits(np.array(table.stations_m), law, law, table.threshold_dbm, table.p_min)
+
     def mover(self, planner: PlannerTable) -> Mover:
-        """Return how agents move."""
-        control = self.given.control
+        """Return how agents move.
+
+        Raises
+        ------
+        InputError
+            The laws are asked to keep a limit that they do not know.
+        """
+        control, limits = self.given.control, self.limits
         gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
+        if planner.name == "receding":
+            return RecedingMover(gains, limits, planner.horizon, self.radio)
+        if limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None:
+            raise InputError(
+                "is law, which keeps no limits of acceleration or turn rate",
+                key="planner.name",
+                remedy="use receding",
+            )
         return LawMover(gains, control.time_step_s, self.given.agents.speed_max_m_s)
 
 
@@ -198,6 +245,7 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
         given, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves
     )
     problem.scene(np.random.default_rng(0))
+    _keyed(lambda: problem.mover(given.planner), {"limits": "agents"})
     return problem
 
 

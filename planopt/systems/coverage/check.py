@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from planopt.coverage.assignment.demand import demanded
-from planopt.coverage.control.laws import coverage_aims
-from planopt.coverage.simulation import ABSENT, NetworkRun, event_places
+from planopt.coverage.control.laws import Gains, coverage_aims
+from planopt.coverage.simulation import ABSENT, Motion, NetworkRun, event_places, residual_m
+from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
 from planopt.planning.check.agreement import disagreements, in_words
@@ -46,36 +46,36 @@ COST_SHARE = 1e-6
 def faults(driven: Driven) -> list[str]:
     """Return what is wrong with the moves of a run; nothing if every move is allowed."""
     run, problem = driven.run, driven.problem
-    world = problem.given.world
-    if not np.isfinite(run.positions_m).all():
-        return [f"{STEPS_FILE}: a place is not finite"]
-    outline = shapely.box(*world.bounds_m) if world.bounds_m else shapely.Polygon(world.outline_m)
-    extent_m = float(np.ptp(shapely.get_coordinates(outline), axis=0).max())
-    slack_m = PLACE_M * max(1.0, 0.01 * extent_m)
-    start, end = run.positions_m[:-1], run.positions_m[1:]
-    moves = shapely.linestrings(np.stack((start, end), axis=2).reshape(-1, 2, 2))
-    inside = outline.buffer(slack_m - world.clearance_m, join_style="mitre")
-    shapely.prepare(inside)
-    reasons = list[str]()
-
-    def blame(wrong: NDArray[np.bool_], words: str) -> None:
-        if wrong.any():
-            step, agent = np.argwhere(wrong)[0].tolist()
-            reasons.append(f"{STEPS_FILE}: {agent_name(agent)} {words} in step {step}")
-
-    shape = start.shape[:2]
-    blame(~np.asarray(shapely.covers(inside, moves)).reshape(shape), "leaves the region")
+    world, limits = problem.given.world, problem.limits
+    moving = (run.positions_m, run.velocities_m_s, run.headings_rad)
+    if not all(np.isfinite(each).all() for each in moving):
+        return [f"{STEPS_FILE}: a place, velocity or heading is not finite"]
+    free = shapely.box(*world.bounds_m) if world.bounds_m else shapely.Polygon(world.outline_m)
     for obstacle in problem.obstacles:
-        near = shapely.dwithin(obstacle.polygon, moves, max(world.clearance_m - slack_m, 0.0))
-        if world.clearance_m <= slack_m:
-            near = shapely.intersects(obstacle.polygon.buffer(-slack_m), moves)
-        blame(np.asarray(near).reshape(shape), f"comes too near to {obstacle.name}")
-    length_m = np.linalg.norm(end - start, axis=2)
-    most = problem.given.agents.speed_max_m_s
-    if most is not None:
-        limit_m = most * problem.given.control.time_step_s
-        blame(length_m > limit_m + PLACE_M, "is too fast")
-    blame(~driven.members & (length_m > 0.0), "moves while it takes no part")
+        free = free.difference(obstacle.polygon)
+    reasons = list[str]()
+    for step in range(len(run.costs)):
+        who = np.flatnonzero(run.states[step] != ABSENT)
+        both = [(each[step, who], each[step + 1, who]) for each in moving]
+        found = verify_moves(
+            cast("shapely.Polygon", free),
+            *both[0],
+            limits,
+            velocities_m_s=both[1],
+            headings_rad=both[2],
+            radio=problem.radio,
+        )
+        reasons += [
+            f"{STEPS_FILE}: {agent_name(int(who[fault.agent]))} has a fault of {fault.kind} in "
+            f"step {step}: {fault.value:.6g}, {fault.limit:g} is allowed"
+            for fault in found
+        ]
+        idle = np.flatnonzero(run.states[step] == ABSENT)
+        away = idle[(run.positions_m[step, idle] != run.positions_m[step + 1, idle]).any(axis=1)]
+        reasons += [
+            f"{STEPS_FILE}: {agent_name(each)} moves in step {step} and takes no part"
+            for each in away.tolist()
+        ]
     return reasons
 
 
@@ -126,7 +126,14 @@ def _targets(driven: Driven) -> list[str]:
                 f"{STEPS_FILE}: {agent} covers, and its target in step {step} is {off_m.max():.3g} "
                 "m off its centroid"
             )
-        away_m = np.linalg.norm(run.targets_m[step] - run.positions_m[step], axis=1).max()
+        now, after = (
+            Motion(run.positions_m[at, who], run.velocities_m_s[at, who], run.headings_rad[at, who])
+            for at in (step, step + 1)
+        )
+        gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
+        away_m = residual_m(
+            gains, control.time_step_s, now, after, run.targets_m[step, who], responds
+        )
         if abs(away_m - run.residuals_m[step]) > PLACE_M:
             reasons.append(f"{NETWORK_FILE}: step {step}: the residual is {away_m:.6g} m")
         if driven.planner == "law":
@@ -233,8 +240,8 @@ def _read(folder: Path, problem: CoverageProblem, seed: int) -> NetworkRun:
             raise InputError(
                 f"{line['state']!r} is no state", file=folder / STEPS_FILE, row=row + 2
             )
-    numbers = finite_numbers(folder / STEPS_FILE, rows, ("t_s", "x_m", "y_m"))
-    numbers = numbers.reshape(agents, steps + 1, 3)
+    numbers = finite_numbers(folder / STEPS_FILE, rows, STEP_COLUMNS[2:8])
+    numbers = numbers.reshape(agents, steps + 1, 6)
     times_s = numbers[0, :, 0]
     if np.abs(times_s - np.arange(steps + 1) * problem.given.control.time_step_s).max() > PLACE_M:
         raise InputError("are not control.time_step_s apart", file=folder / STEPS_FILE, key="t_s")
@@ -252,7 +259,9 @@ def _read(folder: Path, problem: CoverageProblem, seed: int) -> NetworkRun:
     )
     return NetworkRun(
         times_s,
-        numbers[:, :, 1:].transpose(1, 0, 2),
+        numbers[:, :, 1:3].transpose(1, 0, 2),
+        numbers[:, :, 3:5].transpose(1, 0, 2),
+        numbers[:, :, 5].T,
         states,
         targets.reshape(agents, steps, 2).transpose(1, 0, 2),
         series[:, 2],

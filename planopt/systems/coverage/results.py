@@ -20,7 +20,7 @@ from planopt.systems.coverage.build import CoverageProblem
 STEPS_FILE, NETWORK_FILE, EVENTS_FILE = "steps.csv", "network.csv", "events.csv"
 
 STEP_COLUMNS = (
-    *("robot", "step", "t_s", "x_m", "y_m"),
+    *("robot", "step", "t_s", "x_m", "y_m", "vx_m_s", "vy_m_s", "heading_rad"),
     *("state", "target_x_m", "target_y_m", "count"),
 )
 NETWORK_COLUMNS = (
@@ -237,9 +237,11 @@ def _step_rows(driven: Driven) -> Iterator[tuple[object, ...]]:
     steps, agents = run.states.shape
     for number in range(agents):
         places, targets = run.positions_m[:, number].tolist(), run.targets_m[:, number].tolist()
+        ways = run.velocities_m_s[:, number].tolist()
+        turned = run.headings_rad[:, number].tolist()
         counts, states = run.counts[:, number].tolist(), run.states[:, number].tolist()
         for step, time_s in enumerate(run.times_s.tolist()):
-            head = (agent_name(number), step, time_s, *places[step])
+            head = (agent_name(number), step, time_s, *places[step], *ways[step], turned[step])
             if step == steps:
                 yield (*head, "", "", "", "")
                 continue

@@ -1,21 +1,18 @@
-"""Simulate, print and draw networks that cover a region and answer events."""
+"""Simulate, compare, print and draw networks that cover a region and answer events."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from planopt.coverage.simulation import simulate_network
-from planopt.errors import InputError
 from planopt.problems.save import obstacle_table
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.systems import Answer, Request, System, SystemProblem
 from planopt.systems.coverage.build import CoverageProblem, build, density_table
 from planopt.systems.coverage.check import check, faults
+from planopt.systems.coverage.driving import REACHED, drive, planners
 from planopt.systems.coverage.results import (
     EVENTS_FILE,
     NETWORK_FILE,
@@ -24,48 +21,11 @@ from planopt.systems.coverage.results import (
     run_json,
     save_tables,
 )
-from planopt.systems.coverage.tables import CoverageFile, PlannerName, PlannerTable
+from planopt.systems.coverage.study import compare
+from planopt.systems.coverage.tables import CoverageFile
 
 PICTURE, ANIMATION = "run.png", "run.gif"
 NOT_REACHED, NOT_VERIFIED = 4, 3
-
-
-def planners(content: CoverageProblem, request: Request) -> list[PlannerTable]:
-    """Return the planner settings asked for; the laws have one horizon.
-
-    Raises
-    ------
-    InputError
-        A name or a horizon is not allowed.
-    """
-    own, names = content.given.planner, get_args(PlannerName)
-    found: list[PlannerTable] = []
-    for name in request.planners or (own.name,):
-        if name not in names:
-            raise InputError(f"is {name!r}", key="planner.name", remedy=f"use {', '.join(names)}")
-        horizons = request.horizons or (own.horizon,)
-        for horizon in horizons if name != "law" else (1,):
-            if not MIN_HORIZON <= horizon <= MAX_HORIZON:
-                raise InputError(
-                    f"is {horizon}",
-                    key="planner.horizon",
-                    remedy=f"use {MIN_HORIZON} to {MAX_HORIZON}",
-                )
-            found.append(own.model_copy(update={"name": name, "horizon": horizon}))
-    return found
-
-
-def drive(
-    content: CoverageProblem,
-    planner: PlannerTable,
-    seed: int,
-    on_step: Callable[[], None] = lambda: None,
-) -> Driven:
-    """Simulate a network; starts, noise and losses come from the seed."""
-    generator = np.random.default_rng(seed)
-    scene = content.scene(generator)
-    run = simulate_network(scene, content.mover(planner), generator, on_step)
-    return Driven(content, run, planner.name, planner.horizon, seed)
 
 
 def simulate(problem: SystemProblem, request: Request) -> Answer:
@@ -86,7 +46,7 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
     p50, p95 = np.percentile(lasts_s, [50, 95]).tolist()
     data["wall_s"] = ends_s[-1] - ends_s[0]
     data["step_s"] = {"p50": p50, "p95": p95, "max": float(lasts_s.max())}
-    reached = data["outcome"] in ("settled", "served")
+    reached = data["outcome"] in REACHED
     drawn = content.given.report.figures or request.animation
     return Answer(
         driven,
@@ -152,5 +112,6 @@ SYSTEM = System(
     files=(NETWORK_FILE, EVENTS_FILE, PICTURE, ANIMATION, "comparison.png"),
     check=check,
     simulate=simulate,
+    compare=compare,
     animates=True,
 )

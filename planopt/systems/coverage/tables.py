@@ -35,7 +35,7 @@ from planopt.world.raster_files import read_raster
 START_TRIES = 400
 """Draws for each agent that starts at a random place."""
 
-PlannerName = Literal["law"]
+PlannerName = Literal["law", "receding"]
 
 
 class HeadTable(Table):
@@ -218,6 +218,18 @@ class AgentsTable(Table):
     speed_max_m_s: float | None = Field(
         default=None, ge=SMALLEST, le=1e4, description="Largest speed in m/s; left out: none."
     )
+    acceleration_max_m_s2: float | None = Field(
+        default=None,
+        ge=SMALLEST,
+        le=1e6,
+        description="Of double integrators, for the planner receding; left out: turns at will.",
+    )
+    turn_rate_max_rad_s: float | None = Field(
+        default=None,
+        ge=SMALLEST,
+        le=1e3,
+        description="Of unicycles, for the planner receding; left out: turns at will.",
+    )
 
 
 class ChangeTable(Table):
@@ -388,6 +400,23 @@ class LinksTable(Table):
     threshold_dbm: float = Field(ge=-500, le=300, description="Weaker messages are lost.")
 
 
+class RadioTable(Table):
+    """``[radio]``: links to base stations that agents keep, directly or over other agents."""
+
+    stations_m: list[Pair] = Field(min_length=1, max_length=100, description="Base stations.")
+    p_min: float = Field(
+        gt=0, lt=1, description="Each agent keeps its way to a station with this probability."
+    )
+    k_pl_db: float = Field(ge=-300, le=300, description="Received power at 1 m in dBm.")
+    n_pl: float = Field(ge=0.1, le=10, description="Path loss exponent.")
+    deviation_db: float = Field(
+        ge=0, le=100, description="Standard deviation of shadowing and multipath together."
+    )
+    k_pl_std_db: float = Field(default=0.0, ge=0, le=100, description="How uncertain k_pl_db is.")
+    n_pl_std: float = Field(default=0.0, ge=0, le=10, description="How uncertain n_pl is.")
+    threshold_dbm: float = Field(ge=-500, le=300, description="Power that a link needs.")
+
+
 class ControlTable(Table):
     """``[control]``: how agents move, and for how long."""
 
@@ -409,7 +438,10 @@ class ControlTable(Table):
 class PlannerTable(Table):
     """``[planner]``: who decides the moves."""
 
-    name: PlannerName = Field(default="law", description="law: the control laws.")
+    name: PlannerName = Field(
+        default="law",
+        description="law (the control laws, speeds clipped) or receding (plans ahead).",
+    )
     horizon: int = Field(default=1, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead.")
 
 
@@ -434,6 +466,7 @@ class CoverageFile(Table):
     assignment: AssignmentTable = Field(default_factory=AssignmentTable)
     counting: CountingTable = Field(default_factory=CountingTable)
     links: LinksTable | None = None
+    radio: RadioTable | None = None
     control: ControlTable
     planner: PlannerTable = Field(default_factory=PlannerTable)
     report: ReportTable = Field(default_factory=ReportTable)

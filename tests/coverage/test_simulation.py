@@ -1,0 +1,177 @@
+"""Networks at work: teams against sorting, counts against the truth, failures and losses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scattered import scattered
+
+from planopt.coverage.assignment.demand import Demand
+from planopt.coverage.assignment.latch import relatch
+from planopt.coverage.assignment.several import optimal_assignment
+from planopt.coverage.control.laws import Gains
+from planopt.coverage.counting.tally import Counting
+from planopt.coverage.events import Event, Sensing
+from planopt.coverage.ground import ConvexGround
+from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
+from planopt.coverage.network import LinkModel
+from planopt.coverage.region import convex_region
+from planopt.coverage.simulation import ABSENT, LawMover, NetworkRun, Scene, simulate_network
+
+REGION = convex_region(np.array([[0, 0], [60, 0], [60, 40], [0, 40]]))
+SENSING = Sensing(diffusion_sensor(0.2, 60.0, 3.0))
+GAINS = Gains(0.5, 1.0)
+
+
+def demand_of(number: int) -> Demand:
+    """A demand for a number of agents."""
+    return lambda agents: min(number, agents)
+
+
+def scene_of(seed: int, count: int, *events: Event, wanted: int = 3) -> Scene:
+    """A scene with random starts."""
+    return Scene(
+        ConvexGround(REGION),
+        scattered(REGION, count, np.random.default_rng(seed)),
+        np.zeros(count),
+        np.full(count, np.inf),
+        events,
+        (demand_of(wanted),) * len(events),
+        SENSING,
+        None,
+        "all",
+        GAINS,
+        0.0,
+        0.5,
+        Counting(),
+        None,
+        20,
+        1.0,
+        120.0,
+        0.1,
+    )
+
+
+def run_of(scene: Scene, seed: int = 0) -> NetworkRun:
+    """What it does by the laws."""
+    return simulate_network(scene, LawMover(GAINS, 1.0, 3.0), np.random.default_rng(seed))
+
+
+def test_the_nearest_respond_when_an_event_appears() -> None:
+    """In the step of detection the team is the three agents nearest to the estimate."""
+    for seed in range(6):
+        run = run_of(scene_of(seed, 14, Event("leak", (25.0, 18.0), 6.0)), seed)
+        step = int(np.isfinite(run.estimates_m[:, 0, 0]).argmax())
+        away = np.linalg.norm(run.positions_m[step] - run.estimates_m[step, 0], axis=1)
+        assert set(np.flatnonzero(run.states[step] == 0)) == set(np.argsort(away)[:3])
+        assert ((run.states[step:] == 0).sum(axis=1) == 3).all()
+        assert run.settled
+
+
+def test_everybody_returns_when_it_ends() -> None:
+    """After an event the cost is again as low as without it, within the spread of local optima."""
+    run = run_of(
+        replace(scene_of(1, 14, Event("leak", (25.0, 18.0), 30.0, 60.0)), duration_s=300.0)
+    )
+    calm = run_of(replace(scene_of(1, 14), duration_s=300.0))
+    assert run.settled and (run.states[-1] < 0).all()
+    assert run.costs[58] > 1.1 * calm.costs[-1]
+    assert run.costs[-1] < 1.1 * calm.costs[-1]
+
+
+def test_hysteresis_is_that_of_relatching() -> None:
+    """While an event moves, teams change as little as the hysteresis allows."""
+    event = Event("plume", (10.0, 20.0), 5.0, math.inf, (1.6, 0.0))
+    scene = replace(
+        scene_of(2, 16, event),
+        hysteresis_m=1.5,
+        moved_m=0.0,
+        sensing=replace(SENSING, memory_s=6.0),
+        duration_s=32.0,
+    )
+    run = run_of(scene)
+    held = np.zeros(16, dtype=np.bool_)
+    for step in np.flatnonzero(np.isfinite(run.estimates_m[:, 0, 0])):
+        away = np.linalg.norm(run.positions_m[step] - run.estimates_m[step, 0], axis=1)
+        if (run.estimates_m[step] != run.estimates_m[step - 1]).any():
+            held = relatch(held, away, 3, 1.5)
+        assert (held == (run.states[step] == 0)).all()
+    eager = run_of(replace(scene, hysteresis_m=0.0))
+    changes = [
+        int((np.diff((one.states == 0).astype(int), axis=0) == 1).sum()) for one in (run, eager)
+    ]
+    assert 3 <= changes[0] < changes[1]
+
+
+def test_several_events_share_the_agents() -> None:
+    """Teams are disjoint and full, not much farther in total than the best assignment."""
+    events = (Event("a", (15.0, 15.0), 10.0), Event("b", (25.0, 25.0), 10.0))
+    run = run_of(scene_of(3, 12, *events, wanted=4))
+    assert [(run.states[-1] == k).sum() for k in range(2)] == [4, 4]
+    first = int(np.isfinite(run.estimates_m).all(axis=(1, 2)).argmax())
+    away = np.linalg.norm(run.positions_m[first][:, None] - run.estimates_m[first], axis=2)
+    best = optimal_assignment(away, np.array([4, 4])).total_m
+    team = run.states[first]
+    assert best <= away[team >= 0, team[team >= 0]].sum() + 1e-9 <= 1.3 * best
+    few = run_of(scene_of(3, 5, *events, wanted=4))
+    assert sorted((few.states[-1] == k).sum() for k in range(2)) == [2, 3]
+
+
+@pytest.mark.parametrize("method", ["leader", "running", "minima"])
+def test_counts_follow_who_joins_and_leaves(method: str) -> None:
+    """Agents that count themselves find the new number after some leave and others join."""
+    rounds = {"leader": (80, 400), "running": (600, 15000), "minima": (8, 16)}[method]
+    count = Counting(method, *rounds, draws=900, innovation=0.01)  # pyright: ignore[reportArgumentType]
+    joins, leaves = np.zeros(15), np.full(15, np.inf)
+    joins[[0, 1]], leaves[[14, 3, 4, 5]] = 5.0, 15.0
+    scene = replace(
+        scene_of(4, 15), counting=count, joins_s=joins, leaves_s=leaves, duration_s=30.0,
+        stop_when_settled=False,
+    )  # fmt: skip
+    run = run_of(scene)
+    tolerance = 0.5 if method != "minima" else 4.0 * 15 / math.sqrt(898)
+    for step, true in ((0, 13), (14, 15), (29, 11)):
+        here = run.counts[step, run.states[step] != ABSENT]
+        assert len(here) == true
+        assert np.abs(here - true).max() < tolerance
+    assert np.isnan(run.counts[run.states == ABSENT]).all()
+    assert (run.positions_m[-1, 14] == run.positions_m[15, 14]).all()
+
+
+def test_an_agent_that_fails_is_replaced() -> None:
+    """When one of the team leaves, the team is full again in the same step."""
+    scene = scene_of(5, 10, Event("leak", (25.0, 18.0), 0.0))
+    lost = int(np.flatnonzero(run_of(scene).states[10] == 0)[0])
+    leaves = np.full(10, np.inf)
+    leaves[lost] = 11.0
+    run = run_of(replace(scene, leaves_s=leaves))
+    assert run.states[10, lost] == 0 and run.states[11, lost] == ABSENT
+    assert (run.states[11] == 0).sum() == 3
+
+
+def test_lossy_links_cost_messages_and_still_agree() -> None:
+    """With a fifth of the messages lost the right team responds all the same."""
+    links = LinkModel(-30.0, 3.0, 6.0, -69.0)
+    scene = scene_of(6, 14, Event("leak", (25.0, 18.0), 6.0))
+    lossy = run_of(replace(scene, links=links))
+    calm = run_of(scene)
+    typical = float(links.loss(np.array([13.0]))[0])
+    assert 0.05 < typical < 0.4
+    assert (lossy.states[-1] == 0).sum() == 3 and lossy.settled
+    assert lossy.messages[:, 1].sum() > 5 * calm.messages[:, 1].sum()
+
+
+def test_stand_off_ring_learns_on() -> None:
+    """On the ring the estimate's uncertainty goes on falling; at the event it stops."""
+    at = replace(scene_of(7, 12, Event("leak", (30.0, 20.0), 0.0)), stop_when_settled=False)
+    ring = replace(at, stand_off_m=best_distance_m(SENSING.sensor))
+    stds = [run_of(scene).stds_m[:, 0] for scene in (at, ring)]
+    assert stds[0][-1] > 0.8 * stds[0][40]
+    assert stds[1][-1] < 0.7 * stds[1][40]
+    # Three agents at equal angles: 4 sigma^2 / (P g^2) for each step there.
+    slope = abs(SENSING.sensor.gain(np.array([best_distance_m(SENSING.sensor)]))[0])
+    limit = 2.0 * 0.2 / slope / math.sqrt(3 * 120)
+    assert stds[1][-1] == pytest.approx(limit, rel=0.15)

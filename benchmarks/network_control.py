@@ -14,6 +14,7 @@ from time import process_time
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.stats import t
 
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.control.receding import plan_moves, stopping_ways
@@ -137,7 +138,7 @@ SETTINGS = {
 def horizons(
     first_seed: int, seeds: int, agents: int, steps: int, only: str | None = None
 ) -> dict[str, list[float]]:
-    """Print the mean cost over time of horizons against that of one step, paired over seeds."""
+    """Print cost, path and energy of horizons over those of one step, with Student intervals."""
     found: dict[str, list[float]] = {}
     square = shapely.box(0, 0, SIDE_M, SIDE_M)
     for name, (limits, walls, linked) in SETTINGS.items():
@@ -159,7 +160,7 @@ def horizons(
         for horizon, rows in ratios.items():
             table = np.array(rows)
             mean = table.mean(axis=0)
-            error = 1.96 * table.std(axis=0, ddof=1) / np.sqrt(len(table)) if seeds > 1 else mean
+            error = t.ppf(0.975, seeds - 1) * table.std(axis=0, ddof=1) / np.sqrt(seeds)
             words = ", ".join(
                 f"{key} {m:.3f} +- {e:.3f}"
                 for key, m, e in zip(("H", "last H", "path", "energy"), mean, error, strict=True)

@@ -295,7 +295,8 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
         capsys, "compare", file, "--planners", "law,receding", "--horizons", "1,3", "--seeds", "2",
         "--out", out,
     )  # fmt: skip
-    assert code == 4 and found["faults"] == 0
+    assert code == 4
+    assert {row["verified_rate"] for row in found["rows"]} == {1.0}
     rows = [row for row in found["rows"] if row["metric"] == "cost_mean"]
     assert [(row["planner"], row["horizon"]) for row in rows] == [
         ("law", 1),
@@ -305,6 +306,7 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
     assert [row["paired_ratio"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
     one = planopt.load_system(file).simulate(seed=1).data["metrics"]
     mine = next(each for each in found["runs"] if each["seed"] == 1 and each["planner"] == "law")
+    mine = mine["metrics"]
     assert mine["cost_mean"] == pytest.approx(one["cost_mean"])
     assert mine["path_m"] == pytest.approx(one["path_m"])
 

@@ -34,7 +34,7 @@ from planopt.planning.files.run_json import (
     released_plans_json,
     run_json,
 )
-from planopt.planning.files.run_tables import KNOWLEDGE_FILE, run_tables
+from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, run_tables
 from planopt.planning.files.saved import FORMAT, RUN_FILE
 from planopt.planning.files.solution_json import aim_again
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
@@ -229,7 +229,7 @@ def _channel(
     if truths:
         return channel_log([channel_row(p, truths, place.region.grid_m) for p in posteriors])
     table = saved.tables[KNOWLEDGE_FILE]
-    return ChannelLog(table["rms_db"], table["anmse_db"], table["trace_m_db"], table["log_det_m"])
+    return ChannelLog(*(table[name] for name in KNOWLEDGE_COLUMNS[1:]))
 
 
 def _costs(

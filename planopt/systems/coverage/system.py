@@ -1,4 +1,4 @@
-"""Simulate, compare, print and draw networks that cover a region and answer events."""
+"""Simulate, print and draw networks that cover a region and answer events."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from planopt.systems.coverage.results import (
     run_json,
     save_tables,
 )
-from planopt.systems.coverage.study import compare
 from planopt.systems.coverage.tables import CoverageFile
 
 PICTURE, ANIMATION = "run.png", "run.gif"
@@ -55,7 +54,13 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
         NOT_VERIFIED if broken else 0 if reached else NOT_REACHED,
         save=lambda folder: save_tables(driven, folder),
         draw=(lambda folder: _draw(problem.name, driven, request, folder)) if drawn else None,
+        step_s=tuple(lasts_s.tolist()),
     )
+
+
+def settings(problem: SystemProblem, request: Request) -> list[tuple[int, str]]:
+    """Return horizon and planner of each setting that is asked for."""
+    return [(each.horizon, each.name) for each in planners(problem.content, request)]
 
 
 def tables(problem: SystemProblem) -> dict[str, Any]:
@@ -109,9 +114,9 @@ SYSTEM = System(
     build=build,
     tables=tables,
     words=words,
-    files=(NETWORK_FILE, EVENTS_FILE, PICTURE, ANIMATION, "comparison.png"),
+    files=(NETWORK_FILE, EVENTS_FILE, PICTURE, ANIMATION),
     check=check,
     simulate=simulate,
-    compare=compare,
+    settings=settings,
     animates=True,
 )

@@ -41,6 +41,7 @@ NAMES = [
     "harbour_traffic",
     "indoor_learn",
     "munich_courier",
+    "munich_couriers",
     "munich_courtyard",
     "munich_hard",
     "munich_islands",

@@ -12,7 +12,6 @@ from planopt.errors import NoPlanError as NoPlanError
 from planopt.errors import OutputError as OutputError
 from planopt.errors import PlanoptError as PlanoptError
 from planopt.planning.check.check import check as check
-from planopt.planning.check.load_result import load_result as load_result
 from planopt.planning.explain.explain import explain as explain
 from planopt.planning.explain.explain import explain_no_plan as explain_no_plan
 from planopt.planning.live_planner import Planner as Planner
@@ -44,7 +43,10 @@ from planopt.problems.settings import PlannerSettings as PlannerSettings
 from planopt.problems.systems import SystemProblem as SystemProblem
 from planopt.problems.systems import load_system as load_system
 from planopt.problems.target import Target as Target
+from planopt.studies.compare import compare as compare
 from planopt.studies.compare import compare_horizons as compare_horizons
+from planopt.studies.comparison import Comparison as Comparison
+from planopt.studies.comparison_files import load_result as load_result
 from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle
 from planopt.world.obstacle_sources import obstacles_from as obstacles_from
 from planopt.world.occupancy_grid import OccupancyGrid as OccupancyGrid

@@ -118,7 +118,7 @@ def test_an_output_folder_that_cannot_be_written(
 
     for module in ("planning.solve.solve", "planning.loop.closed_loop.simulate"):
         monkeypatch.setattr(f"planopt.{module}", work)
-    monkeypatch.setattr("planopt.studies.compare.compare_horizons", work)
+    monkeypatch.setattr("planopt.studies.compare.compare", work)
     (tmp_path / "file").write_text("mine")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
         error = fails(capsys, [*arguments, "--out", str(out)])

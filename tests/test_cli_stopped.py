@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -215,4 +216,60 @@ def test_killed_at_a_moment(command: str, tmp_path: Path, capsys) -> None:
 def test_killed_at_random_moments(command: str, tmp_path: Path, capsys) -> None:
     """The folder has the old result or the new one, or says that it is incomplete."""
     killed_commands(command, 40, tmp_path)
+    capsys.readouterr()
+
+
+def killed_comparison(kills: int, seeds: int, folder: Path) -> None:
+    """Kill a comparison and go on, again and again: nothing is lost, and nothing driven twice."""
+    problem, out = written(folder / "p.toml", steps=3), folder / "out"
+    arguments = ["compare", problem, *COMPARE, "--seeds", seeds, "--workers", 2]
+    moments, kept = random.Random(0), dict[str, int]()
+    for _ in range(kills):
+        process = started(*arguments, "--out", out)
+        # Some time after it has added a run, or before it has begun.
+        if moments.random() < 0.8:
+            waited(partial(has_more_than, out, len(kept), process))
+        time.sleep(moments.uniform(0.0, 0.5))
+        workers = children(process.pid)
+        process.kill()
+        process.communicate(timeout=60)
+        waited(partial(all_ended, workers), 60.0)
+        found = {p.name: p.stat().st_mtime_ns for p in out.glob("finished_runs/*.json")}
+        assert found.items() >= kept.items()
+        kept = found
+    assert main([*map(str, arguments), "--out", str(out)]) in (0, 3, 4)
+    data = json.loads((out / "comparison.json").read_text())
+    assert data["resumed"] == len(kept)
+    found = {p.name: p.stat().st_mtime_ns for p in out.glob("finished_runs/*.json")}
+    assert found.items() >= kept.items() and len(found) == len(data["runs"]) == 2 * seeds
+    assert main([*map(str, arguments), "--out", str(folder / "whole")]) in (0, 3, 4)
+    whole = json.loads((folder / "whole" / "comparison.json").read_text())
+    assert [untimed(run) for run in data["runs"]] == [untimed(run) for run in whole["runs"]]
+
+
+def has_more_than(out: Path, kept: int, process: subprocess.Popen[str]) -> bool:
+    """Whether a comparison has kept more runs than that, or has ended."""
+    return len(list(out.glob("finished_runs/*.json"))) > kept or process.poll() is not None
+
+
+def all_ended(pids: list[int]) -> bool:
+    """Whether no process of them is running."""
+    return not any(map(is_running, pids))
+
+
+def untimed(run: dict) -> dict:
+    """A run without what differs from one time to the next."""
+    return {key: value for key, value in run.items() if key != "step_s"}
+
+
+def test_a_comparison_killed_at_some_moments(tmp_path: Path, capsys) -> None:
+    """The small version of the test below."""
+    killed_comparison(3, 6, tmp_path)
+    capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_a_comparison_killed_at_random_moments(tmp_path: Path, capsys) -> None:
+    """A hundred times."""
+    killed_comparison(100, 130, tmp_path)
     capsys.readouterr()

@@ -63,7 +63,6 @@ def test_problems_of_a_system_are_sent_to_their_own_methods() -> None:
         planopt.simulate,
         planopt.Planner,
         lambda problem: planopt.Planner(problem, budget_s=0.1),
-        lambda problem: planopt.compare_horizons(problem, [1]),
     ]
     for action in actions:
         with pytest.raises(planopt.InputError, match=r"is a SystemProblem.*methods solve and simu"):

@@ -1,41 +1,35 @@
-"""``planopt compare``: the same seeds under several horizons, planners and costs to go."""
+"""``planopt compare``: the same seeds under several settings of one or several problems."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from planopt.commands.options import (
-    PLANNERS,
-    CalibrationOption,
-    JsonOption,
-    OutOption,
-    ProblemArgument,
-)
+from planopt.commands.options import PLANNERS, CalibrationOption, JsonOption, OutOption
 from planopt.commands.output import NO_PLAN, drawing, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
-from planopt.files.result_folder import ResultFiles, replaced_results
 
 if TYPE_CHECKING:
     from planopt.problems.problem import Problem
-    from planopt.studies.comparison import Comparison
+    from planopt.problems.systems import SystemProblem
 
-COMPARISON_FILE = "comparison.json"
 FINISHED_FOLDER = "finished_runs"
 """Where finished runs are kept, so that a comparison that was stopped goes on."""
-
-COMPARISON = ResultFiles("comparison", (COMPARISON_FILE, "comparison.png", "reliability.png"))
-"""The files of a comparison with its pictures."""
 
 Value = TypeVar("Value")
 
 
 def compare(
-    problem: ProblemArgument,
-    horizons: Annotated[str, typer.Option("--horizons", metavar="N,N,...", help="Steps ahead.")],
+    problems: Annotated[
+        list[str],
+        typer.Argument(metavar="PROBLEM...", help="Problem files, or names that `list` shows."),
+    ],
+    horizons: Annotated[
+        str | None, typer.Option("--horizons", metavar="N,N,...", help="Steps ahead.")
+    ] = None,
     planners: Annotated[
         str | None,
         typer.Option(
@@ -52,93 +46,96 @@ def compare(
             help="geodesic, connected (both); task reach.",
         ),
     ] = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sweep",
+            metavar="KEY=A,B",
+            help="Values of any key of the problem, such as constraints.p_min=0.5,0.8 or "
+            "robots[*].speed_max_m_s=1,2; may be given several times.",
+        ),
+    ] = None,
     calibration: CalibrationOption = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Number of random seeds.")] = 30,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="First random seed.")] = 0,
+    seeds: Annotated[
+        str,
+        typer.Option("--seeds", metavar="N|A:B", help="How many random seeds, or A to B - 1."),
+    ] = "30",
+    first_seed: Annotated[
+        int | None, typer.Option("--first-seed", min=0, help="First random seed.")
+    ] = None,
     workers: Annotated[int, typer.Option("--workers", min=1, help="Number of processes.")] = 1,
     backend: Annotated[
-        str, typer.Option("--backend", metavar="NAME", help="Where processes run: loky.")
+        str,
+        typer.Option("--backend", metavar="NAME", help="Where processes run: loky, dask or ray."),
     ] = "loky",
+    parquet: Annotated[
+        bool, typer.Option("--parquet", help="Save the runs as Parquet too, runs.parquet in --out.")
+    ] = False,
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
     """Compare settings over seeds. Exit code 0 all verified, 3 not all, 4 a run not ended."""
-    from planopt.planning.files.saved import write_record
     from planopt.problems.overrides import with_overrides
-    from planopt.problems.systems import Request, SystemProblem, load_any
+    from planopt.problems.problem import Problem
+    from planopt.problems.systems import load_any
     from planopt.report.tables import comparison_text
-    from planopt.studies.compare import compare_horizons, default_costs_to_go
-    from planopt.studies.study import BACKENDS
+    from planopt.studies.compare import compare as compared
+    from planopt.studies.compare import exit_code, settings_of
+    from planopt.studies.comparison_files import (
+        COMPARISON,
+        comparison_json,
+        no_comparison_json,
+        require_pyarrow,
+        save_comparison,
+        save_no_comparison,
+    )
+    from planopt.studies.study import require_backend
 
-    if backend not in BACKENDS:
-        raise InputError(
-            f"{backend!r} is not there", key="--backend", remedy=f"use {', '.join(BACKENDS)}"
-        )
-    asked = load_any(problem)
-    steps = listed(horizons, "--horizons", int)
-    if isinstance(asked, SystemProblem):
-        from planopt.commands.systems import answer_command
-
-        return answer_command(
-            asked,
-            "compare",
-            Request(
-                first_seed,
-                steps,
-                () if planners is None else listed(planners, "--planners", str),
-                range(first_seed, first_seed + seeds),
-            ),
-            out=out,
-            json=json,
-            replaced=COMPARISON,
-            file=COMPARISON_FILE,
-            not_for_it={
-                "--costs-to-go": costs_to_go,
-                "--calibration": calibration,
-                "--workers": None if workers == 1 else str(workers),
-            },
-        )
+    require_backend(backend, "--backend")
+    if parquet:
+        require_pyarrow()
+    chosen = seeds_of(seeds, first_seed)
+    asked = [load_any(problem) for problem in problems]
     if calibration is not None:
-        asked = with_overrides(asked, calibration=calibration)
-    names = (asked.planner.name,) if planners is None else listed(planners, "--planners", str)
-    ways = None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str)
+        for number, problem in enumerate(asked):
+            if not isinstance(problem, Problem):
+                raise InputError(f"is not for the task {problem.task}", key="--calibration")
+            asked[number] = with_overrides(problem, calibration=calibration)
+    given: dict[str, Any] = {
+        "horizons": None if horizons is None else listed(horizons, "--horizons", int),
+        "planners": None if planners is None else listed(planners, "--planners", str),
+        "costs_to_go": None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str),
+        "sweep": dict(swept(each) for each in sweep or ()),
+    }
+    if len(asked) == 1 and not any(given.values()):
+        raise InputError(
+            "there is nothing to compare", key="--horizons", remedy="give --horizons or --sweep"
+        )
     # Settings that are not allowed are found before the first run.
-    for n in steps:
-        with_overrides(asked, horizon=n)
-    for name in names:
-        with_overrides(asked, planner=name)
-    for way in ways or ():
-        with_overrides(asked, cost_to_go=way)
-    figures = asked.report.figures
+    total = len(settings_of(asked, **given)) * len(chosen)
+    figures = all(_wants_figures(problem) for problem in asked)
     with results_folder(out) as folder:
         try:
-            costs = default_costs_to_go(asked) if ways is None else ways
-            total = len(steps) * len(names) * len(costs) * seeds
             with progress("driving, runs:", total) as advance:
-                comparison = compare_horizons(
+                comparison = compared(
                     asked,
-                    steps,
-                    planners=names,
-                    costs_to_go=ways,
-                    seeds=range(first_seed, first_seed + seeds),
+                    **given,
+                    seeds=chosen,
                     workers=workers,
                     backend=backend,
                     on_run=lambda _: advance(),
                     finished=None if folder is None else folder / FINISHED_FOLDER,
                 )
         except NoPlanError as error:
-            data = comparison_json(asked, None, str(error))
+            data = no_comparison_json(asked[0].name, str(error))
             if folder is not None:
-                with replaced_results(folder, COMPARISON) as new:
-                    write_record(data, asked, new / COMPARISON_FILE)
-            show(json, data, f"{asked.name}: no plan: {error}")
+                save_no_comparison(asked[0], str(error), folder)
+            show(json, data, f"{asked[0].name}: no plan: {error}")
             return NO_PLAN
-        data = comparison_json(asked, comparison, "")
         if folder is not None:
-            with replaced_results(folder, COMPARISON, pictures_follow=figures) as new:
-                write_record(data, asked, new / COMPARISON_FILE)
+            save_comparison(comparison, folder, parquet=parquet, pictures_follow=figures)
         text = "" if json else comparison_text(comparison)
-        show(json, data, text)
+        show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:
                 from planopt.commands.pictures import picture_comparison
@@ -147,59 +144,65 @@ def compare(
     return exit_code(comparison)
 
 
-def exit_code(comparison: Comparison) -> int:
-    """0 all arrived and every released step verified, 3 some not verified, 4 some not arrived."""
-    from planopt.planning.run import ARRIVED
+def _wants_figures(problem: Problem | SystemProblem) -> bool:
+    from planopt.problems.problem import Problem
 
-    if any(run.outcome not in ARRIVED for run in comparison.runs):
-        return NO_PLAN
-    return 0 if all(run.verified_rate == 1.0 for run in comparison.runs) else 3
+    return (problem if isinstance(problem, Problem) else problem.given).report.figures
 
 
-def comparison_json(
-    problem: Problem, comparison: Comparison | None, message: str
-) -> dict[str, Any]:
-    """The JSON keys of ``compare``; no rows if there provably is no plan."""
-    from planopt.planning.files.record import finite
-    from planopt.planning.files.run_json import reliability_json, summary_json
-    from planopt.studies.comparison import runs_by_setting, runs_reliability
+def seeds_of(text: str, first: int | None) -> range:
+    """The seeds of a number of them, or of a range such as ``100:200``, its end left out.
 
-    if comparison is None:
-        return {
-            "problem": problem.name,
-            "outcome": "no_plan",
-            "rows": [],
-            "reliability": {"all": [], "settings": []},
-            "runs": [],
-            "wall_s": None,
-            "resumed": 0,
-            "message": message,
-        }
-    rows = [
-        {name: finite(v) if isinstance(v, float) else v for name, v in asdict(row).items()}
-        for row in comparison.rows
-    ]
-    return {
-        "problem": problem.name,
-        "outcome": "compared",
-        "rows": rows,
-        "reliability": {
-            "all": reliability_json(comparison.reliability),
-            "settings": [
-                {
-                    "horizon": runs[0].horizon,
-                    "planner": runs[0].planner,
-                    "cost_to_go": runs[0].cost_to_go,
-                    "bins": reliability_json(runs_reliability(runs)),
-                }
-                for runs in runs_by_setting(comparison.runs)
-            ],
-        },
-        "runs": [summary_json(run) for run in comparison.runs],
-        "wall_s": finite(comparison.wall_s),
-        "resumed": comparison.resumed,
-        "message": message,
-    }
+    Raises
+    ------
+    InputError
+        It is neither, or there is none.
+    """
+    begin, colon, end = text.partition(":")
+    try:
+        chosen = range(int(begin), int(end)) if colon else range(int(begin))
+    except ValueError:
+        chosen = range(0)
+    if len(chosen) == 0 or chosen[0] < 0:
+        raise InputError(
+            f"cannot take {text!r}", key="--seeds", remedy="a number such as 30, or 100:200"
+        )
+    if first is None:
+        return chosen
+    if colon:
+        raise InputError("is in --seeds already", key="--first-seed", remedy="leave it out")
+    return range(first, first + len(chosen))
+
+
+def swept(text: str) -> tuple[str, list[Any]]:
+    """The key and the values of a sweep such as ``constraints.p_min=0.5,0.8``.
+
+    Values are read as in a problem file; words need no quotes.
+
+    Raises
+    ------
+    InputError
+        There is no key or no value.
+    """
+    key, _, values = text.partition("=")
+    try:
+        found = tomllib.loads(f"values = [{values}]")["values"]
+    except tomllib.TOMLDecodeError:
+        found = [_word(part) for part in listed(values, "--sweep", str)]
+    if not key.strip() or not found:
+        raise InputError(
+            f"cannot read {text!r}",
+            key="--sweep",
+            remedy="use KEY=A,B as constraints.p_min=0.5,0.8",
+        )
+    return key.strip(), [value for n, value in enumerate(found) if value not in found[:n]]
+
+
+def _word(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
 
 
 def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...]:

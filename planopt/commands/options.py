@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-PLANNERS = "auto, nlp, scp, lattice, one_step, random and lawnmower"
+PLANNERS = "auto, nlp, scp, lattice, one_step, random, random_disk, random_persistent and lawnmower"
 
 ProblemArgument = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")

@@ -85,7 +85,14 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
         How many parts there are, if that is known.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     console = Console(stderr=True)
     columns = (
@@ -94,6 +101,7 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
         *(() if total is None else (BarColumn(),)),
         TextColumn("{task.completed:.0f}" + ("" if total is None else f"/{total}")),
         TimeElapsedColumn(),
+        *(() if total is None else (TextColumn("left:"), TimeRemainingColumn())),
     )
     with (
         interruptible() as stop_if_interrupted,

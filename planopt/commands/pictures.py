@@ -49,7 +49,8 @@ def picture_comparison(comparison: Comparison, folder: Path) -> None:
     """The table as a chart, and predicted against true connection where there was a step."""
     save_figure(draw_comparison(comparison), folder / "comparison.png")
     if comparison.reliability:
-        title = f"{comparison.problem.name}: connection over {len(comparison.runs)} runs"
+        names = ", ".join(one.name for one in (comparison.problem, *comparison.others))
+        title = f"{names}: connection over {len(comparison.runs)} runs"
         series = {"all settings": comparison.reliability}
         save_figure(draw_reliability(series, title), folder / "reliability.png")
 

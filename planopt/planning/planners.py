@@ -77,8 +77,20 @@ def one_step_planner(problem: Problem, ground: Ground, _generator: np.random.Gen
 
 
 def random_planner(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
-    """Make the baseline that walks at random."""
+    """Make the baseline that walks full steps in random directions."""
     return RandomPlanner(problem, ground, generator)
+
+
+def disk_walk_planner(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
+    """Make the baseline whose steps are uniform over the disc of one step."""
+    return RandomPlanner(problem, ground, generator, "disk")
+
+
+def persistent_walk_planner(
+    problem: Problem, ground: Ground, generator: np.random.Generator
+) -> Planner:
+    """Make the baseline that walks full steps and turns little."""
+    return RandomPlanner(problem, ground, generator, "persistent")
 
 
 def lawnmower_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -191,31 +192,41 @@ class RunSummary:
         What was run; `cost_to_go` is None if there is no goal.
     outcome, reason
         How it ended, and why in words.
+    exit_code
+        0 if it did what the problem asks with every step verified, 3 if some was not, 4 if it did
+        not.
     metrics
         Of all robots together, by name.
     rungs
         How often each fallback released a step, over all robots.
     verified_rate
-        Share of all released steps whose plan was verified.
+        Share of all released steps whose plan was verified; NaN where nothing is to be verified.
     step_s
         ``(steps x robots,)`` wall time that planning one step of one robot took.
     connectivity, connected
         ``(steps x robots,)`` predicted probability of connection after each step, and whether
-        there was one.
+        there was one; empty where no channel is learnt.
+    problem
+        Name of the problem.
+    sweep
+        Keys of the problem that a study changed, with their values.
     """
 
     horizon: int
     planner: str
     cost_to_go: str | None
     seed: int
-    outcome: Outcome
+    outcome: str
     reason: str
+    exit_code: int
     metrics: dict[str, float]
     rungs: dict[str, int]
     verified_rate: float
     step_s: NDArray[np.float64]
     connectivity: NDArray[np.float64]
     connected: NDArray[np.bool_]
+    problem: str = ""
+    sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 def summary_of(run: Run) -> RunSummary:
@@ -226,12 +237,14 @@ def summary_of(run: Run) -> RunSummary:
         planner=problem.planner.name,
         cost_to_go=problem.cost_to_go,
         seed=run.seed,
-        outcome=run.outcome,
+        outcome=run.outcome.value,
         reason=run.reason,
+        exit_code=exit_code(run),
         metrics=run.metrics,
         rungs=run.rungs,
         verified_rate=run.verified_rate,
         step_s=np.concatenate([one.log.step_s[1:] for one in run.runs]),
         connectivity=np.concatenate([one.log.connectivity[1:] for one in run.runs]),
         connected=np.concatenate([one.log.connected[1:] for one in run.runs]),
+        problem=problem.name,
     )

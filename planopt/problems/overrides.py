@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -14,14 +17,21 @@ from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
 from planopt.problems.data_tables import made_of, table_of
+from planopt.problems.load import check_files, problem_from_tables
 from planopt.problems.messages import input_error
 from planopt.problems.objective_forms import ReachObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem
+from planopt.problems.save import problem_to_dict
 from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.settings import PlannerSettings
+from planopt.problems.systems import SystemProblem, system_from_tables
 
 AnyTable = TypeVar("AnyTable", bound=BaseModel)
+AnyProblem = TypeVar("AnyProblem", bound=Problem | SystemProblem)
+
+_PART = re.compile(r"(\w+)((?:\[(?:\d+|\*)\])*)")
+"""A part of a dotted key: a name, and which entries of a list, if it names one."""
 
 
 def with_overrides(
@@ -151,3 +161,84 @@ def _changed(
         return model.model_validate({**now, **given})
     except ValidationError as error:
         raise input_error(error, model, table=key) from None
+
+
+def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProblem:
+    """`problem` with other values for any keys of its problem file, checked.
+
+    Parameters
+    ----------
+    problem
+        Of motion planning or of a system.
+    changes
+        Values by dotted key: ``constraints.p_min``, ``robots[0].speed_max_m_s``, or
+        ``robots[*].speed_max_m_s`` for all robots.
+
+    Raises
+    ------
+    InputError
+        There is no such key, or its value is not allowed or does not fit the rest of the problem.
+    """
+    if not changes:
+        return problem
+    given = ", ".join(f"{key} = {value}" for key, value in changes.items())
+    is_motion = isinstance(problem, Problem)
+    tables = problem_to_dict(problem) if is_motion else problem.tables()
+    for key, value in changes.items():
+        for table, name in _places(tables, key):
+            table[name] = value
+    try:
+        if not is_motion:
+            return cast("AnyProblem", system_from_tables(tables, folder=Path.cwd(), file=None))
+        changed = problem_from_tables(tables, folder=Path.cwd(), file=None)
+        if not any(key.split(".")[0] == "channel" for key in changes):
+            # No table has a channel from Python.
+            changed = replace(changed, channel=problem.channel)
+        check_files(changed)
+        return cast("AnyProblem", replace(changed, file=problem.file))
+    except InputError as error:
+        raise InputError(
+            f"{error.message}; {given} was given in place of the problem's own",
+            key=error.key,
+            remedy=error.remedy,
+        ) from None
+
+
+def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
+    """Return the tables that have a value for a dotted key, with its last part."""
+    found: list[tuple[Any, str | int]] = [({"": tables}, "")]
+    for part in key.split("."):
+        match = _PART.fullmatch(part)
+        if match is None:
+            raise InputError("is no key", key=key, remedy="use one such as robots[0].speed_max_m_s")
+        found = [(_entered(table, name, key), match[1]) for table, name in found]
+        for index in re.findall(r"\[(\d+|\*)\]", match[2]):
+            entered = [_entries(table, name, key) for table, name in found]
+            found = [
+                (entries, number)
+                for entries in entered
+                for number in (range(len(entries)) if index == "*" else (int(index),))
+            ]
+            if index != "*" and any(int(index) >= len(entries) for entries in entered):
+                raise InputError(f"has {len(entered[0])} entries, counted from 0", key=key)
+    return found
+
+
+def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
+    """The table that a table or list has under a name; one that is not there is made."""
+    value: Any = table.setdefault(name, {}) if isinstance(name, str) else table[name]
+    if isinstance(value, list):
+        raise InputError(
+            f"{name} is a list", key=key, remedy=f"say of which: {name}[0], or {name}[*] for all"
+        )
+    if not isinstance(value, dict):
+        raise InputError(f"{name} is no table", key=key)
+    return cast("dict[str, Any]", value)
+
+
+def _entries(table: Any, name: str | int, key: str) -> list[Any]:
+    """The list that a table or list has under a name."""
+    value: Any = table.get(name) if isinstance(name, str) else table[name]
+    if not isinstance(value, list):
+        raise InputError(f"{name} is no list", key=key)
+    return cast("list[Any]", value)

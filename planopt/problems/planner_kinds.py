@@ -85,10 +85,12 @@ OWN = {
         ),
         PlannerKind("one_step", f"{_HOME}:one_step_planner"),
         PlannerKind("random", f"{_HOME}:random_planner"),
+        PlannerKind("random_disk", f"{_HOME}:disk_walk_planner"),
+        PlannerKind("random_persistent", f"{_HOME}:persistent_walk_planner"),
         PlannerKind("lawnmower", f"{_HOME}:lawnmower_planner"),
     )
 }
-"""planopt's own. The last three are baselines: no goal, no lattice path, and only robots that can
+"""planopt's own. The last five are baselines: no goal, no lattice path, and only robots that can
 turn and stop at will."""
 
 _registered: dict[str, PlannerKind] = {}

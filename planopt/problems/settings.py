@@ -38,8 +38,9 @@ class PlannerSettings:
     name
         ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
         programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
-        tasks other than reach ``one_step`` (dense local search one step ahead), ``random`` and
-        ``lawnmower``, or a planner from outside (:mod:`planopt.problems.planner_kinds`).
+        tasks other than reach ``one_step`` (dense local search one step ahead), ``random``,
+        ``random_disk``, ``random_persistent`` and ``lawnmower``, or a planner from outside
+        (:mod:`planopt.problems.planner_kinds`).
     horizon
         Steps ahead, N.
     neighbours
@@ -65,7 +66,8 @@ class PlannerSettings:
             examples=list(OWN),
             description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
             "programming), auto (the better of them, nlp), lattice (no polish), and for tasks "
-            "other than reach one_step, random or lawnmower; or a planner that is registered.",
+            "other than reach one_step, random, random_disk, random_persistent or lawnmower; or a "
+            "planner that is registered.",
         ),
     ] = "auto"
     horizon: Annotated[

@@ -21,7 +21,7 @@ from planopt.problems.read_toml import read_toml
 from planopt.problems.tables import Table
 from planopt.short_repr import short_repr
 
-ACTIONS = ("solve", "simulate", "compare")
+ACTIONS = ("solve", "simulate")
 """What may be asked of a system; each has some of them."""
 
 
@@ -35,10 +35,8 @@ class Request:
         Of everything random.
     horizons, planners
         In place of the problem's own; empty for these. ``solve`` and ``simulate`` take one each.
-    seeds
-        Of a comparison.
     on_step
-        Called after every step of a run, or every run of a comparison.
+        Called after every step of a run.
     animation
         Whether a run is drawn as an animation as well.
     """
@@ -46,7 +44,6 @@ class Request:
     seed: int = 0
     horizons: Sequence[int] = ()
     planners: Sequence[str] = ()
-    seeds: Sequence[int] = ()
     on_step: Callable[[], None] = lambda: None
     animation: bool = False
 
@@ -71,6 +68,8 @@ class Answer:
         Draws pictures into a folder; None for none.
     failure
         Why there is no result, if there is none.
+    step_s
+        Wall time of each step of a run, for comparisons.
     """
 
     result: Any
@@ -80,6 +79,7 @@ class Answer:
     save: Callable[[Path], None] = lambda folder: None
     draw: Callable[[Path], None] | None = None
     failure: NoPlanError | None = None
+    step_s: Sequence[float] = ()
 
     def __repr__(self) -> str:
         """Return the words for people."""
@@ -103,8 +103,11 @@ class System:
         A problem in lines of text.
     files
         Names of the files that answers write beside the JSON file, pictures included.
-    solve, simulate, compare
+    solve, simulate
         Answer a request; None for what the task has not.
+    settings
+        Horizon and planner of each run that a comparison makes of a request, each once: horizons
+        count only for planners that have them. None if runs cannot be compared.
     animates
         Whether runs are drawn as an animation when that is asked for.
     check
@@ -120,7 +123,7 @@ class System:
     check: Callable[[Path, Mapping[str, Any], SystemProblem], list[str]]
     solve: Callable[[SystemProblem, Request], Answer] | None = None
     simulate: Callable[[SystemProblem, Request], Answer] | None = None
-    compare: Callable[[SystemProblem, Request], Answer] | None = None
+    settings: Callable[[SystemProblem, Request], Sequence[tuple[int, str]]] | None = None
     animates: bool = False
 
 

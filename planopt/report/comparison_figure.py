@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,17 +12,19 @@ from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import MARKERS, SERIES, dress, head, legend_below, plain_log_ticks
 from planopt.report.tables import interval_words
-from planopt.studies.comparison import Comparison, Row
+from planopt.studies.comparison import Comparison, Row, sweep_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
+    from planopt.planning.run import RunSummary
+
 SPREAD = 0.6
 """Width that the settings of one horizon share, in distances between horizons."""
 
-Setting = tuple[str | None, str]
-"""Cost to go, None where there is no goal, and planner."""
+Setting = tuple[str, str | None, str]
+"""Problem with what was changed of it, cost to go, None where there is no goal, and planner."""
 
 
 @dataclass(frozen=True)
@@ -36,26 +38,77 @@ class Look:
     width: float
 
 
+@dataclass(frozen=True)
+class Axis:
+    """What stands along the panels: the horizon, or where that is one, a swept key.
+
+    Attributes
+    ----------
+    key
+        The swept key; None for the horizon.
+    label
+        With its unit.
+    several_problems
+        Whether series are told apart by problem.
+    """
+
+    key: str | None
+    label: str
+    several_problems: bool
+
+    def place(self, one: RunSummary | Row) -> Any:
+        """Return where a run or row belongs."""
+        return one.horizon if self.key is None else one.sweep[self.key]
+
+    def setting(self, one: RunSummary | Row) -> Setting:
+        """Return the series that a run or row belongs to."""
+        problem = [one.problem] if self.several_problems else []
+        swept = sweep_words(one, left_out=self.key)
+        return ", ".join([*problem, *([swept] if swept else [])]), one.cost_to_go, one.planner
+
+
+def axis_of(comparison: Comparison) -> Axis:
+    """Return what stands along the panels of a comparison."""
+    rows = comparison.rows
+    several = bool(comparison.others)
+    if len({row.horizon for row in rows}) == 1:
+        for key in dict.fromkeys(key for row in rows for key in row.sweep):
+            if len({str(row.sweep[key]) for row in rows}) > 1:
+                return Axis(key, key, several)
+    return Axis(None, "horizon [steps]", several)
+
+
 def looks_of(comparison: Comparison) -> dict[Setting, Look]:
-    """Looks of the settings, in the order of the rows: colour by cost to go, marker by planner."""
-    settings = list(dict.fromkeys((row.cost_to_go, row.planner) for row in comparison.rows))
-    costs = list(dict.fromkeys(cost for cost, _ in settings))
-    planners = list(dict.fromkeys(planner for _, planner in settings))
+    """Looks of the settings, in the order of the rows.
+
+    Colour by problem, what was changed and cost to go; marker by planner.
+    """
+    axis = axis_of(comparison)
+    settings = list(dict.fromkeys(axis.setting(row) for row in comparison.rows))
+    kinds = list(dict.fromkeys(setting[:2] for setting in settings))
+    planners = list(dict.fromkeys(planner for *_, planner in settings))
     shifts = SPREAD * ((np.arange(len(settings)) + 0.5) / len(settings) - 0.5)
     return {
-        (cost, planner): Look(
-            label=f"planner {planner}" if cost is None else f"{cost} cost to go, planner {planner}",
-            colour=SERIES[costs.index(cost) % len(SERIES)],
+        (changed, cost, planner): Look(
+            label=", ".join(
+                part
+                for part in (
+                    changed,
+                    "" if cost is None else f"{cost} cost to go",
+                    f"planner {planner}",
+                )
+                if part
+            ),
+            colour=SERIES[kinds.index((changed, cost)) % len(SERIES)],
             marker=MARKERS[planners.index(planner) % len(MARKERS)],
             shift=float(shift),
             width=SPREAD / len(settings),
         )
-        for (cost, planner), shift in zip(settings, shifts, strict=True)
+        for (changed, cost, planner), shift in zip(settings, shifts, strict=True)
     }
 
 
 COLUMNS = 4
-X_LABEL = "horizon [steps]"
 
 RUN_SHIFT = 0.35
 """Single runs stand this share of a setting's width beside the mean."""
@@ -65,7 +118,7 @@ ROOM = 0.35
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
-    """Draw mean and interval of every metric by horizon, single runs as faint dots.
+    """Draw mean and interval of every metric by horizon or swept key, single runs as faint dots.
 
     Two more panels have the runs that did not reach the goal and the step times (median, and up
     to the 95 % quantile).
@@ -74,8 +127,10 @@ def draw_comparison(comparison: Comparison) -> Figure:
 
     rows = comparison.rows
     metrics = list(dict.fromkeys(row.metric for row in rows))
-    looks = looks_of(comparison)
-    places = {horizon: x for x, horizon in enumerate(sorted({row.horizon for row in rows}))}
+    looks, axis = looks_of(comparison), axis_of(comparison)
+    values = {str(axis.place(row)): axis.place(row) for row in rows}
+    ordered = sorted(values, key=values.__getitem__) if axis.key is None else list(values)
+    places = {value: x for x, value in enumerate(ordered)}
     lines = math.ceil((len(metrics) + 2) / COLUMNS)
     figure = new_figure(4.0 * COLUMNS, 3.7 * lines + 0.8)
     cells = GridSpec(lines, COLUMNS, figure=figure)
@@ -84,17 +139,18 @@ def draw_comparison(comparison: Comparison) -> Figure:
         for number in range(len(metrics) + 2)
     ]
     for panel, metric in zip(panels, metrics, strict=False):
-        _draw_metric(panel, comparison, metric, places, looks)
+        _draw_metric(panel, comparison, metric, places, axis, looks)
     once = [row for row in rows if row.metric == metrics[0]]
-    _draw_stalled(panels[-2], once, places, looks)
-    entries = _draw_step_times(panels[-1], once, places, looks)
+    _draw_stalled(panels[-2], once, places, axis, looks)
+    entries = _draw_step_times(panels[-1], once, places, axis, looks)
     for panel in panels:
-        panel.set_xticks(list(places.values()), labels=[str(horizon) for horizon in places])
+        panel.set_xticks(list(places.values()), labels=list(places))
         panel.set_xlim(-0.5, len(places) - 0.5)
     legend_below(figure, entries, 4)
     head(
         figure,
-        f"{comparison.problem.name}: {len(comparison.runs)} runs; mean, "
+        f"{', '.join(one.name for one in (comparison.problem, *comparison.others))}: "
+        f"{len(comparison.runs)} runs; mean, "
         f"{interval_words(comparison, 'cut at the frame')}, single runs faint",
     )
     return figure
@@ -104,16 +160,17 @@ def _draw_metric(
     panel: Panel,
     comparison: Comparison,
     metric: str,
-    places: dict[int, int],
+    places: dict[str, int],
+    axis: Axis,
     looks: dict[Setting, Look],
 ) -> None:
     """Draw a metric: single runs, mean and interval where there is one."""
     name = metric_name(metric)
     values = [name.scale * run.metrics.get(metric, math.nan) for run in comparison.runs]
     for run, value in zip(comparison.runs, values, strict=True):
-        look = looks[run.cost_to_go, run.planner]
+        look = looks[axis.setting(run)]
         panel.plot(
-            [places[run.horizon] + look.shift - RUN_SHIFT * look.width],
+            [places[str(axis.place(run))] + look.shift - RUN_SHIFT * look.width],
             [value],
             linestyle="none",
             marker=look.marker,
@@ -125,12 +182,12 @@ def _draw_metric(
     for row in comparison.rows:
         if row.metric != metric or row.mean is None:
             continue
-        look = looks[row.cost_to_go, row.planner]
+        look = looks[axis.setting(row)]
         mean = name.scale * row.mean
         low = mean if row.ci_low is None else name.scale * row.ci_low
         high = mean if row.ci_high is None else name.scale * row.ci_high
         panel.errorbar(
-            [places[row.horizon] + look.shift],
+            [places[str(axis.place(row))] + look.shift],
             [mean],
             yerr=[[mean - low], [high - mean]],
             marker=look.marker,
@@ -143,7 +200,7 @@ def _draw_metric(
             capsize=3.0,
             linestyle="none",
         )
-    dress(panel, name.words, X_LABEL, f"{name.words} [{name.unit}]")
+    dress(panel, name.words, axis.label, f"{name.words} [{name.unit}]")
     known = [value for value in values if math.isfinite(value)]
     if known and min(known) < max(known):
         # Intervals over few runs are many times wider than the runs themselves.
@@ -152,12 +209,16 @@ def _draw_metric(
 
 
 def _draw_stalled(
-    panel: Panel, rows: list[Row], places: dict[int, int], looks: dict[Setting, Look]
+    panel: Panel,
+    rows: list[Row],
+    places: dict[str, int],
+    axis: Axis,
+    looks: dict[Setting, Look],
 ) -> None:
     """Draw how many runs of each setting did not reach the goal."""
-    for (cost, planner), look in looks.items():
-        mine = [row for row in rows if (row.cost_to_go, row.planner) == (cost, planner)]
-        x = [places[row.horizon] + look.shift for row in mine]
+    for setting, look in looks.items():
+        mine = [row for row in rows if axis.setting(row) == setting]
+        x = [places[str(axis.place(row))] + look.shift for row in mine]
         panel.bar(
             x,
             [row.stalled for row in mine],
@@ -177,19 +238,23 @@ def _draw_stalled(
             clip_on=False,
         )
     most = max(row.seeds for row in rows)
-    dress(panel, "stalled", X_LABEL, f"runs of {most} [count]")
+    dress(panel, "stalled", axis.label, f"runs of {most} [count]")
     panel.set_yticks(np.unique(np.linspace(0, most, min(most, 6) + 1).round()))
     panel.set_ylim(0.0, 1.05 * most)
 
 
 def _draw_step_times(
-    panel: Panel, rows: list[Row], places: dict[int, int], looks: dict[Setting, Look]
+    panel: Panel,
+    rows: list[Row],
+    places: dict[str, int],
+    axis: Axis,
+    looks: dict[Setting, Look],
 ) -> list[Artist]:
     """Draw median and 95 % quantile of the step time; the artists, for the legend."""
     entries: list[Artist] = []
-    for (cost, planner), look in looks.items():
-        mine = [row for row in rows if (row.cost_to_go, row.planner) == (cost, planner)]
-        x = np.array([places[row.horizon] + look.shift for row in mine])
+    for setting, look in looks.items():
+        mine = [row for row in rows if axis.setting(row) == setting]
+        x = np.array([places[str(axis.place(row))] + look.shift for row in mine])
         median = 1e3 * np.array([row.p50_step_s for row in mine])
         slow = 1e3 * np.array([row.p95_step_s for row in mine])
         panel.errorbar(
@@ -212,7 +277,7 @@ def _draw_step_times(
             markeredgewidth=0.8,
             label=look.label,
         )
-    dress(panel, "step time: median, up to 95 % quantile", X_LABEL, "step time [ms]")
+    dress(panel, "step time: median, up to 95 % quantile", axis.label, "step time [ms]")
     panel.set_yscale("log")
     plain_log_ticks(panel.yaxis)
     return entries

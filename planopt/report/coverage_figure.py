@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
@@ -187,39 +186,6 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
         writer.finish()
 
     write_whole(path, write)
-
-
-def draw_horizons(name: str, rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw each metric of a comparison over its settings, with intervals.
-
-    Parameters
-    ----------
-    name
-        Of the problem.
-    rows
-        Those of ``planopt compare``.
-    """
-    from matplotlib.gridspec import GridSpec
-
-    metrics = list(dict.fromkeys(str(row["metric"]) for row in rows))
-    figure = new_figure(4.2 * len(metrics), 4.2)
-    grid = GridSpec(1, len(metrics), figure=figure)
-    for number, metric in enumerate(metrics):
-        panel, own = add_panel(figure, grid[0, number]), [r for r in rows if r["metric"] == metric]
-        for place, row in enumerate(own):
-            low = row["mean"] if row["ci_low"] is None else row["ci_low"]
-            high = row["mean"] if row["ci_high"] is None else row["ci_high"]
-            colour = SERIES[0 if row["planner"] != "law" else 1]
-            panel.plot([place, place], [low, high], color=colour, linewidth=2.0)
-            panel.plot([place], [row["mean"]], color=colour, marker="o", markersize=7.0)
-        labels = [
-            row["planner"] + ("" if row["planner"] == "law" else f"\n{row['horizon']}")
-            for row in own
-        ]
-        panel.set_xticks(list(range(len(own))), labels)
-        dress(panel, "mean and 95 % interval", "planner, horizon", metric.replace("_", " "))
-    head(figure, spaced(name))
-    return figure
 
 
 def _area(panel: Panel, picture: NetworkPicture) -> dict[str, Artist]:

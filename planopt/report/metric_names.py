@@ -31,6 +31,7 @@ class MetricName:
 
 METRIC_NAMES = {
     "goal_time_s": MetricName("time to goal", "s", 1.0, 1),
+    "capture_time_s": MetricName("time to capture", "s", 1.0, 2),
     "path_m": MetricName("driven length", "m", 1.0, 1),
     "realised_cost_m": MetricName("realised cost", "m", 1.0, 1),
     "clairvoyant_cost_m": MetricName("clairvoyant cost", "m", 1.0, 1),
@@ -46,6 +47,8 @@ METRIC_NAMES = {
     "final_trace_p": MetricName("final tr P", "m2", 1.0, 3),
     "delivered": MetricName("delivered", "%", 100.0, 1),
     "rms_db": MetricName("RMS error", "dB", 1.0, 2),
+    "rms_without_multipath_db": MetricName("RMS error without multipath", "dB", 1.0, 2),
+    "path_loss_variance_db2": MetricName("path loss variance over the workspace", "dB2", 1.0, 3),
     "anmse_db": MetricName("ANMSE", "dB", 1.0, 2),
     "measured_steps": MetricName("steps that measured", "1", 1.0, 1),
     "trace_m_db": MetricName("tr M", "dB", 1.0, 2),

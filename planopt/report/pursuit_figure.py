@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 import shapely
@@ -167,40 +166,6 @@ def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
         writer.finish()
 
     write_whole(path, write)
-
-
-def draw_capture_times(name: str, rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw the mean time to capture of each setting with its interval.
-
-    Parameters
-    ----------
-    name
-        Of the problem.
-    rows
-        Those of ``planopt compare``.
-    """
-    from matplotlib.gridspec import GridSpec
-
-    figure = new_figure(7.0, 4.4)
-    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
-    labels: list[str] = []
-    for place, row in enumerate(rows):
-        horizon = f"\n{row['horizon']}" if row["planner"] == "receding" else ""
-        labels.append(f"{row['planner']}{horizon}")
-        if row["mean"] is None:
-            continue
-        low = row["mean"] if row["ci_low"] is None else row["ci_low"]
-        high = row["mean"] if row["ci_high"] is None else row["ci_high"]
-        colour = SERIES[0 if row["planner"] == "receding" else 1]
-        panel.plot([place, place], [low, high], color=colour, linewidth=2.0)
-        panel.plot([place], [row["mean"]], color=colour, marker="o", markersize=7.0)
-    panel.set_xticks(list(range(len(labels))), labels)
-    panel.set_ylim(0.0, None)
-    dress(
-        panel, "mean of the seeds and its 95 % interval", "planner, horizon", "time to capture [s]"
-    )
-    head(figure, spaced(name))
-    return figure
 
 
 class _Writer(Protocol):

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from itertools import zip_longest
 
 from planopt.channel.validation.calibration import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.metric_names import metric_name
-from planopt.studies.comparison import Comparison, Row
+from planopt.studies.comparison import Comparison, Row, setting_of, sweep_words
 
 MISSING = "-"
 
 WIDTH = 100
 """Letters in a line of a comparison's table."""
+
+PAIRED_WIDTH = 30
+"""Letters in a cell of the table of paired differences."""
 
 _Column = tuple[str, Callable[[ReliabilityBin], str]]
 
@@ -42,33 +46,97 @@ def comparison_text(comparison: Comparison) -> str:
     comparison
         The comparison. A metric that it does not have, or that no run has, is shown as ``-``.
     """
-    settings: dict[tuple[str | None, str, int], dict[str, Row]] = {}
+    settings: dict[Hashable, dict[str, Row]] = {}
     for row in comparison.rows:
-        setting = (row.cost_to_go, row.planner, row.horizon)
-        settings.setdefault(setting, {})[row.metric] = row
-    to_goal = comparison.problem.task == "reach"
+        settings.setdefault(setting_of(row), {})[row.metric] = row
+    problems = (comparison.problem, *comparison.others)
+    to_goal = all(problem.task == "reach" for problem in problems)
     shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
-    words = ["cost to go", "planner"] if to_goal else ["planner"]
+    swept = list(dict.fromkeys(key for row in comparison.rows for key in row.sweep))
+    words = [
+        *(["problem"] if comparison.others else []),
+        *swept,
+        *(["cost to go"] if to_goal else []),
+        "planner",
+    ]
     headings = [heading for heading, _ in shown]
     header = [*words, "horizon", "runs", "stalled", *headings, "step p50 [ms]", "step p95 [ms]"]
-    lines = [
-        [
-            *([str(cost_to_go)] if to_goal else []),
-            planner,
-            *_cells(horizon, rows, [name for _, name in shown]),
-        ]
-        for (cost_to_go, planner, horizon), rows in settings.items()
-    ]
+    lines: list[list[str]] = []
+    for rows in settings.values():
+        one = next(iter(rows.values()))
+        lines.append(
+            [
+                *([one.problem] if comparison.others else []),
+                *(str(one.sweep[key]) for key in swept),
+                *([str(one.cost_to_go)] if to_goal else []),
+                one.planner,
+                *_cells(one.horizon, rows, [name for _, name in shown]),
+            ]
+        )
     title = (
-        f"{comparison.problem.name}: {len(comparison.runs)} runs in {comparison.wall_s:.1f} s; "
-        f"means over runs, {interval_words(comparison)}"
+        f"{', '.join(problem.name for problem in problems)}: {len(comparison.runs)} runs in "
+        f"{comparison.wall_s:.1f} s; means over runs, {interval_words(comparison)}"
     )
     if comparison.resumed:
         title += f"; {comparison.resumed} runs were finished before"
     if to_goal:
         title += "; time to goal and cost ratio (to the clairvoyant) over the runs that arrived"
     table = [*textwrap.wrap(title, WIDTH), "", *_in_blocks([header, *lines], len(words))]
-    return "\n".join([*table, "", *reliability_lines(comparison.reliability, "steps", "seeds")])
+    table += ["", *paired_lines(list(settings.values()), [name for _, name in shown if name])]
+    table += reliability_lines(comparison.reliability, "steps", "seeds")
+    return "\n".join(table).rstrip("\n")
+
+
+def paired_lines(settings: Sequence[dict[str, Row]], metrics: Sequence[str]) -> list[str]:
+    """Table of differences from the first setting, seed by seed, one line a setting and metric.
+
+    Only those with an interval that does not hold zero; a word where there is none.
+
+    Parameters
+    ----------
+    settings
+        Rows by metric of each setting.
+    metrics
+        Those that are shown.
+    """
+    if len(settings) < 2:
+        return []
+    rows = [rows[metric] for rows in settings[1:] for metric in metrics if metric in rows]
+    apart = [
+        (row, row.difference_low, row.difference_high)
+        for row in rows
+        if row.difference_low is not None
+        and row.difference_high is not None
+        and not row.difference_low <= 0.0 <= row.difference_high
+    ]
+    known = sum(row.difference_low is not None for row in rows)
+    title = (
+        f"paired differences from the first setting, seed by seed: {len(apart)} of {known} "
+        "intervals (95 %) leave out zero"
+    )
+    if not known:
+        return []
+    several = len({row.problem for each in settings for row in each.values()}) > 1
+    lines = [["setting", "metric", "difference", "95 % interval"]]
+    for row, low, high in apart:
+        name = metric_name(row.metric)
+        ends = [f"{name.scale * end:+.{name.digits}f}" for end in (low, high)]
+        difference = f"{name.scale * (row.paired_difference or 0.0):+.{name.digits}f}"
+        words = ", ".join(
+            part
+            for part in (
+                row.problem if several else "",
+                sweep_words(row),
+                row.cost_to_go or "",
+                row.planner,
+                str(row.horizon),
+            )
+            if part
+        )
+        cells = [words, f"{name.words} [{name.unit}]", difference, " to ".join(ends)]
+        below = [textwrap.wrap(cell, PAIRED_WIDTH) for cell in cells]
+        lines += [list(line) for line in zip_longest(*below, fillvalue="")]
+    return [title, *(aligned(lines, 2) if apart else []), ""]
 
 
 def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
@@ -136,7 +204,7 @@ def _cells(horizon: int, rows: dict[str, Row], shown: Sequence[str]) -> list[str
         *(
             _mean(rows, metric, interval=metric == shown[0])
             if metric
-            else f"{100.0 * one.verified_rate:.1f}"
+            else (MISSING if one.verified_rate is None else f"{100.0 * one.verified_rate:.1f}")
             for metric in shown
         ),
         f"{1e3 * one.p50_step_s:.1f}",

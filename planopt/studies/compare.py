@@ -1,70 +1,101 @@
-"""Compare horizons, planners and costs to go in closed loop, on the same seeds."""
+"""Compare settings of problems in closed loop, on the same seeds: horizons, planners, any keys."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.validation.calibration import FEWEST_GROUPS
-from planopt.errors import InputError
+from planopt.errors import InputError, NoPlanError
 from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.prepare import Prepared, prepare
-from planopt.planning.run import ARRIVED, RunSummary, summary_of
+from planopt.planning.run import RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
-from planopt.problems.overrides import require_motion, with_overrides
+from planopt.problems.overrides import with_changes, with_overrides
 from planopt.problems.problem import Problem
-from planopt.studies.comparison import Comparison, Row
+from planopt.problems.systems import Request, SystemProblem, system_from_tables
+from planopt.studies.comparison import Comparison, Row, runs_by_setting
 from planopt.studies.finished_runs import FinishedRuns, run_key
 from planopt.studies.study import Study, run_study
 
 CONFIDENCE = 0.95
 
+NOT_DONE, NOT_VERIFIED = 4, 3
+"""Exit codes of runs."""
+
+OWN_OPTIONS = {
+    "planner.horizon": "horizons",
+    "planner.name": "planners",
+    "objective.cost_to_go": "costs_to_go",
+}
+"""Keys that have an argument of their own; a sweep may have them in its place."""
+
+AnyProblem = Problem | SystemProblem
+
 
 @dataclass(frozen=True)
-class Setting:
-    """One cell of a comparison."""
+class SystemRun:
+    """A run of a system's problem, as plain data that any process can rebuild it from."""
 
+    name: str
+    tables: Mapping[str, Any]
     horizon: int
     planner: str
-    cost_to_go: str | None
 
 
-def compare_horizons(
-    problem: Problem,
-    horizons: Sequence[int],
+@dataclass(frozen=True)
+class _Variant:
+    """One problem with what was changed of it, and its settings as they are run."""
+
+    problem: AnyProblem
+    sweep: Mapping[str, Any]
+    asked: tuple[Problem | SystemRun, ...]
+
+
+def compare(
+    problems: AnyProblem | Sequence[AnyProblem],
+    horizons: Sequence[int] | None = None,
     *,
-    planners: Sequence[str] = ("auto",),
+    planners: Sequence[str] | None = None,
     costs_to_go: Sequence[str] | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
     seeds: int | Iterable[int] = 30,
     workers: int = 1,
     backend: str = "loky",
     on_run: Callable[[RunSummary], None] | None = None,
-    finished: Path | None = None,
+    finished: Path | str | None = None,
 ) -> Comparison:
-    """Run every setting on every seed and tabulate.
+    """Run every setting of every problem on every seed and tabulate.
 
     Parameters
     ----------
-    problem
-        What to run; horizon, planner and cost to go are overridden.
+    problems
+        One or several, with different names; of motion planning, or of systems with runs.
     horizons, planners, costs_to_go
-        The settings are their product; the first is the reference of paired ratios. Costs to go
-        are both where there is a goal unless given, and cannot be given where there is none.
+        In place of the problems' own, which are kept if not given. Costs to go are both where
+        there is a goal unless given, and cannot be given where there is none.
+    sweep
+        Values of any further keys of the problem files, by dotted key such as
+        ``constraints.p_min`` or ``robots[*].speed_max_m_s``. The settings are the product of all.
     seeds
-        The seeds, or how many (0, 1, ...). Every setting sees the same ones.
+        The seeds, or how many (0, 1, ...). Every setting sees the same ones. Ratios and differences
+        are paired by seed with the first setting of the same problem; with that of the first
+        problem if each has only one.
     workers
-        Processes; a task is one seed with all settings, on one BLAS thread. The result does not
-        depend on their number, but for the measured times.
+        Processes; a task is one seed of one problem, on one BLAS thread. The result does not depend
+        on their number, but for the measured times.
     backend
-        joblib backend; ``loky`` is this machine.
+        Where they run: ``loky`` (this machine), ``dask`` or ``ray``.
     on_run
         Called for every finished run, for progress display.
     finished
@@ -72,52 +103,156 @@ def compare_horizons(
         (:mod:`planopt.studies.finished_runs`). A run that an earlier comparison has kept there
         is taken from it, with the times measured then.
 
+    Returns
+    -------
+    Comparison
+        Runs and table.
+
     Raises
     ------
     InputError
         There is nothing to compare, a seed is negative or twice there, there is no worker or no
-        such backend, an override is not allowed, or runs of a problem with parts from Python are
-        to be kept.
+        such backend, a value is not allowed, or runs of a problem with parts from Python are to be
+        kept.
     NoPlanError
-        Obstacles cut the goal off.
+        No run has a plan, since obstacles cut every goal off.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> found = planopt.compare(
+    ...     planopt.load("open_field"), [2], costs_to_go=["geodesic"],
+    ...     sweep={"constraints.p_min": [0.5, 0.9]}, seeds=1,
+    ... )
+    >>> [(run.sweep["constraints.p_min"], run.outcome) for run in found.runs]
+    [(0.5, 'reached'), (0.9, 'reached')]
     """
-    require_motion(problem)
     begun = perf_counter()
+    given = [problems] if isinstance(problems, Problem | SystemProblem) else list(problems)
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
-    costs = costs_to_go if costs_to_go is not None else default_costs_to_go(problem)
-    _check(horizons, planners, costs, chosen)
-    settings = [Setting(n, p, c) for c in costs for p in planners for n in horizons]
-    kept = None if finished is None else FinishedRuns(finished)
-    driven: dict[tuple[Setting, int], RunSummary] = {}
-    asked = [_apply(problem, setting) for setting in settings]
+    _check_seeds(chosen)
+    variants = _variants(given, horizons, planners, costs_to_go, sweep)
+    kept = None if finished is None else FinishedRuns(Path(finished))
     study: Study[_Asked, Shared, RunSummary] = Study(
         kind=RunSummary,
         prepare=_shared,
         work=_drive,
         key=_key,
     )
-    groups = [[(each, seed) for each in asked] for seed in chosen]
+    places = [(variant, seed) for seed in chosen for variant in range(len(variants))]
+    groups = [[(each, seed) for each in variants[variant].asked] for variant, seed in places]
     results = run_study(study, groups, workers=workers, backend=backend, record=kept)
+    driven: dict[tuple[int, int, int], RunSummary] = {}
     resumed = 0
-    for seed, runs in zip(chosen, results, strict=True):
-        for setting, run in zip(settings, runs, strict=True):
+    for (number, seed), runs in zip(places, results, strict=True):
+        variant = variants[number]
+        for setting, run in enumerate(runs):
             resumed += run.resumed
-            driven[setting, seed] = run.result
+            # A record does not know which study it is read for.
+            done = replace(run.result, problem=variant.problem.name, sweep=variant.sweep)
+            driven[number, setting, seed] = done
             if on_run is not None:
-                on_run(run.result)
-    by_setting = [[driven[setting, seed] for seed in chosen] for setting in settings]
-    rows = [
-        row
-        for setting, runs in zip(settings, by_setting, strict=True)
-        for row in tabulate(setting, runs, by_setting[0])
+                on_run(done)
+    ordered = [
+        driven[number, setting, seed]
+        for number, variant in enumerate(variants)
+        for setting in range(len(variant.asked))
+        for seed in chosen
     ]
+    if all(run.outcome == Outcome.NO_PLAN for run in ordered):
+        raise NoPlanError(ordered[0].reason)
     return Comparison(
-        problem=problem,
-        runs=tuple(run for runs in by_setting for run in runs),
-        rows=tuple(rows),
+        problem=given[0],
+        runs=tuple(ordered),
+        rows=tuple(comparison_rows(ordered)),
         wall_s=perf_counter() - begun,
         resumed=resumed,
+        others=tuple(given[1:]),
     )
+
+
+def compare_horizons(problem: Problem, horizons: Sequence[int], **settings: Any) -> Comparison:
+    """Compare horizons of one problem; settings are those of :func:`compare`."""
+    return compare(problem, horizons, **settings)
+
+
+def exit_code(comparison: Comparison) -> int:
+    """Return 0 if all did what was asked with every step verified, 3 if some step was not, or 4."""
+    return max(run.exit_code for run in comparison.runs)
+
+
+def settings_of(
+    problems: Sequence[AnyProblem],
+    horizons: Sequence[int] | None = None,
+    planners: Sequence[str] | None = None,
+    costs_to_go: Sequence[str] | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
+) -> list[Problem | SystemRun]:
+    """Return every setting that :func:`compare` runs on each seed; errors as there."""
+    variants = _variants(problems, horizons, planners, costs_to_go, sweep)
+    return [asked for variant in variants for asked in variant.asked]
+
+
+def _check_seeds(seeds: Sequence[int]) -> None:
+    if not seeds:
+        raise InputError("there is none, so nothing to compare", key="seeds")
+    if min(seeds) < 0 or len(set(seeds)) < len(seeds):
+        raise InputError(
+            f"{list(seeds)} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
+        )
+
+
+def _variants(
+    problems: Sequence[AnyProblem],
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+    sweep: Mapping[str, Sequence[Any]] | None,
+) -> list[_Variant]:
+    """Every problem under every combination of the swept values, with its checked settings."""
+    swept = dict(sweep or {})
+    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
+    for key, values in {"problems": problems, **own, **swept}.items():
+        if values is not None and len(values) == 0:
+            raise InputError("there is none, so nothing to compare", key=key)
+    for key, option in OWN_OPTIONS.items():
+        if key in swept and own[option] is not None:
+            raise InputError(f"is swept, and given as {option}", key=key, remedy="give it once")
+    names = [problem.name for problem in problems]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"several are called {name}", key="problems", remedy="give each a name of its own"
+            )
+    variants: list[_Variant] = []
+    for problem, values in product(problems, product(*swept.values())):
+        changes = dict(zip(swept, values, strict=True))
+        changed = with_changes(problem, changes)
+        asked = (
+            _system_runs(changed, horizons, planners, costs_to_go)
+            if isinstance(changed, SystemProblem)
+            else _motion_runs(changed, horizons, planners, costs_to_go, swept)
+        )
+        variants.append(_Variant(changed, changes, tuple(asked)))
+    return variants
+
+
+def _motion_runs(
+    problem: Problem,
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+    swept: Mapping[str, Sequence[Any]],
+) -> list[Problem]:
+    costs: Sequence[str | None] = costs_to_go or (None,)
+    if costs_to_go is None and "objective.cost_to_go" not in swept:
+        costs = default_costs_to_go(problem)
+    return [
+        with_overrides(problem, horizon=n, planner=p, cost_to_go=c)
+        for c in costs
+        for p in planners or (None,)
+        for n in horizons or (None,)
+    ]
 
 
 def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
@@ -125,56 +260,87 @@ def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
     return ("geodesic", "connected") if problem.task == "reach" else (None,)
 
 
-def _check(
-    horizons: Sequence[int],
-    planners: Sequence[str],
-    costs_to_go: Sequence[str | None],
-    seeds: Sequence[int],
-) -> None:
-    """Raise an InputError that names the argument at fault."""
-    settings = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
-    for key, values in {**settings, "seeds": seeds}.items():
-        if len(values) == 0:
-            raise InputError("there is none, so nothing to compare", key=key)
-    if min(seeds) < 0 or len(set(seeds)) < len(seeds):
+def _system_runs(
+    problem: SystemProblem,
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+) -> list[SystemRun]:
+    if costs_to_go is not None:
         raise InputError(
-            f"{list(seeds)} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
+            f"is not for the task {problem.task}", key="costs_to_go", remedy="leave it out"
         )
+    if problem.system.settings is None:
+        raise InputError(
+            f"{problem.name} asks for {problem.task}, which has no runs to compare",
+            file=problem.file,
+            key="problem.task",
+        )
+    request = Request(horizons=horizons or (), planners=planners or ())
+    tables = problem.tables()
+    return [
+        SystemRun(problem.name, tables, horizon, planner)
+        for horizon, planner in problem.system.settings(problem, request)
+    ]
 
 
-def tabulate(
-    setting: Setting, runs: Sequence[RunSummary], reference: Sequence[RunSummary]
-) -> list[Row]:
+def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
+    """Tabulate runs, which stand setting by setting with the same seeds in the same order.
+
+    Each setting is paired with the first of its problem; where every problem has only one, with
+    that of the first problem.
+    """
+    settings = runs_by_setting(runs)
+    first = {each[0].problem: each for each in reversed(settings)}
+    if len(first) == len(settings):
+        first = dict.fromkeys(first, settings[0])
+    return [row for each in settings for row in tabulate(each, first[each[0].problem])]
+
+
+def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> list[Row]:
     """Rows of one setting, one a metric; `reference` holds the same seeds in the same order."""
     each = [run.step_s for run in runs]
     steps = np.concatenate(each)
-    verified = sum(run.verified_rate * len(times) for run, times in zip(runs, each, strict=True))
+    rates = np.array([run.verified_rate for run in runs])
+    judged = np.isfinite(rates)
+    counts = np.array([sum(run.rungs.values()) for run in runs], dtype=float)
+    released = float(counts[judged].sum())
+    verified = float((rates[judged] * counts[judged]).sum())
+    rate = verified / released if released else 1.0
     rows: list[Row] = []
-    for metric in runs[0].metrics:
+    for metric in dict.fromkeys(name for run in runs for name in run.metrics):
         values, others = _values(runs, metric), _values(reference, metric)
         there = values[np.isfinite(values)]
         low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
         differences = (values - others)[np.isfinite(values) & np.isfinite(others)]
         difference_low, difference_high = mean_interval(differences)
+        ratios = log_ratios(values, others)
+        ratio_low, ratio_high = (
+            None if end is None else float(np.exp(end)) for end in mean_interval(ratios)
+        )
         rows.append(
             Row(
-                horizon=setting.horizon,
-                planner=setting.planner,
-                cost_to_go=setting.cost_to_go,
+                horizon=runs[0].horizon,
+                planner=runs[0].planner,
+                cost_to_go=runs[0].cost_to_go,
                 seeds=len(runs),
-                stalled=sum(run.outcome not in ARRIVED for run in runs),
+                stalled=sum(run.exit_code == NOT_DONE for run in runs),
                 metric=metric,
                 mean=float(there.mean()) if there.size else None,
                 ci_low=low,
                 ci_high=high,
                 count=int(there.size),
-                paired_ratio=paired_ratio(values, others),
-                verified_rate=float(verified / steps.size) if steps.size else 1.0,
+                paired_ratio=float(np.exp(ratios.mean())) if ratios.size else None,
+                verified_rate=rate if judged.any() else None,
                 p50_step_s=float(np.median(steps)) if steps.size else 0.0,
                 p95_step_s=float(np.quantile(steps, 0.95)) if steps.size else 0.0,
                 paired_difference=float(differences.mean()) if differences.size else None,
                 difference_low=difference_low,
                 difference_high=difference_high,
+                ratio_low=ratio_low,
+                ratio_high=ratio_high,
+                problem=runs[0].problem,
+                sweep=runs[0].sweep,
             )
         )
     return rows
@@ -197,46 +363,108 @@ def mean_interval(
     return max(mean - half, least), min(mean + half, largest)
 
 
-def paired_ratio(values: NDArray[np.float64], others: NDArray[np.float64]) -> float | None:
-    """Geometric mean of the ratios where both are positive and finite; None if there are none."""
+def log_ratios(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Logarithms of the ratios where both are positive and finite; their mean is paired."""
     both = np.isfinite(values) & np.isfinite(others) & (values > 0.0) & (others > 0.0)
-    if not both.any():
-        return None
-    return float(np.exp(np.log(values[both] / others[both]).mean()))
+    return np.log(values[both] / others[both])
 
 
 def _values(runs: Sequence[RunSummary], metric: str) -> NDArray[np.float64]:
-    return np.array([run.metrics[metric] for run in runs], dtype=float)
+    return np.array([run.metrics.get(metric, np.nan) for run in runs], dtype=float)
 
 
-def _apply(problem: Problem, setting: Setting) -> Problem:
-    return with_overrides(
-        problem,
-        horizon=setting.horizon,
-        planner=setting.planner,
-        cost_to_go=setting.cost_to_go,
-    )
-
-
-_Asked = tuple[Problem, int]
+_Asked = tuple[Problem | SystemRun, int]
 """A problem with the settings of a run, and its seed."""
 
-Shared = tuple[Prepared, tuple[Scene, ...] | None]
-"""First belief of a seed, and the scenes where there are goals: the same for all settings."""
+Shared = tuple[Prepared, tuple[Scene, ...] | None] | NoPlanError | None
+"""First belief of a seed, and the scenes where there are goals: the same for all settings.
+
+The error if there provably is no plan, and nothing for systems.
+"""
 
 
 def _shared(asked: _Asked) -> Shared:
     problem, seed = asked
+    if isinstance(problem, SystemRun):
+        return None
     prepared = prepare(problem, seed)
-    return prepared, build_scenes(problem)
+    try:
+        return prepared, build_scenes(problem)
+    except NoPlanError as error:
+        return error
 
 
 def _key(asked: _Asked) -> dict[str, Any]:
-    return run_key(*asked)
+    problem, seed = asked
+    if isinstance(problem, SystemRun):
+        settings = {"horizon": problem.horizon, "planner": problem.planner}
+        return {**run_key(problem.tables, seed), **settings}
+    return run_key(problem, seed)
 
 
 def _drive(asked: _Asked, shared: Shared) -> RunSummary:
     """Drive a closed loop and summarise it."""
     problem, seed = asked
-    prepared, scenes = shared
-    return summary_of(simulate(problem, seed=seed, scenes=scenes, prepared=prepared))
+    if isinstance(problem, SystemRun):
+        return _drive_system(problem, seed)
+    try:
+        if shared is None or isinstance(shared, NoPlanError):
+            raise shared or AssertionError("nothing was prepared")
+        prepared, scenes = shared
+        return summary_of(simulate(problem, seed=seed, scenes=scenes, prepared=prepared))
+    except NoPlanError as error:
+        settings = problem.planner.horizon, problem.planner.name, problem.cost_to_go
+        return _summary(settings, seed, Outcome.NO_PLAN.value, str(error), NOT_DONE)
+
+
+def _drive_system(asked: SystemRun, seed: int) -> RunSummary:
+    problem = system_from_tables(asked.tables, folder=Path.cwd(), file=None)
+    if problem is None:
+        raise AssertionError(f"{asked.name} is no system's")
+    request = Request(seed, (asked.horizon,), (asked.planner,))
+    answer = problem.answer("simulate", request)
+    data = answer.data
+    return replace(
+        _summary(
+            (asked.horizon, asked.planner, None),
+            seed,
+            str(data["outcome"]),
+            str(data.get("reason", data.get("message", ""))),
+            answer.exit_code,
+        ),
+        metrics=_numbers(data["metrics"]),
+        rungs={str(name): int(count) for name, count in data["rungs"].items()},
+        verified_rate=np.nan if data["verified_rate"] is None else float(data["verified_rate"]),
+        step_s=np.asarray(answer.step_s, dtype=float),
+    )
+
+
+def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Metrics of a system as numbers; those of tables are named by both keys."""
+    found: dict[str, float] = {}
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            parts = _numbers(cast("Mapping[str, Any]", value))
+            found |= {f"{name}_{key}": part for key, part in parts.items()}
+        else:
+            found[name] = np.nan if value is None else float(value)
+    return found
+
+
+def _summary(
+    settings: tuple[int, str, str | None], seed: int, outcome: str, reason: str, code: int
+) -> RunSummary:
+    """A run of no step."""
+    return RunSummary(
+        *settings,
+        seed=seed,
+        outcome=outcome,
+        reason=reason,
+        exit_code=code,
+        metrics={},
+        rungs={},
+        verified_rate=np.nan,
+        step_s=np.zeros(0),
+        connectivity=np.zeros(0),
+        connected=np.zeros(0, dtype=np.bool_),
+    )

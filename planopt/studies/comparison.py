@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
 from planopt.planning.run import RunSummary
 from planopt.problems.problem import Problem
+from planopt.problems.systems import SystemProblem
 from planopt.short_repr import short_repr
 
 
@@ -37,12 +40,16 @@ class Row:
         Geometric mean over seeds of this metric divided by that of the reference setting (the
         first), where both exist and are positive; None otherwise.
     verified_rate
-        Share of released steps that were verified, over all runs.
+        Share of released steps that were verified, over all runs; None where nothing is verified.
     p50_step_s, p95_step_s
         Median and 95 % quantile of the planning time of a step, over all runs.
     paired_difference, difference_low, difference_high
         Mean over seeds of this metric less that of the reference setting, where both exist, and
         its 95 % Student interval; None if there is none. Metrics in dB have no ratios.
+    ratio_low, ratio_high
+        95 % Student interval of the paired ratio, over logarithms; None if there is none.
+    problem, sweep
+        Name of the problem, and what was changed of it.
     """
 
     horizon: int
@@ -56,12 +63,16 @@ class Row:
     ci_high: float | None
     count: int
     paired_ratio: float | None
-    verified_rate: float
+    verified_rate: float | None
     p50_step_s: float
     p95_step_s: float
     paired_difference: float | None = None
     difference_low: float | None = None
     difference_high: float | None = None
+    ratio_low: float | None = None
+    ratio_high: float | None = None
+    problem: str = ""
+    sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 @dataclass(frozen=True)
@@ -71,7 +82,7 @@ class Comparison:
     Attributes
     ----------
     problem
-        As given; horizon, planner and cost to go are those of each run.
+        The (first) problem as given; what was changed is with each run.
     runs
         In the order setting by setting, seed by seed; of a sum of terms, all robots together.
     rows
@@ -80,15 +91,52 @@ class Comparison:
         Time it took.
     resumed
         How many of the runs were finished by an earlier comparison.
+    others
+        Further problems.
     """
 
-    problem: Problem
+    problem: Problem | SystemProblem
     runs: tuple[RunSummary, ...]
     rows: tuple[Row, ...]
     wall_s: float
     resumed: int = 0
+    others: tuple[Problem | SystemProblem, ...] = ()
 
     __repr__ = short_repr
+
+    def save(self, folder: Path | str, *, parquet: bool = False) -> None:
+        """Save the comparison as a folder that :func:`planopt.load_result` reads.
+
+        Parameters
+        ----------
+        folder
+            Made if it is missing; a comparison that it had is replaced.
+        parquet
+            Whether the runs are saved as ``runs.parquet`` as well, which needs pyarrow.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written; what it had is still there.
+        InputError
+            A problem has parts from Python, which no file can hold, or pyarrow is missing.
+        """
+        from planopt.studies.comparison_files import save_comparison
+
+        save_comparison(self, Path(folder), parquet=parquet)
+
+    def to_dataframe(self) -> Any:
+        """Return the runs as a pandas DataFrame: a row a run, a column a setting and metric.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        from planopt.planning.files.steps_file import require_pandas
+        from planopt.studies.comparison_files import run_columns
+
+        return require_pandas().DataFrame(run_columns(self))
 
     @property
     def reliability(self) -> tuple[ReliabilityBin, ...]:
@@ -110,8 +158,18 @@ def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
 
 
 def runs_by_setting(runs: Sequence[RunSummary]) -> list[list[RunSummary]]:
-    """Divide runs by horizon, planner and cost to go, in the order in which these occur."""
-    found: dict[tuple[int, str, str | None], list[RunSummary]] = {}
+    """Divide runs by their settings, in the order in which these occur."""
+    found: dict[Hashable, list[RunSummary]] = {}
     for run in runs:
-        found.setdefault((run.horizon, run.planner, run.cost_to_go), []).append(run)
+        found.setdefault(setting_of(run), []).append(run)
     return list(found.values())
+
+
+def setting_of(one: RunSummary | Row) -> tuple[str, str, str | None, str, int]:
+    """Return what tells settings apart: problem, sweep, cost to go, planner and horizon."""
+    return one.problem, sweep_words(one), one.cost_to_go, one.planner, one.horizon
+
+
+def sweep_words(one: RunSummary | Row, left_out: str | None = None) -> str:
+    """Return the changed keys of a setting with their values, in words."""
+    return ", ".join(f"{key} = {value}" for key, value in one.sweep.items() if key != left_out)

@@ -76,13 +76,13 @@ class FinishedRuns:
         return self.folder / f"{_digest(strict_text(key).encode())[:32]}.json"
 
 
-def run_key(problem: Problem, seed: int) -> dict[str, Any]:
+def run_key(problem: Problem | Mapping[str, Any], seed: int) -> dict[str, Any]:
     """Return all that decides a run: problem, seed and program.
 
     Parameters
     ----------
     problem
-        With the settings of the run.
+        With the settings of the run; or its tables.
     seed
         Of everything drawn.
 
@@ -91,9 +91,18 @@ def run_key(problem: Problem, seed: int) -> dict[str, Any]:
     InputError
         A file that the problem names cannot be read, or the problem has parts from Python.
     """
-    tables = problem_to_dict(problem)
-    del tables["report"]
-    return {"problem": _with_contents(tables), "seed": seed, "program": dict(program())}
+    tables = problem_to_dict(problem) if isinstance(problem, Problem) else problem
+    return {"problem": _deciding(tables), "seed": seed, "program": dict(program())}
+
+
+def digest_of_tables(tables: Mapping[str, Any]) -> str:
+    """Return a digest of all that decides what a problem is, the content of its files included."""
+    return _digest(strict_text(_deciding(tables)).encode())
+
+
+def _deciding(tables: Mapping[str, Any]) -> Any:
+    """The tables of a problem without those of its pictures, and with the content of its files."""
+    return _with_contents({key: table for key, table in tables.items() if key != "report"})
 
 
 def _with_contents(value: Any, name: str = "") -> Any:

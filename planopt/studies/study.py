@@ -5,14 +5,22 @@ A study that was stopped, however that was, goes on when it is run again with th
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Generic, TypeVar, cast
 
-from joblib import Parallel, delayed  # pyright: ignore[reportUnknownVariableType]
+from joblib import (
+    Parallel,
+    delayed,  # pyright: ignore[reportUnknownVariableType]
+    parallel_config,
+)
 
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term, outside_terms, register
@@ -23,9 +31,6 @@ from planopt.problems.planner_kinds import (
 )
 from planopt.problems.rule_kinds import register_rule, registered_rules
 from planopt.studies.finished_runs import FinishedRuns
-
-BACKENDS = ("loky",)
-"""What joblib may run tasks on."""
 
 CHECK_EVERY_S = 1.0
 """How often a worker looks for its parent."""
@@ -86,28 +91,114 @@ def run_study(
     workers
         Processes. Results do not depend on their number, but for measured times.
     backend
-        joblib backend; ``loky`` is this machine.
+        One of `BACKENDS`. Dask and Ray run on this machine, or on the cluster that the variable
+        ``DASK_SCHEDULER_ADDRESS`` or ``RAY_ADDRESS`` of the environment names; there the cluster
+        decides how many processes there are.
     record
-        Where every result is kept as soon as it is there, and taken from if it is kept already.
+        Where every result is kept as soon as it is there, and taken from if it is kept already. On
+        other machines it should be in a shared folder: else only groups that are finished are kept.
 
     Raises
     ------
     InputError
-        There is no worker or no such backend.
+        There is no worker or no such backend, or its package is not installed.
     OutputError
         The record cannot be written.
     """
     if workers < 1:
         raise InputError(f"{workers} is less than 1", key="workers")
-    if backend not in BACKENDS:
-        raise InputError(
-            f"{backend!r} is not there", key="backend", remedy=f"use {', '.join(BACKENDS)}"
-        )
-    parallel = Parallel(n_jobs=workers, backend=backend, return_as="generator")
-    task = cast("Callable[..., object]", delayed(_group_results))
+    require_backend(backend)
     outside = registered_planners(), outside_terms(), registered_rules()
-    jobs = [task(study, group, record, *outside, os.getpid()) for group in groups]
-    return iter(cast("Iterable[list[Finished[Result]]]", parallel(jobs)))
+    jobs = [(study, group, record, *outside, os.getpid()) for group in groups]
+    results = BACKENDS[backend](_group_results, jobs, workers)
+    if backend == "loky" or record is None:
+        return results
+    return _kept(study, groups, record, results)
+
+
+def _kept(
+    study: Study[Item, Shared, Result],
+    groups: Sequence[Sequence[Item]],
+    record: FinishedRuns,
+    results: Iterator[list[Finished[Result]]],
+) -> Iterator[list[Finished[Result]]]:
+    """Keep results that came from machines with other folders."""
+    for group, found in zip(groups, results, strict=True):
+        for item, one in zip(group, found, strict=True):
+            key = study.key(item)
+            if record.find(key, study.kind) is None:
+                record.keep(key, one.result)
+        yield found
+
+
+def _on_joblib(
+    work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
+) -> Iterator[Any]:
+    """Yield results in order, from processes of joblib's current backend."""
+    parallel = Parallel(n_jobs=workers, return_as="generator")
+    task = cast("Callable[..., object]", delayed(work))
+    return iter(cast("Any", parallel([task(*job) for job in jobs])))
+
+
+def _on_loky(
+    work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
+) -> Iterator[Any]:
+    with parallel_config(backend="loky"):
+        return _on_joblib(work, jobs, workers)
+
+
+def _on_dask(
+    work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
+) -> Generator[Any]:
+    dask, distributed = (cast("Any", import_module(name)) for name in ("dask", "distributed"))
+    local = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
+    if dask.config.get("scheduler-address", None) is not None:
+        local = {}
+    with (
+        distributed.Client(**local, **({"silence_logs": logging.ERROR} if local else {})),
+        parallel_config(backend="dask"),
+    ):
+        yield from _on_joblib(work, jobs, workers)
+
+
+def _on_ray(
+    work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
+) -> Generator[Any]:
+    """Ray's own tasks: its backend of joblib gives no result before the last one."""
+    # Nothing is sent to anybody unless the user asks for it.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    ray = cast("Any", import_module("ray"))
+    local = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
+    running = ray.is_initialized()
+    quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+    with nullcontext() if running else ray.init(**local, **quiet):
+        task = ray.remote(num_cpus=1)(work)
+        for result in [task.remote(*job) for job in jobs]:
+            try:
+                yield ray.get(result)
+            except ray.exceptions.RayTaskError as error:
+                raise error.cause from None
+
+
+BACKENDS: Mapping[str, Callable[..., Iterator[Any]]] = {
+    "loky": _on_loky,
+    "dask": _on_dask,
+    "ray": _on_ray,
+}
+"""Where groups are done, by name: this machine, or a cluster of the package of that name."""
+
+PACKAGES = {"dask": "distributed", "ray": "ray"}
+"""What a backend needs beside joblib."""
+
+
+def require_backend(backend: str, key: str = "backend") -> None:
+    """Raise an InputError if there is no such backend, or what it needs is not installed."""
+    if backend not in BACKENDS:
+        raise InputError(f"{backend!r} is not there", key=key, remedy=f"use {', '.join(BACKENDS)}")
+    if find_spec(PACKAGES.get(backend, "joblib")) is None:
+        raise InputError(
+            f"{backend} is not installed", key=key, remedy=f"pip install 'planopt[{backend}]'"
+        )
 
 
 def _group_results(

@@ -148,22 +148,36 @@ def test_random_steps_are_full_and_uniform():
     np.testing.assert_array_equal(again.positions_m[1] - again.positions_m[0], steps[0])
 
 
-def test_persistent_walk_keeps_its_direction():
-    """Within a plan and from one plan to the next; a new one after standing still."""
+def test_persistent_walk_turns_little():
+    """Within a plan and from one plan to the next; a new direction after standing still."""
     problem, situation, judge, ground = scene(LEARNING, horizon=4)
     situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
-    planner = RandomPlanner(problem, ground, np.random.default_rng(5), persistent=True)
-    for seed in range(20):
-        planner = RandomPlanner(problem, ground, np.random.default_rng(seed), persistent=True)
+    turns = []
+    for seed in range(40):
+        planner = RandomPlanner(problem, ground, np.random.default_rng(seed), "persistent")
         plan = planner.plan(situation, judge)
         steps = np.diff(plan.positions_m, axis=0)
-        if np.ptp(steps, axis=0).max() < 1e-9 and plan.positions_m[:, 0].min() > 4.0:
-            break
-    later, judge = moved(situation, judge, plan.positions_m[1])
-    following = planner.plan(later, judge, plan)
-    np.testing.assert_allclose(np.diff(following.positions_m, axis=0)[0], steps[0], atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 2.0, atol=1e-5)
+        later, beside = moved(situation, judge, plan.positions_m[1])
+        following = np.diff(planner.plan(later, beside, plan).positions_m, axis=0)
+        for one, other in ((steps[1], steps[2]), (steps[0], following[0])):
+            turns.append(np.arctan2(np.cross(np.r_[one, 0], np.r_[other, 0])[2], one @ other))
+    # Some meet the bounds and turn round; the middle half of the others is that of the law.
+    assert np.quantile(np.abs(turns), 0.5) == pytest.approx(0.6745 * 0.4, rel=0.4)
     stood = replace(plan, positions_m=np.tile(plan.positions_m[0], (5, 1)))
-    assert planner.plan(later, judge, stood).verdict is Verdict.VERIFIED
+    assert planner.plan(later, beside, stood).verdict is Verdict.VERIFIED
+
+
+def test_disk_walk_is_uniform_over_the_disc():
+    """A quarter of the steps is shorter than half of the longest; none is longer."""
+    problem, situation, judge, ground = scene(LEARNING, horizon=1)
+    situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
+    planner = RandomPlanner(problem, ground, np.random.default_rng(3), "disk")
+    steps = [np.diff(planner.plan(situation, judge).positions_m, axis=0)[0] for _ in range(160)]
+    lengths = np.linalg.norm(steps, axis=1)
+    assert lengths.max() <= 2.0
+    # Four standard deviations of 160 draws.
+    assert abs((lengths < 1.0).sum() - 40) < 4.0 * np.sqrt(160 * 0.25 * 0.75)
 
 
 def test_lawnmower_comes_near_every_free_place():

@@ -79,5 +79,7 @@ def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) ->
             anmse_db=-20.0 - np.arange(count),
             theta_variance_db=-5.0 - np.arange(count),
             log_det_m=2.0 - 0.5 * np.arange(count),
+            rms_without_multipath_db=3.0 - 0.1 * np.arange(count),
+            path_loss_variance_db2=2.0 - 0.2 * np.arange(count),
         ),
     )

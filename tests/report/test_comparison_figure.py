@@ -8,7 +8,7 @@ from artists import drawn, labels_of, legend_of, panel_of
 
 from planopt.report.comparison_figure import draw_comparison, looks_of
 
-GEODESIC, CONNECTED = ("geodesic", "auto"), ("connected", "lattice")
+GEODESIC, CONNECTED = ("", "geodesic", "auto"), ("", "connected", "lattice")
 
 
 def test_units_and_settings(comparison):

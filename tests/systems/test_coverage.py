@@ -295,7 +295,8 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
         capsys, "compare", file, "--planners", "law,receding", "--horizons", "1,3", "--seeds", "2",
         "--out", out,
     )  # fmt: skip
-    assert code == 4 and found["faults"] == 0
+    assert code == 4
+    assert {row["verified_rate"] for row in found["rows"]} == {1.0}
     rows = [row for row in found["rows"] if row["metric"] == "cost_mean"]
     assert [(row["planner"], row["horizon"]) for row in rows] == [
         ("law", 1),
@@ -305,6 +306,7 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
     assert [row["paired_ratio"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
     one = planopt.load_system(file).simulate(seed=1).data["metrics"]
     mine = next(each for each in found["runs"] if each["seed"] == 1 and each["planner"] == "law")
+    mine = mine["metrics"]
     assert mine["cost_mean"] == pytest.approx(one["cost_mean"])
     assert mine["path_m"] == pytest.approx(one["path_m"])
 
@@ -326,3 +328,23 @@ def test_radio_is_kept_where_the_law_loses_it():
             np.random.default_rng(0)
         )
     assert caught.value.key == "agents.start"
+
+
+def test_solve_and_check(written, tmp_path, capsys):
+    """The deployment is no worse than Lloyd's, above its bound, and judged from its file."""
+    out = tmp_path / "out"
+    code, found = run(capsys, "solve", written(), "--seed", 2, "--out", out)
+    assert code == 0 and found["verdict"] == "verified" and found["sense"] == "min"
+    assert 0.0 < found["bound"] < found["objective"] <= min(found["start_costs"]) * (1 + 1e-9)
+    alone = planopt.load_system(written(("appears_s = 8\n", "appears_s = 500\n"),
+                                        ("ends_s = 40", "ends_s = 600")))  # fmt: skip
+    assert found["objective"] <= alone.simulate(seed=2).data["metrics"]["cost_last"] * 1.001
+    assert run(capsys, "check", out)[0] == 0
+    data = json.loads((out / "plan.json").read_text())
+    for key, value in (("objective", 1.0), ("bound", 0.0), ("verdict", "violated")):
+        (out / "plan.json").write_text(json.dumps({**data, key: value}))
+        code, judged = run(capsys, "check", out)
+        assert code == 3 and key in " ".join(judged["reasons"])
+    data["robots"][3]["x_m"] = [45.0]
+    (out / "plan.json").write_text(json.dumps(data))
+    assert "where none may be" in " ".join(run(capsys, "check", out)[1]["reasons"])

@@ -268,23 +268,25 @@ def test_compare(written, tmp_path, capsys):
         "--out",
         tmp_path / "out",
     )
-    assert code == 0 and found["faults"] == 0
-    assert [(row["planner"], row["horizon"]) for row in found["rows"]] == [
+    assert code == 0
+    rows = [row for row in found["rows"] if row["metric"] == "capture_time_s"]
+    assert [(row["planner"], row["horizon"]) for row in rows] == [
         ("drive", 1),
         ("receding", 1),
         ("receding", 5),
     ]
-    assert found["rows"][0]["paired_ratio"] == 1.0
+    assert rows[0]["paired_ratio"] == 1.0 and rows[0]["p50_step_s"] > 0.0
+    assert len((tmp_path / "out" / "runs.jsonl").read_text().splitlines()) == 9
     times = {
-        (each["planner"], each["horizon"], each["seed"]): each["capture_time_s"]
+        (each["planner"], each["horizon"], each["seed"]): each["metrics"]["capture_time_s"]
         for each in found["runs"]
     }
     for planner, horizon in (("drive", 1), ("receding", 5)):
         again = planopt.load_system(file).simulate(planner=planner, horizon=horizon, seed=8).data
         assert times[planner, horizon, 8] == again["capture_time_s"]
     logs = [np.log(times["receding", 5, seed] / times["drive", 1, seed]) for seed in (7, 8, 9)]
-    assert found["rows"][2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
-    for words in (("--planners", "nlp"), ("--workers", "2"), ("--costs-to-go", "geodesic")):
+    assert rows[2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
+    for words in (("--planners", "nlp"), ("--costs-to-go", "geodesic"), ("--calibration", "platt")):
         assert run(capsys, "compare", file, "--horizons", "1", *words)[0] == 2
     with pytest.raises(InputError, match="horizon"):
         planopt.load_system(file).simulate(planner="receding", horizon=0)

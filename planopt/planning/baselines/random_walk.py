@@ -1,12 +1,13 @@
-"""Baseline of [GM11]: full steps in random directions, drawn anew or kept until blocked.
+"""Baselines of [GM11]: random walks of three kinds.
 
-Directions are drawn uniformly, and those that are not free drawn again.
+Steps that are not free are drawn again.
 """
 
 from __future__ import annotations
 
 import math
 from time import perf_counter
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,14 @@ from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
 DRAWS = 64
-"""Directions drawn for a step; the robot stands still where none is free."""
+"""Steps drawn for one; the robot stands still where none is free."""
+
+TURN_STD_RAD = 0.4
+"""Standard deviation of the turn from one step of a persistent walk to the next."""
+
+Walk = Literal["full", "disk", "persistent"]
+"""Full steps in uniform directions, uniform over the disc of one step, or full steps that turn
+little."""
 
 
 class RandomPlanner:
@@ -35,8 +43,8 @@ class RandomPlanner:
         Its geometry.
     generator
         Draws the directions.
-    persistent
-        Keep the direction while it is free.
+    walk
+        Its kind.
     """
 
     def __init__(
@@ -44,10 +52,10 @@ class RandomPlanner:
         problem: Problem,
         ground: Ground,
         generator: np.random.Generator,
-        persistent: bool = False,
+        walk: Walk = "full",
     ) -> None:
         self._problem, self._ground = problem, ground
-        self._generator, self._persistent = generator, persistent
+        self._generator, self._walk = generator, walk
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is.
@@ -57,17 +65,14 @@ class RandomPlanner:
         situation, judge
             As of the horizon planner.
         warm
-            The plan that led here, whose direction is kept where directions persist.
+            The plan that led here, from whose direction a persistent walk turns.
         """
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
         heading = None if warm is None else _heading(warm.positions_m[1] - warm.positions_m[0])
         here = situation.position_m
         for _ in range(self._problem.planner.horizon):
-            drawn = self._generator.uniform(-math.pi, math.pi, DRAWS)
-            if self._persistent and heading is not None:
-                drawn[0] = heading
-            offsets = np.column_stack([np.cos(drawn), np.sin(drawn)])
+            offsets = self._offsets(heading)
             ends = here + (self._problem.step_length_m - STEP_PAD_M) * offsets
             free = free_ends(self._problem, self._ground, here, ends)
             begins = np.broadcast_to(here, ends.shape)
@@ -75,9 +80,21 @@ class RandomPlanner:
             if not free.any():
                 break
             first = int(free.argmax())
-            heading, here = float(drawn[first]), ends[first]
+            heading, here = _heading(offsets[first]), ends[first]
             path.append(here)
         return released(judge, held(situation, path), begun)
+
+    def _offsets(self, heading: float | None) -> NDArray[np.float64]:
+        """Draw steps (`DRAWS`, 2) in units of the longest, after one in a direction or none."""
+        drawn = self._generator.uniform(-math.pi, math.pi, DRAWS)
+        lengths = np.ones(DRAWS)
+        if self._walk == "disk":
+            lengths = np.sqrt(self._generator.uniform(0.0, 1.0, DRAWS))
+        elif self._walk == "persistent" and heading is not None:
+            # The others are for where all of these are blocked.
+            turns = self._generator.normal(0.0, TURN_STD_RAD, DRAWS // 2)
+            drawn[: DRAWS // 2] = heading + turns
+        return lengths[:, None] * np.column_stack([np.cos(drawn), np.sin(drawn)])
 
 
 def _heading(step_m: NDArray[np.float64]) -> float | None:

@@ -36,6 +36,8 @@ PREDICTED_NAMES = frozenset(
         "predicted_min_connectivity",
         "relaxation_db",
         "rms_db",
+        "rms_without_multipath_db",
+        "path_loss_variance_db2",
         "slack_db",
         "trace_m_db",
     )

@@ -34,7 +34,7 @@ from planopt.planning.files.run_json import (
     released_plans_json,
     run_json,
 )
-from planopt.planning.files.run_tables import KNOWLEDGE_FILE, run_tables
+from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, run_tables
 from planopt.planning.files.saved import FORMAT, RUN_FILE
 from planopt.planning.files.solution_json import aim_again
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
@@ -49,12 +49,12 @@ from planopt.planning.loop.robot_run import robot_run
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.loop.true_serving import true_serving_dbm
-from planopt.planning.plan import Plan
+from planopt.planning.plan import Plan, Rung
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.roads import build_roads
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.run import Run
-from planopt.planning.team.reservations import beside, has_separation, others_of
+from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
@@ -229,7 +229,7 @@ def _channel(
     if truths:
         return channel_log([channel_row(p, truths, place.region.grid_m) for p in posteriors])
     table = saved.tables[KNOWLEDGE_FILE]
-    return ChannelLog(table["rms_db"], table["anmse_db"], table["trace_m_db"], table["log_det_m"])
+    return ChannelLog(*(table[name] for name in KNOWLEDGE_COLUMNS[1:]))
 
 
 def _costs(
@@ -300,8 +300,8 @@ def _driven(
         known = posteriors[-1] = posteriors_at(belief, posteriors[-1], step)
         released = released_by[number][step - 1]
         proofs = [plan.certificate for plan in plans]
-        waits = has_separation(saved.problem)
-        history = history_of(own, track[:step], connected[: step - 1], proofs, waits=waits)
+        yielded = [plan.rung is Rung.GIVE_WAY for plan in plans]
+        history = history_of(own, track[:step], connected[: step - 1], proofs, gave_way=yielded)
         others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
         aim = aim_again(said.aim, aim_of(watches[step - 1], number, own.planner.horizon))

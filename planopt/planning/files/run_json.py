@@ -109,7 +109,7 @@ def summary_json(summary: RunSummary) -> dict[str, Any]:
         "planner": summary.planner,
         "cost_to_go": summary.cost_to_go,
         "seed": summary.seed,
-        "outcome": summary.outcome.value,
+        "outcome": summary.outcome,
         "message": summary.reason,
         "metrics": {name: finite(value) for name, value in summary.metrics.items()},
         "rungs": summary.rungs,

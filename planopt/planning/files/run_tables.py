@@ -22,7 +22,10 @@ from planopt.problems.problem import Problem
 
 TARGET_FILE, KNOWLEDGE_FILE = "target.csv", "knowledge.csv"
 
-KNOWLEDGE_COLUMNS = ("t_s", "rms_db", "anmse_db", "trace_m_db", "log_det_m")
+KNOWLEDGE_COLUMNS = (
+    *("t_s", "rms_db", "anmse_db", "trace_m_db", "log_det_m"),
+    *("rms_without_multipath_db", "path_loss_variance_db2"),
+)
 
 NumberTable = Mapping[str, NDArray[np.float64]]
 """Columns of equal length by name, NaN where there is no number."""
@@ -88,6 +91,8 @@ def knowledge_table(problem: Problem, channel: ChannelLog) -> NumberTable:
         channel.anmse_db,
         channel.theta_variance_db,
         channel.log_det_m,
+        channel.rms_without_multipath_db,
+        channel.path_loss_variance_db2,
     )
     return dict(zip(KNOWLEDGE_COLUMNS, columns, strict=True))
 

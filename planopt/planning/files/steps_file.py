@@ -158,6 +158,14 @@ def steps_text(steps: Steps) -> str:
     return text.getvalue()
 
 
+def require_pandas() -> Any:
+    """Return the module pandas, or raise an InputError that says what to install."""
+    try:
+        return import_module("pandas")
+    except ImportError:
+        raise InputError("pandas is not installed", remedy="pip install pandas") from None
+
+
 def steps_dataframe(steps: Steps) -> Any:
     """Return the table as a pandas DataFrame; `connected` is a nullable boolean.
 
@@ -166,10 +174,7 @@ def steps_dataframe(steps: Steps) -> Any:
     InputError
         pandas is not installed.
     """
-    try:
-        pandas = import_module("pandas")
-    except ImportError:
-        raise InputError("pandas is not installed", remedy="pip install pandas") from None
+    pandas = require_pandas()
     connected = [{"1": True, "0": False}.get(cell) for cell in steps.labels["connected"]]
     columns = {
         "robot": steps.robots,

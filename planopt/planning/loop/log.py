@@ -172,11 +172,18 @@ class ChannelLog:
         ``(steps + 1,)`` trace of M over |theta|^2, in dB (Fig. 2 of [GM11]).
     log_det_m
         ``(steps + 1,)`` log det M, nats: what the criterion D lowers, whatever the units of theta.
+    rms_without_multipath_db
+        ``(steps + 1,)`` as `rms_db`, the error against path loss and shadowing alone.
+    path_loss_variance_db2
+        ``(steps + 1,)`` variance of the predicted path loss, gamma^T M gamma, its mean over the
+        workspace.
     """
 
     rms_db: NDArray[np.float64]
     anmse_db: NDArray[np.float64]
     theta_variance_db: NDArray[np.float64]
     log_det_m: NDArray[np.float64]
+    rms_without_multipath_db: NDArray[np.float64]
+    path_loss_variance_db2: NDArray[np.float64]
 
     __repr__ = short_repr

@@ -36,6 +36,8 @@ POSSIBLE = {
     "final_trace_p": (0.0, np.inf),
     "delivered": (0.0, 1.0),
     "rms_db": (0.0, np.inf),
+    "rms_without_multipath_db": (0.0, np.inf),
+    "path_loss_variance_db2": (0.0, np.inf),
     "measured_steps": (0.0, np.inf),
     "stated_times_connected": (0.0, 1.0),
     "least_connected_share": (0.0, 1.0),
@@ -108,6 +110,8 @@ def run_metrics(
         found["anmse_db"] = float(channel.anmse_db[-1])
         found["trace_m_db"] = float(channel.theta_variance_db[-1])
         found["log_det_m"] = float(channel.log_det_m[-1])
+        found["rms_without_multipath_db"] = float(channel.rms_without_multipath_db[-1])
+        found["path_loss_variance_db2"] = float(channel.path_loss_variance_db2[-1])
     found["path_m"] = float(sum(m.path_m for m in each))
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))

@@ -1,4 +1,4 @@
-"""Simulate, compare, print and draw pursuits."""
+"""Simulate, print and draw pursuits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from planopt.systems.pursuit.results import (
     run_json,
     save_tables,
 )
-from planopt.systems.pursuit.study import compare
 from planopt.systems.pursuit.tables import PursuitFile, PursuitProblem, build
 
 PICTURE, ANIMATION = "run.png", "run.gif"
@@ -63,7 +62,13 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
         draw=(lambda folder: _draw(problem.name, driven, folder))
         if content.given.report.figures
         else None,
+        step_s=tuple(np.diff(ends_s).tolist()),
     )
+
+
+def settings(problem: SystemProblem, request: Request) -> list[tuple[int, str]]:
+    """Return horizon and planner of each setting that is asked for."""
+    return [(each.horizon, each.name) for each in planners(problem.content, request)]
 
 
 def _step_s(ends_s: list[float]) -> dict[str, float] | None:
@@ -124,8 +129,8 @@ SYSTEM = System(
     build=build,
     tables=tables,
     words=words,
-    files=(RECORDS_FILE, PICTURE, ANIMATION, "comparison.png"),
+    files=(RECORDS_FILE, PICTURE, ANIMATION),
     check=check,
     simulate=simulate,
-    compare=compare,
+    settings=settings,
 )

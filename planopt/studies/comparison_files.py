@@ -1,0 +1,302 @@
+"""A comparison as a folder: table, manifest and runs as JSON, JSON lines and Parquet, and back."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from planopt.errors import InputError, NoPlanError
+from planopt.files.regular import read_text
+from planopt.files.result_folder import ResultFiles, replaced_results
+from planopt.files.typed_json import decoded, encoded
+from planopt.files.whole import strict_text, write_text, write_whole
+from planopt.planning.check.load_result import load_result as load_plan_or_run
+from planopt.planning.files.record import finite
+from planopt.planning.files.run_json import reliability_json, summary_json
+from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
+from planopt.planning.run import Run, RunSummary
+from planopt.planning.solution import Solution
+from planopt.problems.problem import Problem
+from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.problems.systems import SystemProblem, system_from_tables
+from planopt.studies.compare import comparison_rows
+from planopt.studies.comparison import Comparison, runs_by_setting, runs_reliability
+from planopt.studies.finished_runs import digest_of_tables, program
+
+if TYPE_CHECKING:
+    from planopt.studies.comparison import Row
+
+COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE = "comparison.json", "manifest.json", "runs.jsonl"
+PARQUET_FILE = "runs.parquet"
+
+COMPARISON = ResultFiles(
+    "comparison",
+    (
+        *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
+        *("comparison.png", "reliability.png"),
+    ),
+)
+"""The files of a comparison with its pictures."""
+
+REMEDY = "run the comparison again"
+
+
+def save_comparison(
+    comparison: Comparison, folder: Path, *, parquet: bool = False, pictures_follow: bool = False
+) -> None:
+    """Save a comparison; :func:`load_result` reads it.
+
+    Parameters
+    ----------
+    comparison
+        What is saved.
+    folder
+        Made if it is missing; a comparison that it had is replaced.
+    parquet
+        Whether the runs are saved as Parquet as well.
+    pictures_follow
+        Whether pictures will be added.
+
+    Raises
+    ------
+    InputError
+        pyarrow is missing, or a problem has parts from Python, which no file can hold.
+    OutputError
+        The folder cannot be written; what it had is still there.
+    """
+    if parquet:
+        require_pyarrow()
+    tables = [_tables(problem) for problem in (comparison.problem, *comparison.others)]
+    data = {**comparison_json(comparison), "problem_file": tables[0], "other_problems": tables[1:]}
+    with replaced_results(folder, COMPARISON, pictures_follow=pictures_follow) as new:
+        write_text(new / RUNS_FILE, "".join(_run_line(run) for run in comparison.runs))
+        write_text(new / MANIFEST_FILE, strict_text(manifest(comparison, tables)))
+        if parquet:
+            write_whole(new / PARQUET_FILE, lambda path: _write_parquet(comparison, path))
+        write_text(new / COMPARISON_FILE, strict_text(data))
+
+
+def save_no_comparison(problem: Problem | SystemProblem, message: str, folder: Path) -> None:
+    """Save that there is no plan, in place of what there was."""
+    data = {**no_comparison_json(problem.name, message), "problem_file": _tables(problem)}
+    with replaced_results(folder, COMPARISON) as new:
+        write_text(new / COMPARISON_FILE, strict_text(data))
+
+
+def load_result(path: Path | str) -> Solution | Run | Comparison:
+    """Read a plan, run or comparison that a command or a result's ``save`` has saved.
+
+    Predictions, certificates, metrics and tables are computed again from what is saved. Whether the
+    files of a plan or run say the same is for :func:`planopt.check` to judge.
+
+    Parameters
+    ----------
+    path
+        The folder, or its ``plan.json``, ``run.json`` or ``comparison.json``.
+
+    Returns
+    -------
+    Solution | Run | Comparison
+        As what the folder holds. Files have no constraint multipliers, and of the plans of a run
+        neither wall times nor iterations: these are empty or zero.
+
+    Raises
+    ------
+    InputError
+        A file is missing, damaged, or contradicts the others.
+    NoPlanError
+        The folder says that there is no plan.
+
+    Examples
+    --------
+    >>> import planopt, tempfile
+    >>> solution = planopt.solve(planopt.load("open_field"), horizon=2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     solution.save(folder)
+    ...     planopt.load_result(folder).plan.objective == solution.plan.objective
+    True
+    """
+    given = Path(path)
+    folder = given.parent if given.name == COMPARISON_FILE else given
+    others = (folder / name for name in (PLAN_FILE, RUN_FILE))
+    named = given.name == COMPARISON_FILE
+    if named or ((folder / COMPARISON_FILE).is_file() and not any(map(Path.is_file, others))):
+        return _load_comparison(folder)
+    return load_plan_or_run(given)
+
+
+def _load_comparison(folder: Path) -> Comparison:
+    file = folder / COMPARISON_FILE
+    try:
+        data = json.loads(read_text(file))
+        if data["outcome"] == "no_plan":
+            raise NoPlanError(str(data["message"]))
+        problems = [
+            _problem(each, file) for each in (data["problem_file"], *data["other_problems"])
+        ]
+        wall_s, resumed = float(data["wall_s"]), int(data["resumed"])
+        file = folder / RUNS_FILE
+        runs = tuple(_run(line) for line in read_text(file).splitlines())
+        if not runs:
+            raise InputError("has no run", file=file, remedy=REMEDY)
+        rows = tuple(comparison_rows(runs))
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+        raise InputError(f"cannot be read: {error!r}", file=file, remedy=REMEDY) from None
+    return Comparison(problems[0], runs, rows, wall_s, resumed, tuple(problems[1:]))
+
+
+def _tables(problem: Problem | SystemProblem) -> dict[str, Any]:
+    return problem_to_dict(problem) if isinstance(problem, Problem) else problem.tables()
+
+
+def _problem(tables: Any, file: Path) -> Problem | SystemProblem:
+    found = system_from_tables(tables, folder=file.absolute().parent, file=file)
+    return problem_from_dict(tables, file=file) if found is None else found
+
+
+def _run_line(run: RunSummary) -> str:
+    """A line of JSON: numbers that do not exist are null."""
+    data = encoded(run)
+    data["metrics"] = {name: None if v == "nan" else v for name, v in data["metrics"].items()}
+    data["verified_rate"] = finite(run.verified_rate)
+    return strict_text(data)
+
+
+def _run(line: str) -> RunSummary:
+    data = json.loads(line)
+    data["metrics"] = {name: "nan" if v is None else v for name, v in data["metrics"].items()}
+    if data["verified_rate"] is None:
+        data["verified_rate"] = "nan"
+    return decoded(RunSummary, data)
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """Return the JSON keys of ``compare``."""
+    return {
+        "problem": comparison.problem.name,
+        "outcome": "compared",
+        "rows": [_row_json(row) for row in comparison.rows],
+        "reliability": {
+            "all": reliability_json(comparison.reliability),
+            "settings": [
+                {
+                    "problem": runs[0].problem,
+                    "sweep": runs[0].sweep,
+                    "horizon": runs[0].horizon,
+                    "planner": runs[0].planner,
+                    "cost_to_go": runs[0].cost_to_go,
+                    "bins": reliability_json(runs_reliability(runs)),
+                }
+                for runs in runs_by_setting(comparison.runs)
+            ],
+        },
+        "runs": [
+            {"problem": run.problem, "sweep": run.sweep, **summary_json(run)}
+            for run in comparison.runs
+        ],
+        "wall_s": finite(comparison.wall_s),
+        "resumed": comparison.resumed,
+        "message": "",
+    }
+
+
+def no_comparison_json(name: str, message: str) -> dict[str, Any]:
+    """The same keys where there provably is no plan; `message` says why."""
+    return {
+        "problem": name,
+        "outcome": "no_plan",
+        "rows": [],
+        "reliability": {"all": [], "settings": []},
+        "runs": [],
+        "wall_s": None,
+        "resumed": 0,
+        "message": message,
+    }
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    table = asdict(row)
+    return {name: finite(v) if isinstance(v, float) else v for name, v in table.items()}
+
+
+def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return all that a reader needs to make the same runs: program, machine, seeds, settings."""
+    settings = runs_by_setting(comparison.runs)
+    return {
+        "program": dict(program()),
+        "python": platform.python_version(),
+        "machine": {
+            "cpu": _cpu_name(),
+            "cores": os.cpu_count(),
+            "system": platform.platform(),
+        },
+        "problems": [
+            {"name": each["problem"]["name"], "sha256": digest_of_tables(each)} for each in tables
+        ],
+        "settings": [
+            {
+                "problem": runs[0].problem,
+                "sweep": runs[0].sweep,
+                "horizon": runs[0].horizon,
+                "planner": runs[0].planner,
+                "cost_to_go": runs[0].cost_to_go,
+            }
+            for runs in settings
+        ],
+        "seeds": [run.seed for run in settings[0]],
+        "runs": len(comparison.runs),
+        "wall_s": finite(comparison.wall_s),
+        "resumed": comparison.resumed,
+    }
+
+
+def _cpu_name() -> str:
+    """Name of the processor; where the system does not say, its architecture."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def run_columns(comparison: Comparison) -> dict[str, list[Any]]:
+    """Return the runs as columns: a row for each, with a column for each swept key and metric."""
+    runs = comparison.runs
+    swept = dict.fromkeys(key for run in runs for key in run.sweep)
+    metrics = dict.fromkeys(name for run in runs for name in run.metrics)
+    columns: dict[str, list[Any]] = {"problem": [run.problem for run in runs]}
+    for key in swept:
+        values = [run.sweep[key] for run in runs]
+        kinds = {type(value).__name__ for value in values}
+        plain = len(kinds) == 1 and not kinds & {"list", "dict"}
+        columns[key] = values if plain else [json.dumps(value) for value in values]
+    for name in ("horizon", "planner", "cost_to_go", "seed", "outcome", "reason", "exit_code"):
+        columns[name] = [getattr(run, name) for run in runs]
+    columns["verified_rate"] = [float(run.verified_rate) for run in runs]
+    for name in metrics:
+        columns[name] = [float(run.metrics.get(name, math.nan)) for run in runs]
+    columns["steps"] = [len(run.step_s) for run in runs]
+    columns["step_s"] = [run.step_s.tolist() for run in runs]
+    return columns
+
+
+def require_pyarrow() -> None:
+    """Raise an InputError that says what to install if pyarrow is missing."""
+    if find_spec("pyarrow") is None:
+        raise InputError("Parquet files need pyarrow", remedy="pip install 'planopt[parquet]'")
+
+
+def _write_parquet(comparison: Comparison, path: Path) -> None:
+    arrow = cast("Any", import_module("pyarrow"))
+    parquet = cast("Any", import_module("pyarrow.parquet"))
+    parquet.write_table(arrow.table(run_columns(comparison)), path)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -171,7 +172,11 @@ def _on_ray(
     local = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
     running = ray.is_initialized()
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+    handler = signal.getsignal(signal.SIGTERM)
     with nullcontext() if running else ray.init(**local, **quiet):
+        if threading.current_thread() is threading.main_thread():
+            # Ray puts its own in the place of ours, by which a comparison ends cleanly.
+            signal.signal(signal.SIGTERM, handler)
         task = ray.remote(num_cpus=1)(work)
         for result in [task.remote(*job) for job in jobs]:
             try:

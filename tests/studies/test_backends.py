@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -24,6 +25,7 @@ def test_a_local_cluster(backend: str, tmp_path: Path, monkeypatch) -> None:
     """Bit for bit as in this process; kept by whoever drove it."""
     # Ray's processes give way to all others, and tests run beside this one.
     monkeypatch.setenv("RAY_worker_niceness", "0")
+    before = signal.getsignal(signal.SIGTERM)
     problem = short("open_field")
     settings = {"costs_to_go": ["geodesic"], "seeds": 3}
     alone = compare(problem, [1, 2], **settings)
@@ -39,6 +41,7 @@ def test_a_local_cluster(backend: str, tmp_path: Path, monkeypatch) -> None:
     )
     assert list(map(untimed, found.runs)) == list(map(untimed, alone.runs))
     assert seen == [0, 0, 1, 1, 2, 2] and found.resumed == 0
+    assert signal.getsignal(signal.SIGTERM) is before
     assert compare(problem, [1, 2], **settings, finished=tmp_path).resumed == 6
 
 

@@ -14,6 +14,7 @@ from time import process_time
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.stats import t
 
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.control.receding import plan_moves, stopping_ways
@@ -134,11 +135,15 @@ SETTINGS = {
 }
 
 
-def horizons(first_seed: int, seeds: int, agents: int, steps: int) -> dict[str, list[float]]:
-    """Print the mean cost over time of horizons against that of one step, paired over seeds."""
+def horizons(
+    first_seed: int, seeds: int, agents: int, steps: int, only: str | None = None
+) -> dict[str, list[float]]:
+    """Print cost, path and energy of horizons over those of one step, with Student intervals."""
     found: dict[str, list[float]] = {}
     square = shapely.box(0, 0, SIDE_M, SIDE_M)
     for name, (limits, walls, linked) in SETTINGS.items():
+        if only not in (None, name):
+            continue
         ratios: dict[int, list[list[float]]] = {3: [], 10: []}
         for seed in range(first_seed, first_seed + seeds):
             generator = np.random.default_rng(seed)
@@ -155,7 +160,7 @@ def horizons(first_seed: int, seeds: int, agents: int, steps: int) -> dict[str, 
         for horizon, rows in ratios.items():
             table = np.array(rows)
             mean = table.mean(axis=0)
-            error = 1.96 * table.std(axis=0, ddof=1) / np.sqrt(len(table)) if seeds > 1 else mean
+            error = t.ppf(0.975, seeds - 1) * table.std(axis=0, ddof=1) / np.sqrt(seeds)
             words = ", ".join(
                 f"{key} {m:.3f} +- {e:.3f}"
                 for key, m, e in zip(("H", "last H", "path", "energy"), mean, error, strict=True)
@@ -208,7 +213,7 @@ def lloyd(ground: Ground, places: NDArray[np.float64]) -> float:
 def steps(agents: int, rounds: int) -> dict[str, float]:
     """Print CPU times of a step in units of shapely's Voronoi diagram of the same places."""
     generator = np.random.default_rng(0)
-    side = 10.0 * np.sqrt(agents)
+    side = 10.0 * np.ceil(np.sqrt(agents))
     ground = ConvexGround(convex_region(shapely.box(0, 0, side, side)))
     grid = np.arange(5.0, side, 10.0)
     places = np.stack(np.meshgrid(grid, grid), axis=2).reshape(-1, 2)[:agents]
@@ -247,11 +252,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--agents", type=int)
+    parser.add_argument("--only", choices=tuple(SETTINGS), help="one setting of horizons")
     asked = parser.parse_args()
     if asked.study == "faults":
         faults(asked.first_seed, asked.runs, asked.agents or 50, 20)
     elif asked.study == "horizons":
-        horizons(asked.first_seed, asked.seeds, asked.agents or 16, 30)
+        horizons(asked.first_seed, asked.seeds, asked.agents or 16, 30, asked.only)
     elif asked.study == "optima":
         optima(asked.first_seed, asked.scenes, 50)
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +55,7 @@ def history_of(
     connected: NDArray[np.bool_],
     certificates: Iterable[Certificate] = (),
     *,
-    waits: bool = False,
+    gave_way: Sequence[bool] = (),
 ) -> History:
     """The run along a track.
 
@@ -69,8 +69,8 @@ def history_of(
         ``(n,)`` whether it was connected after each step.
     certificates
         Of the plans that led along it.
-    waits
-        Whether there are other robots that it may have waited for.
+    gave_way
+        Whether it gave way to another robot in each step; none where it never did.
     """
     priced = [each for each in certificates if each.step_excess_m is not None]
     count = len(connected)
@@ -85,18 +85,22 @@ def history_of(
         delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
         crossing_cost_m=sum(each.step_cost_m or 0.0 for each in priced),
         crossing_excess_m=sum(each.step_excess_m or 0.0 for each in priced),
-        has_circled=not (waits or problem.workspace.moving)
-        and _circled(track_m, problem.step_length_m),
+        has_circled=not problem.workspace.moving
+        and _circled(track_m, problem.step_length_m, gave_way),
     )
 
 
-def _circled(track_m: NDArray[np.float64], step_length_m: float) -> bool:
-    """Whether a track (n + 1, 2) once stayed about one place."""
+def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Sequence[bool]) -> bool:
+    """Whether a track (n + 1, 2) once stayed about one place, giving way to nobody."""
     if len(track_m) <= CIRCLING_STEPS:
         return False
     windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)
     away = np.linalg.norm(windows - windows[..., :1], axis=1).max(axis=1)
-    return bool((away <= step_length_m).any())
+    circles = away <= step_length_m
+    if any(gave_way):
+        waited = np.lib.stride_tricks.sliding_window_view(np.array(gave_way), CIRCLING_STEPS)
+        circles &= ~waited.any(axis=1)
+    return bool(circles.any())
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:

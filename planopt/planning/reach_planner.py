@@ -29,6 +29,7 @@ from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
+from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.shifted import shifted_path
 from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
@@ -162,11 +163,17 @@ class ReachPlanner:
         if outlook.start is None:
             return None
         found = self._search.beside(outlook.state[:2], outlook.start, discs)
-        if found is None:
+        return _changed(outlook, found, begun)
+
+    def aside(
+        self, outlook: Outlook, others_m: NDArray[np.float64], steps: int
+    ) -> tuple[Outlook, NDArray[np.float64], bool] | None:
+        """Search a path off all places (k, 2) that others drive through; as :meth:`beside`."""
+        begun = perf_counter()
+        if outlook.start is None:
             return None
-        start, places, path = found
-        spent = outlook.wall_s + perf_counter() - begun
-        return replace(outlook, start=start, wall_s=spent), places, path.arrives
+        found = self._search.aside(outlook.state[:2], outlook.start, others_m, steps)
+        return _changed(outlook, found, begun)
 
     def release(
         self,
@@ -311,6 +318,19 @@ class ReachPlanner:
             if shifted.verdict is Verdict.VERIFIED:
                 return shifted
         return judge.standing(self.problem.planner.horizon)
+
+
+def _changed(
+    outlook: Outlook,
+    found: tuple[GlobalStart, NDArray[np.float64], TimedPath] | None,
+    begun: float,
+) -> tuple[Outlook, NDArray[np.float64], bool] | None:
+    """Return an outlook with another path, found since `begun`."""
+    if found is None:
+        return None
+    start, places, path = found
+    spent = outlook.wall_s + perf_counter() - begun
+    return replace(outlook, start=start, wall_s=spent), places, path.arrives
 
 
 def eased(problem: Problem) -> Problem:

@@ -16,7 +16,7 @@ from planopt.channel.measurements import Measurements
 from planopt.planning.history import history_of
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
-from planopt.planning.plan import Plan
+from planopt.planning.plan import Plan, Rung
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Scene
 from planopt.planning.team.couriers import Couriers
@@ -104,7 +104,7 @@ class Stepper:
                     np.array(driven)[:, :2],
                     self.connected[:, number],
                     [plan.certificate for plan in made],
-                    waits=has_separation(self.problem),
+                    gave_way=[plan.rung is Rung.GIVE_WAY for plan in made],
                 )
                 for number, (own, driven, made) in enumerate(
                     zip(self.owns, self.states, self.plans, strict=True)

@@ -45,6 +45,8 @@ def series_of(run: Run) -> tuple[tuple[Drawer, float], ...]:
     if run.target is not None:
         return ((_draw_target_variance, 1.3), *connection, (_draw_map_error, 1.0), *last)
     bounded = connection if run.problem.constraints.p_min > 0.0 else ()
+    if run.channel is None:
+        return (*bounded, *last)
     knowledge: tuple[tuple[Drawer, float], ...] = (
         (_draw_theta_variance, 1.0),
         (_draw_map_error, 1.0),

@@ -421,7 +421,8 @@ def _drive_system(asked: SystemRun, seed: int) -> RunSummary:
     problem = system_from_tables(asked.tables, folder=Path.cwd(), file=None)
     if problem is None:
         raise AssertionError(f"{asked.name} is no system's")
-    request = Request(seed, (asked.horizon,), (asked.planner,))
+    horizons, planners = (asked.horizon,), (asked.planner,)
+    request = Request(seed, horizons, planners)
     answer = problem.answer("simulate", request)
     data = answer.data
     return replace(

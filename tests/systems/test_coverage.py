@@ -328,3 +328,23 @@ def test_radio_is_kept_where_the_law_loses_it():
             np.random.default_rng(0)
         )
     assert caught.value.key == "agents.start"
+
+
+def test_solve_and_check(written, tmp_path, capsys):
+    """The deployment is no worse than Lloyd's, above its bound, and judged from its file."""
+    out = tmp_path / "out"
+    code, found = run(capsys, "solve", written(), "--seed", 2, "--out", out)
+    assert code == 0 and found["verdict"] == "verified" and found["sense"] == "min"
+    assert 0.0 < found["bound"] < found["objective"] <= min(found["start_costs"]) * (1 + 1e-9)
+    alone = planopt.load_system(written(("appears_s = 8\n", "appears_s = 500\n"),
+                                        ("ends_s = 40", "ends_s = 600")))  # fmt: skip
+    assert found["objective"] <= alone.simulate(seed=2).data["metrics"]["cost_last"] * 1.001
+    assert run(capsys, "check", out)[0] == 0
+    data = json.loads((out / "plan.json").read_text())
+    for key, value in (("objective", 1.0), ("bound", 0.0), ("verdict", "violated")):
+        (out / "plan.json").write_text(json.dumps({**data, key: value}))
+        code, judged = run(capsys, "check", out)
+        assert code == 3 and key in " ".join(judged["reasons"])
+    data["robots"][3]["x_m"] = [45.0]
+    (out / "plan.json").write_text(json.dumps(data))
+    assert "where none may be" in " ".join(run(capsys, "check", out)[1]["reasons"])

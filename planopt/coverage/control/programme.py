@@ -145,7 +145,7 @@ def solve_programme(
         programme.add_squares(place + stop * speed, last, aims)
         programme.add_squares(change, effort[:, None], 0.0)
         programme.add_squares(jolt, 0.25 / share[:, None] ** 2, now)
-        programme.stay_in(sets, starts_m, unit, place[None])
+        # Places follow: each is between the one before, where that stops, and where it stops.
         programme.stay_in(sets, starts_m, unit, place + stop * speed)
         programme.shorten(speed, most_m / unit, 0.0)
         programme.shorten(jolt, inertia.change_m / unit, now)

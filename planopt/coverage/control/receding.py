@@ -137,8 +137,9 @@ def plan_moves(
     stopping = np.zeros(len(places), dtype=np.bool_)
     blocked = np.flatnonzero(~clear)
     if len(blocked):
+        mine = sets.of(blocked).thinned(places[blocked], horizon * step_m[blocked])
         found = solve_programme(
-            places[blocked], aims[blocked], share[blocked], horizon, most_m, sets.of(blocked)
+            places[blocked], aims[blocked], share[blocked], horizon, most_m, mine
         )
         paths[blocked] = places[blocked, None] if found is None else found[0]
         stopping[blocked] = found is None

@@ -49,12 +49,12 @@ from planopt.planning.loop.robot_run import robot_run
 from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.loop.true_serving import true_serving_dbm
-from planopt.planning.plan import Plan
+from planopt.planning.plan import Plan, Rung
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.roads import build_roads
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.run import Run
-from planopt.planning.team.reservations import beside, has_separation, others_of
+from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.aim import Aim
@@ -300,8 +300,8 @@ def _driven(
         known = posteriors[-1] = posteriors_at(belief, posteriors[-1], step)
         released = released_by[number][step - 1]
         proofs = [plan.certificate for plan in plans]
-        waits = has_separation(saved.problem)
-        history = history_of(own, track[:step], connected[: step - 1], proofs, waits=waits)
+        yielded = [plan.rung is Rung.GIVE_WAY for plan in plans]
+        history = history_of(own, track[:step], connected[: step - 1], proofs, gave_way=yielded)
         others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
         aim = aim_again(said.aim, aim_of(watches[step - 1], number, own.planner.horizon))

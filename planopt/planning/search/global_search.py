@@ -26,6 +26,7 @@ from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.search.timed_search import (
     TimedCosts,
     TimedPath,
+    search_room,
     search_timed,
     timed_places,
 )
@@ -182,13 +183,35 @@ class GlobalSearch:
             self._rate,
             self._rate * (metre_cost - 1.0),
         )
+        found = search_timed(costs, position_m, nodes, lengths, discs, problem.planner.horizon)
+        return None if found is None else self._given(position_m, start, found, discs.steps)
+
+    def aside(
+        self,
+        position_m: NDArray[np.float64],
+        start: GlobalStart,
+        others_m: NDArray[np.float64],
+        steps: int,
+    ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
+        """Search a path off all places (k, 2) that others drive through; as :meth:`beside`."""
+        problem, scene = self._problem, self._scene
+        found = search_room(
+            scene.road_map,
+            *first_moves(scene.ground, problem, position_m),
+            others_m,
+            problem.constraints.separation_m,
+            problem.planner.horizon,
+        )
+        return None if found is None else self._given(position_m, start, found, steps)
+
+    def _given(
+        self, position_m: NDArray[np.float64], start: GlobalStart, found: TimedPath, steps: int
+    ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath]:
+        """Return the first steps of a path beside others, and where it leads over all `steps`."""
+        problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
-        found = search_timed(costs, position_m, nodes, lengths, discs, horizon)
-        if found is None:
-            return None
         first = found.nodes[:horizon]
         self.margins.correct(first)
-        places = scene.road_map.nodes_m
         way = np.vstack([position_m, places[found.nodes]])
         given = replace(
             start,
@@ -199,8 +222,8 @@ class GlobalSearch:
             beyond_m=np.zeros((0, 2)),
             gives_way=True,
         )
-        on = timed_places(way, places[found.route], costs.step_m, discs.steps)
-        return given, on, found
+        step_m = problem.step_length_m - STEP_PAD_M
+        return given, timed_places(way, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
         """Whether a run has gone in circles, or on for longer than the dearest direct path.

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import steps_apart
-from planopt.planning.tolerances import CLEARANCE_PAD_M
+from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.world.closest_approach import closest_approach_m
 from planopt.world.moving_discs import MovingDiscs
 from planopt.world.road_map import RoadMap, Ways, shortest_ways
@@ -187,6 +188,46 @@ def search_timed(
             return found
         aside = aside or found
     return aside
+
+
+def search_room(
+    road_map: RoadMap,
+    first_nodes: NDArray[np.intp],
+    first_length_m: NDArray[np.float64],
+    others_m: NDArray[np.float64],
+    least_m: float,
+    least_stages: int,
+) -> TimedPath | None:
+    """Find the shortest path to a place that lies off the paths of others; None if there is none.
+
+    Parameters
+    ----------
+    road_map
+        The lattice.
+    first_nodes, first_length_m
+        Nodes that the robot's first step may end at, and how long it is to each.
+    others_m
+        ``(k, 2)`` places that the others drive through, at any time.
+    least_m
+        How far from them the place must be.
+    least_stages
+        The path has at least so many nodes; it waits at the last one.
+    """
+    if not len(first_nodes):
+        return None
+    here = int(first_nodes[np.argmin(first_length_m)])
+    ways = shortest_ways(road_map, here)
+    away = PlaceTree(others_m).nearest(road_map.nodes_m, 1)[1][:, 0]
+    longest = float(road_map.lengths_m.max())
+    cost = np.where(away >= np.hypot(least_m + CLEARANCE_PAD_M, longest), ways.cost_m, np.inf)
+    room = int(np.argmin(cost))
+    if not np.isfinite(cost[room]):
+        return None
+    nodes = route_nodes(ways, room)[::-1]
+    # A robot that stands on a node would put off setting out for ever.
+    nodes = nodes[1:] if len(nodes) > 1 and first_length_m.min() <= STANDSTILL_M else nodes
+    waits = np.repeat(nodes[-1:], max(least_stages - len(nodes), 0))
+    return TimedPath(np.concatenate([nodes, waits]), nodes[:0], float(cost[room]), False)
 
 
 def _search_within(

@@ -158,7 +158,8 @@ class Couriers:
         """Return courses that keep apart, and keep their order; None where none are found.
 
         If no order lets all arrive, some wait where they are in nobody's way: a robot that has
-        been at its goal goes after those that have not, and will let them pass.
+        been at its goal goes after those that have not, and will let them pass. Where they cannot
+        drive past it in time, it makes room for the first of them.
         """
         for number, state in enumerate(at.states):
             if number not in self._arrived and is_at_goal(
@@ -179,7 +180,35 @@ class Couriers:
                 self._order = order
                 waiting = [found[number] for number in range(len(order))]
             order = [late, *[other for other in order if other != late]]
-        return waiting or None
+        going = [number for number in self._order if number not in self._arrived]
+        if waiting and (not going or waiting[going[0]].arrives):
+            return waiting
+        return (self._with_room(at, going[0], alone) if going else None) or waiting or None
+
+    def _with_room(
+        self, at: TeamMoment, first: int, alone: Sequence[Course]
+    ) -> list[Course] | None:
+        """Return courses on which all others leave the way of robot `first`; None without."""
+        passing = alone[first].places_m
+        steps = len(passing) - 1
+        found: dict[int, Course] = {}
+        for number in self._order:
+            if number == first:
+                continue
+            aside = self._planners[number].aside(alone[number].outlook, passing, steps)
+            if aside is None:
+                return None
+            course = Course(*aside)
+            if not is_apart(_discs(self._problem, found, steps), course.places_m):
+                continue
+            found[number] = course
+        for number in (first, *self._order):
+            if number not in found:
+                course = self._course(at, number, alone[number], found)
+                if course is None or (number == first and not course.arrives):
+                    return None
+                found[number] = course
+        return [found[number] for number in range(len(alone))]
 
     def _in_order(
         self, at: TeamMoment, order: Sequence[int], alone: Sequence[Course]

@@ -13,9 +13,11 @@ from typing import Any, cast
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from planopt.coverage.assignment.demand import demanded
 from planopt.coverage.control.laws import Gains, coverage_aims
+from planopt.coverage.optima import cost_bound
 from planopt.coverage.simulation import ABSENT, Motion, NetworkRun, event_places, residual_m
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
@@ -88,6 +90,8 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         A table is missing, truncated or not what it should be.
     """
     content: CoverageProblem = problem.content
+    if "objective" in data:
+        return _deployment(file, data, content)
     seed, horizon = whole_number(file, data, "seed"), whole_number(file, data, "horizon")
     run = _read(file.parent, content, seed)
     driven = Driven(content, run, str(data.get("planner")), horizon, seed)
@@ -104,6 +108,42 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         **kept,
     }
     return reasons + in_words(file.name, disagreements(data, found))
+
+
+def deployment_json(
+    problem: CoverageProblem, places_m: NDArray[np.float64], bound: float
+) -> dict[str, Any]:
+    """Return what a solution says of a deployment: verdict, cost, bound and places."""
+    fine = bool(problem.ground.allows(places_m).all())
+    cost = problem.ground.cover(places_m).cost
+    return {
+        "verdict": "verified" if fine and bound <= cost * (1.0 + COST_SHARE) else "violated",
+        "sense": "min",
+        "objective": cost,
+        "bound": bound if bound > 0.0 else None,
+        "gap": (cost - bound) / max(cost, 1e-12) if bound > 0.0 else None,
+        "robots": [
+            {"name": agent_name(number), "t_s": [0.0], "x_m": [x], "y_m": [y]}
+            for number, (x, y) in enumerate(places_m.tolist())
+        ],
+    }
+
+
+def _deployment(file: Path, data: Mapping[str, Any], problem: CoverageProblem) -> list[str]:
+    """What is wrong with a saved solution: its places, cost and bound are computed again."""
+    robots = data.get("robots")
+    try:
+        places = np.array([[one["x_m"][0], one["y_m"][0]] for one in cast("Any", robots)])
+        places = places.astype(np.float64)
+    except (TypeError, KeyError, IndexError, ValueError):
+        raise InputError("has not one place for each agent", file=file, key="robots") from None
+    if places.shape != (len(problem.joins_s), 2) or not np.isfinite(places).all():
+        raise InputError("has not one place for each agent", file=file, key="robots")
+    if not problem.ground.allows(places).all():
+        return [f"{file.name}: an agent is where none may be"]
+    found = deployment_json(problem, places, cost_bound(problem.ground, len(places)))
+    kept = {key: value for key, value in data.items() if key not in found}
+    return in_words(file.name, disagreements(data, {**kept, **found}))
 
 
 def _targets(driven: Driven) -> list[str]:

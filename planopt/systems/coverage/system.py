@@ -1,4 +1,4 @@
-"""Simulate, print and draw networks that cover a region and answer events."""
+"""Solve, simulate, print and draw networks that cover a region and answer events."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from planopt.coverage.optima import best_deployment
 from planopt.problems.save import obstacle_table
 from planopt.problems.systems import Answer, Request, System, SystemProblem
 from planopt.systems.coverage.build import CoverageProblem, build, density_table
-from planopt.systems.coverage.check import check, faults
+from planopt.systems.coverage.check import check, deployment_json, faults
 from planopt.systems.coverage.driving import REACHED, drive, planners
 from planopt.systems.coverage.results import (
     EVENTS_FILE,
@@ -25,6 +26,9 @@ from planopt.systems.coverage.tables import CoverageFile
 
 PICTURE, ANIMATION = "run.png", "run.gif"
 NOT_REACHED, NOT_VERIFIED = 4, 3
+
+STARTS = 10
+"""Initial deployments of ``solve``; the first is where agents start."""
 
 
 def simulate(problem: SystemProblem, request: Request) -> Answer:
@@ -56,6 +60,33 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
         draw=(lambda folder: _draw(problem.name, driven, request, folder)) if drawn else None,
         step_s=tuple(lasts_s.tolist()),
     )
+
+
+def solve(problem: SystemProblem, request: Request) -> Answer:
+    """Find where the network should end: the best of several deployments, with a lower bound."""
+    content: CoverageProblem = problem.content
+    generator, began = np.random.default_rng(request.seed), time.perf_counter()
+    scene = content.scene(generator)
+    found = best_deployment(
+        content.ground, len(scene.starts_m), STARTS, generator, first_m=scene.starts_m
+    )
+    data = {
+        "problem": problem.name,
+        "horizon": None,
+        "planner": "several_starts",
+        "seed": request.seed,
+        "termination": "settled",
+        "wall_s": time.perf_counter() - began,
+        **deployment_json(content, found.places_m, found.lower_bound),
+        "start_costs": found.costs.tolist(),
+    }
+    worst = float(found.costs.max()) / found.cost
+    bound = "none is proved" if data["bound"] is None else f"{data['bound']:.6g}"
+    lines = (
+        f"{problem.name}: {data['verdict']}, coverage cost {found.cost:.6g}, lower bound {bound}",
+        f"  best of {STARTS} starts, the worst of which costs {worst:.4f} times as much",
+    )
+    return Answer(found, data, lines, 0 if data["verdict"] == "verified" else NOT_VERIFIED)
 
 
 def settings(problem: SystemProblem, request: Request) -> list[tuple[int, str]]:
@@ -116,6 +147,7 @@ SYSTEM = System(
     words=words,
     files=(NETWORK_FILE, EVENTS_FILE, PICTURE, ANIMATION),
     check=check,
+    solve=solve,
     simulate=simulate,
     settings=settings,
     animates=True,

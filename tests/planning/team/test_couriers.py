@@ -31,6 +31,10 @@ SCENES = {
         DEAD_END,
         [((4, 10), (12, 15)), ((4, 28), (36, 15))],
     ),
+    "the inner goal shuts the outer one in": (
+        DEAD_END,
+        [((36, 15), (12, 15)), ((12, 15), (36, 15))],
+    ),
     "four cross": (
         (),
         [((5, 5), (35, 25)), ((35, 25), (5, 5)), ((5, 25), (35, 5)), ((35, 5), (5, 25))],
@@ -79,6 +83,38 @@ def test_all_arrive_and_none_comes_too_near(name):
     walls = shapely.union_all(polygons) if polygons else shapely.Point(-99, -99)
     lines = [shapely.LineString(one.log.positions_m) for one in run.runs]
     assert min(line.distance(walls) for line in lines) >= problem.constraints.clearance_m - 1e-6
+
+
+BLOCKS = tuple(shapely.box(x, y, x + 6, y + 5) for x in (4, 14, 24) for y in (4.0, 12.5, 21.0))
+
+
+def drawn_couriers(seed, count=5, separation_m=3.0):
+    """Couriers between drawn places in the streets between blocks."""
+    generator, walls = np.random.default_rng(seed), shapely.union_all(BLOCKS)
+
+    def place(taken):
+        while True:
+            found = generator.uniform((1.5, 1.5), (38.5, 28.5)).round(1)
+            apart = all(np.hypot(*(found - other)) > separation_m + 0.5 for other in taken)
+            if walls.distance(shapely.Point(found)) > 0.8 and apart:
+                return found
+
+    starts, goals = [], []
+    for _ in range(count):
+        starts.append(place(starts))
+        goals.append(place(goals))
+    ends = [(tuple(start), tuple(goal)) for start, goal in zip(starts, goals, strict=True)]
+    problem = couriers(BLOCKS, ends)
+    return replace(problem, constraints=replace(problem.constraints, separation_m=separation_m))
+
+
+@pytest.mark.parametrize("seed", [200, 201, 202])
+def test_drawn_couriers_arrive(seed):
+    """Five between blocks; nobody picked their places."""
+    problem = drawn_couriers(seed)
+    run, tracks = driven(problem)
+    assert (run.outcome, run.verified_rate) == (Outcome.REACHED, 1.0)
+    assert least_m(tracks) >= problem.constraints.separation_m - 1e-3
 
 
 def test_without_a_separation_each_drives_as_if_it_were_alone():

@@ -1,0 +1,154 @@
+"""Networks in numbers: teams and centroidal rests, exact counts, and the cost of a step.
+
+``python benchmarks/network_cases.py teams --cases 200`` drives random networks with an event that
+stays to rest, and counts those in which exactly the agents asked for are at it and all others on
+the centroids of their cells.
+``python benchmarks/network_cases.py counts --graphs 200`` counts random graphs by consensus for as
+many rounds as the bound says, and with half of them.
+``python benchmarks/network_cases.py steps --agents 1000,10000`` times a step of the laws against
+shapely's Voronoi diagram of the same places, in one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from time import process_time
+
+import numpy as np
+import shapely
+
+from planopt.coverage.assignment.demand import capped_demand
+from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
+from planopt.coverage.cost import coverage
+from planopt.coverage.counting.consensus import (
+    count_by_averaging,
+    rounds_until_exact,
+    second_modulus,
+)
+from planopt.coverage.counting.tally import Counting
+from planopt.coverage.events import Event, Sensing
+from planopt.coverage.ground import ConvexGround, neighbour_network
+from planopt.coverage.localisation.sensor import diffusion_sensor
+from planopt.coverage.network import Network
+from planopt.coverage.region import ConvexRegion, convex_region
+from planopt.coverage.simulation import LawMover, Scene, simulate_network
+from planopt.coverage.voronoi import voronoi_cells
+
+GAINS = Gains(0.5, 1.0)
+SETTLED_SHARE = 0.01
+"""Residual that counts as centroidal, as a share of the mean distance between agents."""
+
+
+def random_region(generator: np.random.Generator) -> ConvexRegion:
+    """Draw a convex polygon of about 100 m."""
+    places = generator.normal(0.0, 30.0, (12, 2))
+    return convex_region(shapely.MultiPoint(places).convex_hull)
+
+
+def places_in(region: ConvexRegion, count: int, generator: np.random.Generator) -> np.ndarray:
+    """Draw places (count, 2) uniformly."""
+    low, high = region.corners_m.min(axis=0), region.corners_m.max(axis=0)
+    drawn = low + (high - low) * generator.random((60 * count, 2))
+    return drawn[region.excess_m(drawn) < 0.0][:count]
+
+
+def team_case(seed: int) -> tuple[bool, bool]:
+    """Return whether the team is exactly as large as asked for, and the rest is centroidal.
+
+    Both are judged from the last positions alone.
+    """
+    generator = np.random.default_rng(seed)
+    region = random_region(generator)
+    count = int(generator.integers(8, 41))
+    starts = places_in(region, count + 1, generator)
+    demand = capped_demand(float(generator.uniform(0.1, 0.4)), 8, count // 2)
+    event, settled_m = starts[-1], SETTLED_SHARE * math.sqrt(region.area_m2 / count)
+    scene = Scene(
+        ConvexGround(region), starts[:-1], np.zeros(count), np.full(count, np.inf),
+        (Event("event", (float(event[0]), float(event[1])), 5.0),), (demand,),
+        Sensing(diffusion_sensor(0.5, 200.0, 5.0)), None,
+        "all" if seed % 2 else "coverage_only", GAINS, 1.0, 1.0, Counting("leader"), None, 30,
+        1.0, 1500.0, settled_m,
+    )  # fmt: skip
+    run = simulate_network(scene, LawMover(GAINS, 1.0, 4.0), generator)
+    here = run.positions_m[-1]
+    # Who covers may be near to the event by chance, but not on it.
+    at_event = np.linalg.norm(here - run.estimates_m[-1, 0], axis=1) <= settled_m
+    generators = here if seed % 2 else here[~at_event]
+    found = coverage(voronoi_cells(region, generators))
+    off_m = np.linalg.norm(found.centroids_m - generators, axis=1)
+    off_m = off_m[~at_event] if seed % 2 else off_m
+    known = np.linalg.norm(run.estimates_m[-1, 0] - event) < 1.0
+    return bool(at_event.sum() == demand(count) and known), bool(off_m.max() <= 2.0 * settled_m)
+
+
+def graph_case(seed: int) -> tuple[bool, bool]:
+    """Return whether all counts are exact after the rounds of the bound, and after half of them."""
+    generator = np.random.default_rng(seed)
+    count = int(generator.integers(2, 80))
+    region = random_region(generator)
+    network: Network = neighbour_network(ConvexGround(region), places_in(region, count, generator))
+    # Some more links than those of neighbours, so that graphs differ in kind.
+    extra = generator.integers(0, count, (int(generator.integers(0, count)), 2))
+    extra = np.sort(extra[extra[:, 0] != extra[:, 1]], axis=1)
+    network = Network(count, np.unique(np.concatenate((network.links, extra)), axis=0))
+    rounds = rounds_until_exact(count, second_modulus(network))
+    leader = int(generator.integers(count))
+    exact = [
+        bool((count_by_averaging(network, leader, each).rounded == count).all())
+        for each in (rounds, rounds // 2)
+    ]
+    return exact[0], exact[1]
+
+
+def step_times(agents: int, repeats: int, seed: int) -> tuple[float, float]:
+    """Return median CPU times in s of a step of the laws, and of shapely's Voronoi diagram."""
+    generator = np.random.default_rng(seed)
+    region = convex_region(np.array([[0, 0], [1000, 0], [1000, 1000], [0, 1000]]))
+    ground, nobody = ConvexGround(region), np.zeros(agents, dtype=np.bool_)
+    times_s = np.zeros((repeats, 2))
+    for row in times_s:
+        here = places_in(region, agents, generator)
+        start = process_time()
+        aims = coverage_aims(ground, here, nobody)
+        law_moves(here, aims.targets_m, nobody, GAINS, 1.0, 5.0)
+        middle = process_time()
+        shapely.voronoi_polygons(shapely.multipoints(here), ordered=True)
+        row[:] = middle - start, process_time() - middle
+    law_s, shapely_s = np.median(times_s, axis=0).tolist()
+    return law_s, shapely_s
+
+
+def main() -> None:
+    """Print one of the studies."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study", choices=("teams", "counts", "steps"))
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--graphs", type=int, default=200)
+    parser.add_argument("--first-seed", type=int, default=1000)
+    parser.add_argument("--agents", default="1000,10000")
+    asked = parser.parse_args()
+    first = asked.first_seed
+    if asked.study == "steps":
+        for agents in map(int, asked.agents.split(",")):
+            law_s, shapely_s = step_times(agents, 9, first)
+            print(
+                f"{agents} agents: a step of the laws {1e3 * law_s:.1f} ms CPU, shapely's Voronoi "
+                f"diagram {1e3 * shapely_s:.1f} ms, ratio {law_s / shapely_s:.2f}"
+            )
+        return
+    case, count = (team_case, asked.cases) if asked.study == "teams" else (graph_case, asked.graphs)
+    found = np.array([case(seed) for seed in range(first, first + count)])
+    words = (
+        ("the team is exact", "the rest is centroidal")
+        if asked.study == "teams"
+        else ("counts are exact after the bound's rounds", "after half of them")
+    )
+    for word, column in zip(words, found.T, strict=True):
+        wrong = [first + int(each) for each in np.flatnonzero(~column)]
+        print(f"{word}: {int(column.sum())} of {count}" + (f", not in {wrong}" if wrong else ""))
+
+
+if __name__ == "__main__":
+    main()

@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 import planopt
 from planopt.cli import main
+from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.problems.systems import system_from_tables
+from planopt.report.coverage_figure import NetworkPicture, draw_network
 from planopt.systems.coverage.check import faults
 from planopt.systems.coverage.driving import drive
 
@@ -311,6 +314,32 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
     assert mine["path_m"] == pytest.approx(one["path_m"])
 
 
+def _links_are_drawn(kept, lost):
+    """Pictures show a tree to the station, and who has none by the verifier's own reckoning."""
+    content, radio = kept.problem, kept.problem.radio
+    pictures = [
+        NetworkPicture("radio", each.run, content.ground, (), (), radio) for each in (kept, lost)
+    ]
+    station = radio.stations_m[0]
+    for picture in pictures:
+        here = picture.run.positions_m[29]
+        links, lonely = picture.links(29)
+        assert len(links) + len(lonely) == len(here)
+        reached, ends = [station], links.tolist()
+        while ends:
+            # Every link leads from an agent to one that is nearer to the station in the tree.
+            grown = [a for a, b in ends if any(np.allclose(b, one) for one in reached)]
+            assert grown
+            reached += grown
+            ends = [pair for pair in ends if pair[0] not in grown]
+        alone = verify_moves(shapely.box(0, 0, 200, 150), here, here, content.limits, radio=radio)
+        assert np.array_equal(lonely, here[[fault.agent for fault in alone]])
+    assert len(pictures[0].links(29)[1]) == 0 < len(pictures[1].links(29)[1])
+    figure = draw_network(pictures[1])
+    labels = {each.get_label() for panel in figure.axes for each in panel.collections}
+    assert {"base station", "radio link", "no connection"} <= labels
+
+
 def test_radio_is_kept_where_the_law_loses_it():
     """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
     problem = planopt.load_system("coverage_radio")
@@ -320,8 +349,10 @@ def test_radio_is_kept_where_the_law_loses_it():
     content = replace(content, given=content.given.model_copy(update={"control": short}))
     kept = drive(content, planner, 0)
     assert faults(kept) == []
-    lost = faults(drive(content, planner.model_copy(update={"name": "law"}), 0))
+    by_law = drive(content, planner.model_copy(update={"name": "law"}), 0)
+    lost = faults(by_law)
     assert lost and all("fault of radio" in each for each in lost)
+    _links_are_drawn(kept, by_law)
     with pytest.raises(InputError, match="without a link to a station") as caught:
         away = content.given.radio.model_copy(update={"stations_m": [(200.0, 150.0)]})
         replace(content, given=content.given.model_copy(update={"radio": away})).scene(

@@ -151,8 +151,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
     Raises
     ------
     InputError
-        It is no table, a column is missing, :class:`Measurements` refuses what is in them, or a
-        power is outside -300 to 100 dBm.
+        It is no table, a column is missing, or :class:`Measurements` refuses what is in them.
 
     Examples
     --------
@@ -162,7 +161,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
            [10.,  5.]])
     """
     if isinstance(data, Measurements):
-        return _of_powers(data)
+        return data
     try:
         names = list(data if isinstance(data, Mapping) else data.columns)
     except (AttributeError, TypeError):
@@ -187,11 +186,18 @@ def as_measurements(data: Measurements | Table) -> Measurements:
             remedy="give one number for each measurement",
         )
     more = {part.name: data[part.name] for part in fields(Measurements)[2:] if part.name in names}
-    return _of_powers(Measurements(np.column_stack(axes), data["power_dbm"], **more))
+    return Measurements(np.column_stack(axes), data["power_dbm"], **more)
 
 
-def _of_powers(given: Measurements) -> Measurements:
-    """Return measurements whose powers a receiver can have measured."""
+def as_received(data: Measurements | Table) -> Measurements:
+    """Return measurements as :func:`as_measurements` does, of powers that a receiver can report.
+
+    Raises
+    ------
+    InputError
+        Besides, where a power is outside -300 to 100 dBm.
+    """
+    given = as_measurements(data)
     within = (given.power_dbm >= LEAST_POWER_DBM) & (given.power_dbm <= LARGEST_POWER_DBM)
     if not within.all():
         row = int(np.argmin(within))

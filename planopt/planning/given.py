@@ -21,7 +21,7 @@ from planopt.channel.fields.truth import (
 )
 from planopt.channel.logs.log_file import read_log
 from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.measurements import Measurements, Table, as_measurements
+from planopt.channel.measurements import Measurements, Table, as_received
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
 from planopt.problems.channel_setup import (
@@ -285,7 +285,7 @@ def measurements_by_station(
             key="measurements",
             remedy="give a sequence with one table for each station, in the problem's order",
         )
-    return tuple(as_measurements(table) for table in tables)
+    return tuple(as_received(table) for table in tables)
 
 
 DRAWN_STREAM = 3

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -169,7 +170,13 @@ def _on_ray(
     # Nothing is sent to anybody unless the user asks for it.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ray = cast("Any", import_module("ray"))
-    local = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
+    # Modules that this process finds, its workers must find as well: own terms may be in them.
+    found = {"env_vars": {"PYTHONPATH": os.pathsep.join(sys.path)}}
+    local = (
+        {}
+        if "RAY_ADDRESS" in os.environ
+        else {"num_cpus": workers, "include_dashboard": False, "runtime_env": found}
+    )
     running = ray.is_initialized()
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     handler = signal.getsignal(signal.SIGTERM)

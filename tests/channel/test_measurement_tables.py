@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import planopt
-from planopt.channel.measurements import as_measurements
+from planopt.channel.measurements import as_measurements, as_received
 
 STATION = planopt.channel.Station((0.0, 0.0), height_m=5.0)
 GENERATOR = np.random.default_rng(3)
@@ -148,7 +148,6 @@ def test_public_calls_take_lists_of_places() -> None:
         ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "censored": ["0"]}, "true or false"),
         ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "receiver": [0.5]}, "whole numbers"),
         ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "time_s": [1.0, 2.0]}, "time_s of shape"),
-        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [-400.0]}, "measurement 0 is not between -300"),
         (3, "a int has no measurements"),
         ([1.0, 2.0], "a list has no measurements"),
         (None, "a NoneType has no measurements"),
@@ -167,3 +166,13 @@ def test_bad_places(places: Any) -> None:
     with pytest.raises(planopt.InputError) as caught:
         posterior.predict(places)
     assert caught.value.key == "positions_m"
+
+
+@pytest.mark.parametrize("power_dbm", [-300.1, 100.1])
+def test_powers_that_no_receiver_reports(power_dbm: float) -> None:
+    """Planning takes none of them; a fit says that they are implausible."""
+    table = {"x_m": [1.0, 2.0], "y_m": [1.0, 2.0], "power_dbm": [-60.0, power_dbm]}
+    with pytest.raises(planopt.InputError, match="measurement 1 is not between -300 and 100"):
+        as_received(table)
+    table["power_dbm"] = [-300.0, 100.0]
+    assert len(as_received(table)) == 2

@@ -34,7 +34,12 @@ from planopt.planning.files.run_json import (
     released_plans_json,
     run_json,
 )
-from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, run_tables
+from planopt.planning.files.run_tables import (
+    FORMER_KNOWLEDGE_COLUMNS,
+    KNOWLEDGE_COLUMNS,
+    KNOWLEDGE_FILE,
+    run_tables,
+)
 from planopt.planning.files.saved import FORMAT, RUN_FILE
 from planopt.planning.files.solution_json import aim_again
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
@@ -129,11 +134,13 @@ def check_run(
     again = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
     reasons += steps_reasons(joined_steps(saved.steps), again)
     for name, table in run_tables(run).items():
+        shorter = saved.former and name == KNOWLEDGE_FILE
+        columns = FORMER_KNOWLEDGE_COLUMNS if shorter else table
         reasons += in_words(
             name,
             disagreements(
-                {column: values.tolist() for column, values in saved.tables[name].items()},
-                {column: np.asarray(values).tolist() for column, values in table.items()},
+                {column: saved.tables[name][column].tolist() for column in columns},
+                {column: np.asarray(table[column]).tolist() for column in columns},
             ),
         )
     for file, first, belief, taken in zip(

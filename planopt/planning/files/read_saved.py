@@ -33,6 +33,7 @@ from planopt.planning.files.record import REMEDY
 from planopt.planning.files.run_json import ReleasedRecord, RunRecord
 from planopt.planning.files.run_tables import (
     KNOWLEDGE_COLUMNS,
+    FORMER_KNOWLEDGE_COLUMNS,
     KNOWLEDGE_FILE,
     TARGET_FILE,
     read_table,
@@ -144,7 +145,7 @@ def saved_from(file: Path, said: Mapping[str, Any]) -> Saved:
     if not is_run:
         return Saved(file, data, record, problem, steps, beliefs, former=former)
     _require_complete_run(file, problem, record, beliefs)
-    tables = _read_tables(file, problem, len(steps[0].steps))
+    tables = _read_tables(file, problem, len(steps[0].steps), former)
     return Saved(file, data, record, problem, steps, beliefs, tables, former)
 
 
@@ -270,11 +271,11 @@ def _require_complete_robot(
 
 
 def _read_tables(
-    file: Path, problem: Problem, rows: int
+    file: Path, problem: Problem, rows: int, former: bool
 ) -> dict[str, dict[str, NDArray[np.float64]]]:
     columns: dict[str, tuple[str, ...]] = {}
     if problem.task != "reach":
-        columns[KNOWLEDGE_FILE] = KNOWLEDGE_COLUMNS
+        columns[KNOWLEDGE_FILE] = FORMER_KNOWLEDGE_COLUMNS if former else KNOWLEDGE_COLUMNS
     if problem.targets and any(term.sensor is not None for term in problem.terms):
         columns[TARGET_FILE] = target_columns(problem)
     tables = {name: read_table(file.parent / name, wanted) for name, wanted in columns.items()}
@@ -286,6 +287,9 @@ def _read_tables(
                 file=file.parent / name,
                 remedy=REMEDY,
             )
+    if KNOWLEDGE_FILE in tables:
+        absent = dict.fromkeys(KNOWLEDGE_COLUMNS, np.full(rows, np.nan))
+        tables[KNOWLEDGE_FILE] = {**absent, **tables[KNOWLEDGE_FILE]}
     return tables
 
 

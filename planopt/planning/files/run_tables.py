@@ -26,6 +26,8 @@ KNOWLEDGE_COLUMNS = (
     *("t_s", "rms_db", "anmse_db", "trace_m_db", "log_det_m"),
     *("rms_without_multipath_db", "path_loss_variance_db2"),
 )
+FORMER_KNOWLEDGE_COLUMNS = KNOWLEDGE_COLUMNS[:5]
+"""Those of files of the former format."""
 
 NumberTable = Mapping[str, NDArray[np.float64]]
 """Columns of equal length by name, NaN where there is no number."""

@@ -283,4 +283,4 @@ def test_killed_and_run_again(tmp_path: Path) -> None:
     rows = {path.name: path.read_bytes() for path in out.glob("rows/*.json")}
     assert len(rows) == 2 * 2 * 9 and kept.items() <= rows.items()
     with (out / "rows.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 28
+        assert len(list(csv.DictReader(file))) == 36

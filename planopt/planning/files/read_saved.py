@@ -32,8 +32,8 @@ from planopt.planning.files.former_format import without_former_forms
 from planopt.planning.files.record import REMEDY
 from planopt.planning.files.run_json import ReleasedRecord, RunRecord
 from planopt.planning.files.run_tables import (
-    KNOWLEDGE_COLUMNS,
     FORMER_KNOWLEDGE_COLUMNS,
+    KNOWLEDGE_COLUMNS,
     KNOWLEDGE_FILE,
     TARGET_FILE,
     read_table,

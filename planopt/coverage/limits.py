@@ -79,6 +79,25 @@ class MoveLimits:
         """What an agent's place keeps from obstacles and border."""
         return max(self.body_radius_m, self.clearance_m)
 
+    @property
+    def longest_stop_m(self) -> float:
+        """The way on which an agent at its largest speed brakes, in whole steps."""
+        if self.acceleration_m_s2 is None:
+            return 0.0
+        steps = math.ceil(self.speed_m_s / (self.acceleration_m_s2 * self.time_step_s) - 1e-9)
+        return 0.5 * steps * self.speed_m_s * self.time_step_s
+
+
+def packing_reach_m(agents: int, body_radius_m: float) -> float:
+    """Return how far from an event bodies that crowd around it may stand; 0 for points.
+
+    In the hexagonal packing, ``m`` shells about a middle body hold ``1 + 3 m (m + 1)`` of them, the
+    outermost at ``2 m`` radii. Bodies that got there one by one leave gaps: one shell more is
+    allowed.
+    """
+    shells = math.ceil((math.sqrt(9.0 + 12.0 * max(agents - 1, 0)) - 3.0) / 6.0 - 1e-9)
+    return 2.0 * (shells + 1) * body_radius_m if agents > 1 else body_radius_m
+
 
 @dataclass(frozen=True, eq=False)
 class LinkLaw:

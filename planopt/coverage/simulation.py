@@ -179,6 +179,9 @@ class Scene:
         Agents this near to their targets have settled.
     stop_when_settled
         Whether the run ends when they have and nothing more is to come.
+    joins_apart_m
+        An agent that is to join waits until all others are farther away than that; None for
+        points, which may share a place.
     """
 
     ground: Ground
@@ -200,12 +203,46 @@ class Scene:
     duration_s: float
     settled_m: float
     stop_when_settled: bool = True
+    joins_apart_m: float | None = None
 
-    def has_settled(self, time_s: float, residual_m: float, known: NDArray[np.bool_]) -> bool:
+    def due(self, time_s: float) -> NDArray[np.bool_]:
+        """Return who is to take part at a time; (n,)."""
+        return (self.joins_s <= time_s) & (time_s < self.leaves_s)
+
+    def members(
+        self, time_s: float, places_m: NDArray[np.float64], before: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Return who takes part at a time ``(n,)``: bodies join only where there is room.
+
+        Parameters
+        ----------
+        time_s
+            Now.
+        places_m
+            ``(n, 2)`` where agents are, or where they are to join.
+        before
+            ``(n,)`` who took part in the last step.
+        """
+        due = self.due(time_s)
+        if self.joins_apart_m is None or not before.any():
+            return due
+        members = due & before
+        for number in np.flatnonzero(due & ~before):
+            apart_m = np.linalg.norm(places_m[members] - places_m[number], axis=1)
+            members[number] = bool((apart_m > self.joins_apart_m).all())
+        return members
+
+    def has_settled(
+        self,
+        time_s: float,
+        residual_m: float,
+        known: NDArray[np.bool_],
+        members: NDArray[np.bool_],
+    ) -> bool:
         """Return whether agents are settled for good.
 
-        They are near their targets, know of all events that are there and of no others, and nothing
-        is to begin, to end or to move on.
+        They are near their targets, know of all events that are there and of no others, nobody
+        waits for room to join, and nothing is to begin, to end or to move on.
 
         Parameters
         ----------
@@ -213,9 +250,13 @@ class Scene:
             Now, and the largest distance of an agent to its target.
         known
             ``(k,)`` which events are known.
+        members
+            ``(n,)`` who takes part.
         """
         there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
         if residual_m > self.settled_m or (known != there).any():
+            return False
+        if (members != self.due(time_s)).any():
             return False
         ends = [each for event in self.events for each in (event.appears_s, event.ends_s)]
         every = np.concatenate((ends, self.joins_s, self.leaves_s))
@@ -307,7 +348,7 @@ def simulate_network(
     motions, rows, settled = [motion], list[_Row](), False
     for step in range(steps):
         time_s = step * scene.time_step_s
-        members = (scene.joins_s <= time_s) & (time_s < scene.leaves_s)
+        members = scene.members(time_s, here, states != ABSENT)
         states = np.where(members, np.maximum(states, NONE), ABSENT)
         who, sent = np.flatnonzero(members), [0, 0, 0]
         talks = events > 0 or scene.counting.method != "known"
@@ -340,7 +381,7 @@ def simulate_network(
         after = mover(scene.ground, now, targets[who], responds)
         residual = residual_m(scene.gains, scene.time_step_s, now, after, targets[who], responds)
         known = np.array([watch.is_known for watch in watches], dtype=np.bool_)
-        settled = scene.has_settled(time_s, residual, known)
+        settled = scene.has_settled(time_s, residual, known, members)
         rows.append(
             _Row(states.copy(), targets, cost, residual, counts, asked, watches, tuple(sent))
         )

@@ -1,4 +1,4 @@
-"""Pictures of networks: cells, paths, teams at events, cost over time, and an animation."""
+"""Pictures of networks: cells, paths, radio links, teams at events, cost over time, animation."""
 
 from __future__ import annotations
 
@@ -8,19 +8,24 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
+from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.events import Event
 from planopt.coverage.ground import Ground
+from planopt.coverage.limits import RadioLimits
 from planopt.coverage.simulation import ABSENT, NetworkRun
 from planopt.files.whole import write_whole
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
     BLACK,
     BLUE,
+    GREEN,
     NOTE_PT,
     OBSTACLE,
     OBSTACLE_EDGE,
     ORANGE,
+    PURPLE,
     SERIES,
     VERMILLION,
     dress,
@@ -42,6 +47,12 @@ CELL = "#9a9a9a"
 
 EVENT_SHADE = 0.12
 
+LINK: dict[str, Any] = {"colors": GREEN, "linewidths": 1.7, "zorder": 2.5, "label": "radio link"}
+"""Links of the radio tree."""
+
+UNLINKED: dict[str, Any] = {"color": PURPLE, "marker": "x", "label": "no connection"}
+"""Agents without a way to a station that holds with probability `p_min`."""
+
 
 @dataclass(frozen=True, eq=False)
 class NetworkPicture:
@@ -57,6 +68,8 @@ class NetworkPicture:
         Areas that agents may not enter.
     events
         What appeared.
+    radio
+        Links to base stations that agents are to keep; None for none.
     """
 
     name: str
@@ -64,6 +77,21 @@ class NetworkPicture:
     ground: Ground
     obstacles: tuple[shapely.Polygon, ...]
     events: tuple[Event, ...]
+    radio: RadioLimits | None = None
+
+    def links(self, step: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the links ``(e, 2, 2)`` of the radio tree in a step, and who has none ``(u, 2)``.
+
+        The tree is that of the places in the step. An agent has none if every way to a station
+        fails with more than the allowed probability.
+        """
+        here = self.run.positions_m[step, self.run.states[step] != ABSENT]
+        if self.radio is None:
+            return np.zeros((0, 2, 2)), np.zeros((0, 2))
+        tree = radio_tree(here, self.radio)
+        # Station k is parent -1 - k: the stations in reverse order follow the agents.
+        ends = np.concatenate((here, self.radio.stations_m[::-1]))[tree.parent]
+        return np.stack((here, ends), axis=1)[tree.connected], here[~tree.connected]
 
     @property
     def busiest(self) -> int:
@@ -145,10 +173,13 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
     team = dots(color=ORANGE, marker="o", markersize=6.0, label="responds")
     there = dots(color=VERMILLION, marker="*", markersize=14.0, label="event")
     guess = dots(color=BLACK, marker="+", markersize=11.0, label="estimate")
-    handles = [
-        *entries.values(),
-        *(cast("Artist", each) for each in (covering, team, there, guess)),
-    ]
+    tree = LineCollection([], **LINK)
+    unlinked = dots(**UNLINKED, markersize=7.0, zorder=4.0)
+    shown = [covering, *((team, there, guess) if picture.events else ())]
+    handles = [*entries.values(), *(cast("Artist", each) for each in shown)]
+    if picture.radio is not None:
+        panel.add_collection(tree)
+        handles += [tree, cast("Artist", unlinked)]
     panel.legend(
         handles=handles,
         loc="upper center",
@@ -166,6 +197,9 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
         cast(_Segments, borders).set_segments(picture.ground.borders(here[states != ABSENT]))
         covering.set_data(*here[states == -1].T)
         team.set_data(*here[states >= 0].T)
+        links, lonely = picture.links(step)
+        cast(_Segments, tree).set_segments(links)
+        unlinked.set_data(*lonely.T)
         time_s = float(run.times_s[step])
         places = [e.place_at(time_s) for e in picture.events if e.is_there(time_s)]
         there.set_data(*np.array(places).reshape(-1, 2).T)
@@ -196,12 +230,19 @@ def _area(panel: Panel, picture: NetworkPicture) -> dict[str, Artist]:
     ring = np.concatenate((corners, corners[:1]))
     panel.plot(ring[:, 0], ring[:, 1], color=OBSTACLE_EDGE, linewidth=1.0)
     panel.set_aspect("equal")
-    if not picture.obstacles:
-        return {}
-    rings = [shapely.get_coordinates(each.exterior) for each in picture.obstacles]
-    layer = PolyCollection(rings, facecolors=OBSTACLE, edgecolors=OBSTACLE_EDGE, label="obstacle")
-    panel.add_collection(layer)
-    return {"obstacle": layer}
+    entries: dict[str, Artist] = {}
+    if picture.obstacles:
+        rings = [shapely.get_coordinates(each.exterior) for each in picture.obstacles]
+        layer = PolyCollection(
+            rings, facecolors=OBSTACLE, edgecolors=OBSTACLE_EDGE, label="obstacle"
+        )
+        panel.add_collection(layer)
+        entries["obstacle"] = layer
+    if picture.radio is not None:
+        x, y = picture.radio.stations_m.T
+        look = {"color": ORANGE, "edgecolors": BLACK, "linewidths": 1.0, "label": "base station"}
+        entries["station"] = panel.scatter(x, y, s=90.0, marker="^", zorder=6, **look)
+    return entries
 
 
 def _plane(panel: Panel, picture: NetworkPicture, step: int) -> dict[str, Artist]:
@@ -214,6 +255,12 @@ def _plane(panel: Panel, picture: NetworkPicture, step: int) -> dict[str, Artist
     layer = LineCollection(list(cells), colors=CELL, linewidths=0.7, label="border of a cell")
     panel.add_collection(layer)
     entries["cells"] = layer
+    links, lonely = picture.links(step)
+    if len(links):
+        entries["links"] = tree = LineCollection(list(links), **LINK)
+        panel.add_collection(tree)
+    if len(lonely):
+        entries["lonely"] = panel.scatter(*lonely.T, s=45.0, zorder=4, **UNLINKED)
     looks = (
         ("covers", states == -1, BLUE, "o", 18.0),
         ("responds", states >= 0, ORANGE, "o", 30.0),

@@ -9,11 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 import planopt
 from planopt.cli import main
+from planopt.coverage.limits import packing_reach_m
+from planopt.coverage.simulation import ABSENT
+from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.problems.systems import system_from_tables
+from planopt.report.coverage_figure import NetworkPicture, draw_network
 from planopt.systems.coverage.check import faults
 from planopt.systems.coverage.driving import drive
 
@@ -43,6 +48,9 @@ coverage_gain_per_s = 1.0
 [report]
 figures = false
 """
+
+
+RECEDING = '\n[planner]\nname = "receding"\nhorizon = 2\n'
 
 
 @pytest.fixture
@@ -244,6 +252,15 @@ def test_false_folders_are_rejected(change, words, saved, tmp_path, capsys):
          "nobody takes part"),
         ((("bounds_m = [0, 0, 40, 30]", "bounds_m = [40, 0, 0, 30]"),), "", "world.bounds_m",
          "empty"),
+        ((('kind = "random", count = 12', 'kind = "list", places_m = [[5, 5], [9, 9], [9, 8]]'),
+          ("speed_max_m_s = 2.0", "body_radius_m = 0.5")), RECEDING, "agents.start.places_m[2]",
+         "agents 1 and 2 start 1 m apart, their bodies touch at 1 m"),
+        ((('kind = "random", count = 12', 'kind = "list", places_m = [[5, 5], [9, 9], [9, 0.2]]'),
+          ("speed_max_m_s = 2.0", "body_radius_m = 0.5")), RECEDING, "agents.start.places_m[2]",
+         "agent 2 starts at .9, 0.2., outside"),
+        ((("speed_max_m_s = 2.0", "body_radius_m = 4"),), RECEDING, "agents.start.within_m",
+         "smaller bodies"),
+        ((("speed_max_m_s = 2.0", "body_radius_m = 0.5"),), "", "planner.name", "use receding"),
     ],
 )  # fmt: skip
 def test_bad_input_names_its_key(changes, more, key, words, written):
@@ -287,6 +304,63 @@ def test_receding_horizon_within_limits(written, tmp_path, capsys):
         planopt.load_system(file).simulate(planner="law")
 
 
+BODIES = (
+    ("count = 12", "count = 12, within_m = [0, 0, 14, 14]"),
+    ("speed_max_m_s = 2.0", "speed_max_m_s = 2.0\nbody_radius_m = 0.6"),
+    ("agents = 3", "agents = 5"),
+    ("duration_s = 200", "duration_s = 60"),
+)
+
+
+@pytest.mark.parametrize("inert", [False, True])
+def test_no_two_bodies_touch(inert, written, tmp_path, capsys):
+    """Bodies are apart at all times of all moves, and crowd around the event as near as they can.
+
+    An agent that is to join in the crowd waits until there is room.
+    """
+    changes = list(BODIES)
+    if inert:
+        changes.append(("body_radius_m", "acceleration_max_m_s2 = 0.7\nbody_radius_m"))
+    problem = planopt.load_system(written(*changes, more=RECEDING))
+    content, middle = problem.content, np.array([12.0, 11.0])
+    # The last agent would join at the event, where the others stand.
+    starts = np.vstack([content.scene(np.random.default_rng(2)).starts_m, middle]).tolist()
+    listed = f'kind = "list", places_m = {starts}'
+    changes[0] = ('kind = "random", count = 12', listed)
+    file = written(*changes, more="[[changes]]\nagents = [12]\njoins_s = 30\n" + RECEDING)
+    code, found = run(capsys, "simulate", file, "--out", tmp_path / "out")
+    assert code in (0, 4) and found["faults"] == []
+    assert 8.0 < found["events"][0]["served_s"] < 30.0
+    assert run(capsys, "check", tmp_path / "out")[0] == 0
+    done = planopt.load_system(file).simulate().result.run
+    joined = int((done.states[:, 12] != ABSENT).argmax())
+    assert 40 < joined < len(done.states)
+    step = np.linspace(0.0, 1.0, 33)[:, None, None]
+    for now in range(len(done.states)):
+        who = done.states[now] != ABSENT
+        here, after = done.positions_m[now, who], done.positions_m[now + 1, who]
+        first = done.velocities_m_s[now, who] if inert else after - here
+        places = here + step * first + step**2 * (after - here - first)
+        gaps = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
+        assert gaps[:, ~np.eye(who.sum(), dtype=bool)].min() > 1.2
+        assert (places > 0.6 - 1e-6).all() and (places < np.array([39.4, 29.4]) + 1e-6).all()
+    team = done.positions_m[38, done.states[38] == 0]
+    away_m = np.sort(np.linalg.norm(team - middle, axis=1))
+    # Five discs fit in a circle of 2.7013 radii at best (Graham 1968): centres at 1.7013.
+    assert len(team) == 5 and 1.7013 * 0.6 - 0.1 < away_m[-1] <= packing_reach_m(5, 0.6)
+    with pytest.raises(InputError, match="of acceleration" if inert else "no bodies apart"):
+        planopt.load_system(file).simulate(planner="law")
+
+
+def test_bodies_in_place_hold_shells():
+    """A body more than fill some shells of a hexagonal packing needs one more."""
+    for shells in range(1, 5):
+        full = 1 + 3 * shells * (shells + 1)
+        assert packing_reach_m(full, 0.5) == shells + 1.0
+        assert packing_reach_m(full + 1, 0.5) == shells + 2.0
+    assert packing_reach_m(9, 0.0) == 0.0 and packing_reach_m(1, 0.5) == 0.5
+
+
 def test_compare_horizons_paired(written, tmp_path, capsys):
     """Settings are paired by seed; without limits that bind, receding is the law."""
     file = written(("duration_s = 200", "duration_s = 12"), ("speed_max_m_s = 2.0\n", ""))
@@ -311,6 +385,32 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
     assert mine["path_m"] == pytest.approx(one["path_m"])
 
 
+def _links_are_drawn(kept, lost):
+    """Pictures show a tree to the station, and who has none by the verifier's own reckoning."""
+    content, radio = kept.problem, kept.problem.radio
+    pictures = [
+        NetworkPicture("radio", each.run, content.ground, (), (), radio) for each in (kept, lost)
+    ]
+    station = radio.stations_m[0]
+    for picture in pictures:
+        here = picture.run.positions_m[29]
+        links, lonely = picture.links(29)
+        assert len(links) + len(lonely) == len(here)
+        reached, ends = [station], links.tolist()
+        while ends:
+            # Every link leads from an agent to one that is nearer to the station in the tree.
+            grown = [a for a, b in ends if any(np.allclose(b, one) for one in reached)]
+            assert grown
+            reached += grown
+            ends = [pair for pair in ends if pair[0] not in grown]
+        alone = verify_moves(shapely.box(0, 0, 200, 150), here, here, content.limits, radio=radio)
+        assert np.array_equal(lonely, here[[fault.agent for fault in alone]])
+    assert len(pictures[0].links(29)[1]) == 0 < len(pictures[1].links(29)[1])
+    figure = draw_network(pictures[1])
+    labels = {each.get_label() for panel in figure.axes for each in panel.collections}
+    assert {"base station", "radio link", "no connection"} <= labels
+
+
 def test_radio_is_kept_where_the_law_loses_it():
     """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
     problem = planopt.load_system("coverage_radio")
@@ -320,8 +420,10 @@ def test_radio_is_kept_where_the_law_loses_it():
     content = replace(content, given=content.given.model_copy(update={"control": short}))
     kept = drive(content, planner, 0)
     assert faults(kept) == []
-    lost = faults(drive(content, planner.model_copy(update={"name": "law"}), 0))
+    by_law = drive(content, planner.model_copy(update={"name": "law"}), 0)
+    lost = faults(by_law)
     assert lost and all("fault of radio" in each for each in lost)
+    _links_are_drawn(kept, by_law)
     with pytest.raises(InputError, match="without a link to a station") as caught:
         away = content.given.radio.model_copy(update={"stations_m": [(200.0, 150.0)]})
         replace(content, given=content.given.model_copy(update={"radio": away})).scene(

@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from planopt.coverage.assignment.demand import LEAST_ON_RING, Demand, demanded
 from planopt.coverage.control.laws import Gains
@@ -34,6 +35,7 @@ from planopt.systems.coverage.tables import (
     PlacesTable,
     PlannerTable,
     WorldTable,
+    has_room,
 )
 from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle
@@ -98,18 +100,35 @@ class CoverageProblem:
         InputError
             An agent starts where none may be.
         """
-        given, control = self.given, self.given.control
-        starts = given.agents.start.places(self.ground, generator)
-        outside = np.flatnonzero(~self.ground.allows(starts))
+        given, control, limits = self.given, self.given.control, self.limits
+        start, body_m = given.agents.start, limits.body_radius_m
+        starts = start.places(self.ground, generator, body_m)
+
+        def key(agent: int) -> str:
+            """The key that says where an agent starts."""
+            listed = isinstance(start, PlacesTable)
+            return f"agents.start.places_m[{agent}]" if listed else "agents.start"
+
+        outside = np.flatnonzero(~has_room(self.ground, starts, body_m))
         if len(outside):
             x, y = starts[outside[0]]
             raise InputError(
                 f"agent {outside[0]} starts at ({x:g}, {y:g}), outside the region, in an obstacle "
                 "or too near to one",
-                key=f"agents.start.places_m[{outside[0]}]"
-                if isinstance(given.agents.start, PlacesTable)
-                else "agents.start",
+                key=key(int(outside[0])),
             )
+        for joins_s in np.unique(self.joins_s) if body_m > 0.0 else ():
+            who = np.flatnonzero(self.joins_s == joins_s)
+            touching = overlapping(starts[who], body_m)
+            if touching is not None:
+                one, other = who[list(touching)].tolist()
+                apart_m = float(np.linalg.norm(starts[one] - starts[other]))
+                raise InputError(
+                    f"agents {one} and {other} start {apart_m:g} m apart, their bodies touch at "
+                    f"{2.0 * body_m:g} m",
+                    key=key(other),
+                    remedy="place them farther apart, or give a smaller agents.body_radius_m",
+                )
         if self.radio is not None:
             lonely = np.flatnonzero(~radio_tree(starts[self.joins_s == 0.0], self.radio).connected)
             if len(lonely):
@@ -139,6 +158,7 @@ class CoverageProblem:
             control.duration_s,
             self.settled_m,
             control.stop_when_settled,
+            2.0 * body_m + limits.longest_stop_m if body_m > 0.0 else None,
         )
 
     @property
@@ -151,6 +171,7 @@ class CoverageProblem:
             speed,
             agents.acceleration_max_m_s2,
             agents.turn_rate_max_rad_s,
+            body_radius_m=agents.body_radius_m,
             clearance_m=given.world.clearance_m,
         )
 
@@ -176,9 +197,12 @@ class CoverageProblem:
         gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
         if planner.name == "receding":
             return RecedingMover(gains, limits, planner.horizon, self.radio)
-        if limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None:
+        bodies = limits.body_radius_m > 0.0
+        inert = limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None
+        if inert or bodies:
             raise InputError(
-                "is law, which keeps no limits of acceleration or turn rate",
+                "is law, which keeps no "
+                + ("limits of acceleration or turn rate" if inert else "bodies apart"),
                 key="planner.name",
                 remedy="use receding",
             )
@@ -202,12 +226,14 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
     density = _keyed(lambda: given.density.density(folder), {})
     outline = "bounds_m" if given.world.outline_m is None else "outline_m"
     ground = _keyed(
-        lambda: _ground(given.world, obstacles, density),
+        lambda: _ground(given.world, obstacles, density, given.agents.body_radius_m),
         {
             "region": f"world.{outline}",
             "obstacles": "world.obstacles",
             "spacing_m": "world.spacing_m",
-            "clearance_m": "world.clearance_m",
+            "clearance_m": "world.clearance_m"
+            if given.world.clearance_m >= given.agents.body_radius_m
+            else "agents.body_radius_m",
         },
     )
     agents = given.agents.start.number
@@ -249,6 +275,17 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
     return problem
 
 
+def overlapping(places_m: NDArray[np.float64], body_radius_m: float) -> tuple[int, int] | None:
+    """Return the first two agents of ``(n, 2)`` whose bodies touch; None for points or if none."""
+    if body_radius_m == 0.0:
+        return None
+    touching = cast(
+        "set[tuple[int, int]]",
+        KDTree(places_m).query_pairs(2.0 * body_radius_m),  # pyright: ignore[reportUnknownMemberType]
+    )
+    return min(touching, default=None)
+
+
 def density_table(problem: CoverageProblem) -> dict[str, Any]:
     """Return the density as a table that needs no other file."""
     density = problem.density
@@ -278,7 +315,9 @@ def _keyed(make: Callable[[], Made], keys: dict[str, str]) -> Made:
         ) from error
 
 
-def _ground(world: WorldTable, obstacles: tuple[Obstacle, ...], density: Density) -> Ground:
+def _ground(
+    world: WorldTable, obstacles: tuple[Obstacle, ...], density: Density, body_radius_m: float
+) -> Ground:
     if world.bounds_m is not None:
         x0, y0, x1, y1 = world.bounds_m
         if not (x0 < x1 and y0 < y1):
@@ -306,7 +345,8 @@ def _ground(world: WorldTable, obstacles: tuple[Obstacle, ...], density: Density
             f"gives more than {MAX_NODES} nodes", key="world.spacing_m", remedy="give a larger one"
         )
     shapes = [each.polygon for each in obstacles]
-    return geodesic_ground(outline, shapes, spacing_m, density, world.clearance_m)
+    keep_m = max(world.clearance_m, body_radius_m)
+    return geodesic_ground(outline, shapes, spacing_m, density, keep_m)
 
 
 def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -24,7 +24,7 @@ from planopt.errors import InputError
 from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.problems.systems import SystemProblem
-from planopt.systems.coverage.build import CoverageProblem
+from planopt.systems.coverage.build import CoverageProblem, overlapping
 from planopt.systems.coverage.results import (
     EVENT_COLUMNS,
     EVENTS_FILE,
@@ -37,6 +37,7 @@ from planopt.systems.coverage.results import (
     run_json,
     state_names,
 )
+from planopt.systems.coverage.tables import has_room
 
 PLACE_M = 1e-6
 """Places that are computed again agree to this."""
@@ -114,7 +115,9 @@ def deployment_json(
     problem: CoverageProblem, places_m: NDArray[np.float64], bound: float
 ) -> dict[str, Any]:
     """Return what a solution says of a deployment: verdict, cost, bound and places."""
-    fine = bool(problem.ground.allows(places_m).all())
+    body_m = problem.limits.body_radius_m
+    fine = bool(has_room(problem.ground, places_m, body_m).all())
+    fine &= overlapping(places_m, body_m) is None
     cost = problem.ground.cover(places_m).cost
     return {
         "verdict": "verified" if fine and bound <= cost * (1.0 + COST_SHARE) else "violated",
@@ -295,7 +298,10 @@ def _read(folder: Path, problem: CoverageProblem, seed: int) -> NetworkRun:
     stds = np.where(np.isfinite(known[..., 0]) & np.isnan(known[..., 2]), np.inf, known[..., 2])
     scene = problem.scene(np.random.default_rng(seed))
     settled = scene.has_settled(
-        float(times_s[-2]), float(series[-1, 3]), np.isfinite(known[-1, :, 0])
+        float(times_s[-2]),
+        float(series[-1, 3]),
+        np.isfinite(known[-1, :, 0]),
+        states[-1] != ABSENT,
     )
     return NetworkRun(
         times_s,

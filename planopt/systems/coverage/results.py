@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.coverage.assignment.several import NONE
+from planopt.coverage.control.laws import Gains
+from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.simulation import ABSENT, NetworkRun
 from planopt.files.csv_tables import csv_text
 from planopt.files.whole import write_text
@@ -83,6 +85,10 @@ def outcome(driven: Driven) -> tuple[str, str]:
         return "settled", f"after {_settled_s(driven):g} s"
     if moving:
         return "served", f"an event moves on at {last_s:g} s"
+    due = (scene.joins_s <= last_s) & (last_s < scene.leaves_s)
+    waiting = np.flatnonzero(due & (run.states[-1] == ABSENT))
+    if len(waiting):
+        return "not_settled", f"{agent_name(int(waiting[0]))} waits for room to join"
     return "not_settled", (
         f"an agent is {run.residuals_m[-1]:.3g} m from its target after {last_s:g} s, "
         f"settled is {driven.problem.settled_m:.3g} m"
@@ -143,13 +149,13 @@ def event_results(driven: Driven) -> list[dict[str, Any]]:
     """Return when each event was detected, served and given up, and how well it was located."""
     run, problem, results = driven.run, driven.problem, list[dict[str, Any]]()
     times_s = run.times_s[:-1]
-    away_m = np.linalg.norm(run.targets_m - run.positions_m[:-1], axis=2)
+    near_m = problem.settled_m + ON_TARGET_M
     for number, event in enumerate(problem.events):
         known = np.isfinite(run.estimates_m[:, number, 0])
         there = np.array([event.is_there(time_s) for time_s in times_s.tolist()])
         team = run.states == number
         responding = team.sum(axis=1)
-        in_place = np.where(team, away_m, 0.0).max(axis=1) <= problem.settled_m + ON_TARGET_M
+        in_place = (~team | _in_place(driven, number, near_m)).all(axis=1)
         wanted = run.wanted[:, number]
         served = known & there & in_place & (responding == wanted) & (wanted > 0)
         if any(event.velocity_m_s):
@@ -175,6 +181,27 @@ def event_results(driven: Driven) -> list[dict[str, Any]]:
             }
         )
     return results
+
+
+def _in_place(driven: Driven, number: int, near_m: float) -> NDArray[np.bool_]:
+    """Whether agents are where an event wants them; (T, n).
+
+    They are within `near_m` of their targets. Bodies may also stand still, crowded around it.
+    """
+    run, problem, control = driven.run, driven.problem, driven.problem.given.control
+    here = run.positions_m[:-1]
+    in_place = np.linalg.norm(run.targets_m - here, axis=2) <= near_m
+    body_m = problem.limits.body_radius_m
+    if body_m == 0.0:
+        return in_place
+    gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
+    share = float(gains.shares(np.array([True]), control.time_step_s)[0])
+    still = np.linalg.norm(np.diff(run.positions_m, axis=0), axis=2) <= share * near_m
+    off_m = np.linalg.norm(here - run.estimates_m[:, number, None], axis=2)
+    team = (run.states == number).sum(axis=1).tolist()
+    reach_m = np.array([packing_reach_m(agents, body_m) for agents in team])
+    reach_m += near_m + (problem.stand_off_m or 0.0)
+    return in_place | (still & (off_m <= reach_m[:, None]))
 
 
 def save_tables(driven: Driven, folder: Path) -> None:

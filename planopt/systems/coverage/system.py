@@ -133,7 +133,9 @@ def _draw(name: str, driven: Driven, request: Request, folder: Path) -> None:
 
     problem = driven.problem
     shapes = tuple(each.polygon for each in problem.obstacles)
-    picture = NetworkPicture(name, driven.run, problem.ground, shapes, problem.events)
+    picture = NetworkPicture(
+        name, driven.run, problem.ground, shapes, problem.events, problem.radio
+    )
     if problem.given.report.figures:
         save_figure(draw_network(picture), folder / PICTURE)
     if request.animation:

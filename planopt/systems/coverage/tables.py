@@ -33,7 +33,10 @@ from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
 
 START_TRIES = 400
-"""Draws for each agent that starts at a random place."""
+"""Places that are drawn for agents that start at random, and four more for each agent."""
+
+START_SPARE = 0.1
+"""Bodies that start at random places are apart by this share of their radius at least."""
 
 PlannerName = Literal["law", "receding"]
 
@@ -152,7 +155,9 @@ class PlacesTable(Table):
         """How many agents there are."""
         return len(self.places_m)
 
-    def places(self, ground: Ground, generator: np.random.Generator) -> NDArray[np.float64]:
+    def places(
+        self, ground: Ground, generator: np.random.Generator, body_radius_m: float = 0.0
+    ) -> NDArray[np.float64]:
         """Return where agents start."""
         return np.array(self.places_m)
 
@@ -170,7 +175,9 @@ class GridTable(Table):
         """How many agents there are."""
         return self.columns * self.rows
 
-    def places(self, ground: Ground, generator: np.random.Generator) -> NDArray[np.float64]:
+    def places(
+        self, ground: Ground, generator: np.random.Generator, body_radius_m: float = 0.0
+    ) -> NDArray[np.float64]:
         """Return where agents start."""
         x0, y0, x1, y1 = self.within_m
         x = x0 + (x1 - x0) * (np.arange(self.columns) + 0.5) / self.columns
@@ -192,21 +199,51 @@ class RandomTable(Table):
         """How many agents there are."""
         return self.count
 
-    def places(self, ground: Ground, generator: np.random.Generator) -> NDArray[np.float64]:
+    def places(
+        self, ground: Ground, generator: np.random.Generator, body_radius_m: float = 0.0
+    ) -> NDArray[np.float64]:
         """Return where agents start."""
         corners = ground.hull.corners_m
         low, high = corners.min(axis=0), corners.max(axis=0)
         if self.within_m is not None:
             low, high = np.array(self.within_m[:2]), np.array(self.within_m[2:])
         drawn = low + (high - low) * generator.random((START_TRIES + 4 * self.count, 2))
-        found = drawn[ground.allows(drawn)][: self.count]
+        found = drawn[has_room(ground, drawn, body_radius_m)]
+        if body_radius_m > 0.0:
+            found = found[_spread(found, (2.0 + START_SPARE) * body_radius_m, self.count)]
+        found = found[: self.count]
         if len(found) < self.count:
             raise InputError(
                 f"only {len(found)} of {self.count} agents found a free place",
                 key="agents.start.within_m",
-                remedy="give a larger free area",
+                remedy="give a larger free area"
+                + (", or smaller bodies" if body_radius_m > 0.0 else ""),
             )
         return found
+
+
+def has_room(
+    ground: Ground, places_m: NDArray[np.float64], body_radius_m: float
+) -> NDArray[np.bool_]:
+    """Return whether bodies at places ``(k, 2)`` are within the ground; (k,).
+
+    A geodesic ground keeps the clearance of bodies itself, a convex one has its border alone.
+    """
+    inside = ground.allows(places_m)
+    if body_radius_m == 0.0:
+        return inside
+    return inside & (ground.hull.excess_m(places_m) <= 1e-9 - body_radius_m)
+
+
+def _spread(places_m: NDArray[np.float64], apart_m: float, most: int) -> list[int]:
+    """The first places, at most so many, of which no two are nearer than `apart_m`."""
+    chosen: list[int] = []
+    for number, place in enumerate(places_m):
+        if len(chosen) == most:
+            break
+        if (((places_m[chosen] - place) ** 2).sum(axis=1) >= apart_m**2).all():
+            chosen.append(number)
+    return chosen
 
 
 class AgentsTable(Table):
@@ -217,6 +254,11 @@ class AgentsTable(Table):
     )
     speed_max_m_s: float | None = Field(
         default=None, ge=SMALLEST, le=1e4, description="Largest speed in m/s; left out: none."
+    )
+    body_radius_m: Metres = Field(
+        default=0.0,
+        ge=0,
+        description="Radius of the bodies, which never touch, for the planner receding; 0: points.",
     )
     acceleration_max_m_s2: float | None = Field(
         default=None,

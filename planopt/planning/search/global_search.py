@@ -172,7 +172,8 @@ class GlobalSearch:
         problem, scene = self._problem, self._scene
         nodes, lengths = first_moves(scene.ground, problem, position_m)
         _, here = self.margins.at(position_m[None])
-        metre_cost = np.append(start.metre_cost, 1.0 + problem.reach.outage_price * float(here[0]))
+        price = 0.0 if start.is_direct else problem.reach.outage_price
+        metre_cost = np.append(start.metre_cost, 1.0 + price * float(here[0]))
         costs = TimedCosts(
             scene.road_map,
             start.ways,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.arrival import is_at_goal
 from planopt.planning.moving import obstacles_ahead
-from planopt.planning.plan import Plan, Verdict
+from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.reach_planner import Outlook, ReachPlanner
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Scene
@@ -39,6 +39,9 @@ from planopt.planning.tolerances import STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import MovingDiscs, joined_discs
 from planopt.world.timed_motion import TimedMotion
+
+STAYING = (Rung.SHIFTED, Rung.STOP, Rung.RESERVED, Rung.LEAVE)
+"""Plans that fall back on what was planned before, or on standing."""
 
 NO_LIMIT_M = -1e9
 """Radius of a moving obstacle beyond the steps for which it is predicted: it keeps nobody away."""
@@ -116,12 +119,27 @@ class Couriers:
         if keep_apart(self._problem, plans) and _are_verified(plans):
             return plans
         instead = self._in_turn(at, outlooks, reserved)
-        return max((plans, instead), key=lambda made: self._rank(made))
+        must_move = self._must_move(at, outlooks)
+        return max((plans, instead), key=lambda made: self._rank(made, must_move))
 
-    def _rank(self, plans: Sequence[Plan]) -> tuple[bool, int]:
-        """Return whether plans keep apart, and how many are verified."""
+    def _must_move(self, at: TeamMoment, outlooks: Sequence[Outlook]) -> bool:
+        """Return whether a robot short of its goal has wandered or stood for long enough."""
+        return any(
+            outlook.start is not None
+            and outlook.start.is_direct
+            and not is_at_goal(planner.problem, state[:2])
+            for planner, outlook, state in zip(self._planners, outlooks, at.states, strict=True)
+        )
+
+    def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
+        """Return whether plans keep apart, how many lead on if some must, and are verified.
+
+        Standing is verified where giving way would leave contact at a price: both robots would
+        stand in each other's way for ever.
+        """
+        leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
-        return keep_apart(self._problem, plans), verified
+        return keep_apart(self._problem, plans), leading, verified
 
     def _first_steps(self, courses: Sequence[Course]) -> dict[int, TimedMotion]:
         """Return the part of each course that is driven in the horizon, where it can be driven."""

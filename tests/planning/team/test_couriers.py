@@ -6,12 +6,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 import shapely
-from scenes import prepared_of, small_problem
+from scenes import BAD, GOOD, prepared_of, small_problem
 
 import planopt
 from planopt.planning.check.check import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
+from planopt.planning.plan import Rung
 
 SEPARATION_M = 5.0
 BELOW = shapely.box(8, 0, 32, 13)
@@ -83,6 +84,25 @@ def test_all_arrive_and_none_comes_too_near(name):
     walls = shapely.union_all(polygons) if polygons else shapely.Point(-99, -99)
     lines = [shapely.LineString(one.log.positions_m) for one in run.runs]
     assert min(line.distance(walls) for line in lines) >= problem.constraints.clearance_m - 1e-6
+
+
+def test_standing_head_on_ends_though_giving_way_leaves_contact():
+    """Contact is in the street's western part only: to wait is verified, to make room is not."""
+    problem = couriers(STREET, SCENES["both are in the street"][1], max_steps=80)
+
+    def power_at(places_m):
+        inside = (np.abs(places_m[:, 1] - 15.0) < 2.5) & (places_m[:, 0] < 28.0)
+        return np.where(inside, GOOD, BAD)
+
+    run = simulate(problem, prepared=prepared_of(problem, power_at))
+    assert run.outcome is Outcome.REACHED
+    assert run.metrics["min_separation_m"] >= SEPARATION_M
+    walls = shapely.union_all(STREET)
+    lines = [shapely.LineString(one.log.positions_m) for one in run.runs]
+    assert min(line.distance(walls) for line in lines) >= problem.constraints.clearance_m - 1e-6
+    # They do give up the bound where that is dearer than the way alone, and say so.
+    given = [plan for plans in run.plans for plan in plans if plan.rung is Rung.GIVE_WAY]
+    assert any("p_min" in reason for plan in given for reason in plan.certificate.reasons)
 
 
 BLOCKS = tuple(shapely.box(x, y, x + 6, y + 5) for x in (4, 14, 24) for y in (4.0, 12.5, 21.0))

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.localisation.estimate import EventEstimate, locate_events
+from planopt.coverage.localisation.estimate import Drift, EventEstimate, locate_events
 from planopt.coverage.localisation.readings import (
     Readings,
-    no_readings,
     pooled,
     single_readings,
 )
@@ -74,6 +73,9 @@ class Sensing:
         An event is gone when nobody has read so much for so many steps.
     memory_s
         Older readings are forgotten; None for none. Needed where events move.
+    speed_std_m_s
+        Where events may move, the standard deviation of each component of their velocities before
+        anything is read; None where all events are known to stand.
     """
 
     sensor: EventSensor
@@ -81,6 +83,7 @@ class Sensing:
     detection_std: float = 5.0
     silent_steps: int = 3
     memory_s: float | None = None
+    speed_std_m_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +116,15 @@ class Watch:
 
     @property
     def std_m(self) -> float:
-        """Root of the trace of the estimate's covariance; NaN while it is not detected."""
+        """Root of the trace of the estimate's covariance; NaN while it is not detected.
+
+        A rival place that may be the right one as well counts as a deviation of its distance.
+        """
         if self.estimate is None:
             return math.nan
-        return math.sqrt(float(np.trace(self.estimate.covariance_m2)))
+        rivals_m = np.linalg.norm(self.estimate.rivals_m - self.place_m, axis=1)
+        spread_m = float(rivals_m.max(initial=0.0))
+        return math.hypot(math.sqrt(float(np.trace(self.estimate.covariance_m2))), spread_m)
 
 
 def signals(
@@ -160,18 +168,37 @@ def watched(
     silent = 0 if heard else watch.silent + 1
     if not heard and (not watch.is_known or silent >= sensing.silent_steps):
         return Watch()
-    if not heard or not shared.any():
+    logs, known, moves = watch.logs, watch.estimate, sensing.speed_std_m_s is not None
+    if heard and shared.any():
+        logs = (*logs, (time_s, single_readings(agents_m[shared], signal[shared])))
+    elif not moves:
         # A step without the signal, when the event may just have ended, would mislead.
         return replace(watch, silent=silent)
-    logs = (*watch.logs, (time_s, single_readings(agents_m[shared], signal[shared])))
     if sensing.memory_s is not None:
         logs = tuple(each for each in logs if each[0] > time_s - sensing.memory_s)
-    readings = pooled(log for _, log in logs) if logs else no_readings()
-    near, known = None, watch.estimate
+    if not logs:
+        return replace(watch, silent=silent)
+    readings, drift = pooled(log for _, log in logs), None
+    if sensing.speed_std_m_s is not None:
+        # Readings of one place at several times tell different things of an event that moves.
+        readings = Readings(
+            np.concatenate([log.positions_m for _, log in logs]),
+            np.concatenate([log.signal for _, log in logs]),
+            np.concatenate([log.counts for _, log in logs]),
+        )
+        ages_s = np.concatenate([np.full(len(log.signal), time_s - then) for then, log in logs])
+        guess = np.zeros(2) if known is None else known.velocity_m_s
+        drift = Drift(ages_s, sensing.speed_std_m_s, guess)
+    near = None
     if known is not None and len(readings.signal) > GRID_READINGS:
         near = np.concatenate((known.positions_m, known.rivals_m))
     estimate = locate_events(
-        sensing.sensor, readings, hull, strength_known=sensing.strength_known, near_m=near
+        sensing.sensor,
+        readings,
+        hull,
+        strength_known=sensing.strength_known,
+        near_m=near,
+        drift=drift,
     )
     # Readings at the very same places are kept as their mean.
     kept = logs if sensing.memory_s is not None else ((time_s, readings),)

@@ -164,6 +164,26 @@ def test_lossy_links_cost_messages_and_still_agree() -> None:
     assert lossy.messages[:, 1].sum() > 5 * calm.messages[:, 1].sum()
 
 
+def test_moving_events_are_located_within_their_deviation() -> None:
+    """With its velocity estimated, the reported deviation is true; taken as static, it is not."""
+    plume = Event("plume", (50.0, 30.0), 4.0, 34.0, (-0.6, -0.5))
+    within, wrongly, errors = list[bool](), list[bool](), list[float]()
+    for seed in range(20, 24):
+        scene = replace(scene_of(seed, 12, plume), duration_s=34.0)
+        for speed_std, found in ((1.0, within), (None, wrongly)):
+            sensing = replace(SENSING, memory_s=8.0, speed_std_m_s=speed_std)
+            run = run_of(replace(scene, sensing=sensing), seed)
+            known = np.isfinite(run.estimates_m[:, 0, 0]) & (run.times_s[:-1] < 34.0)
+            true = np.array([plume.place_at(time_s) for time_s in run.times_s[:-1][known].tolist()])
+            error_m = np.linalg.norm(run.estimates_m[known, 0] - true, axis=1)
+            found += (error_m <= 3.0 * run.stds_m[known, 0]).tolist()
+            if speed_std is not None:
+                errors += error_m.tolist()
+    assert len(within) > 80
+    assert np.mean(within) >= 0.9 and np.mean(wrongly) < 0.6
+    assert np.median(errors) < 0.3
+
+
 def test_stand_off_ring_learns_on() -> None:
     """On the ring the estimate's uncertainty goes on falling; at the event it stops."""
     at = replace(scene_of(7, 12, Event("leak", (30.0, 20.0), 0.0)), stop_when_settled=False)

@@ -411,6 +411,27 @@ def _links_are_drawn(kept, lost):
     assert {"base station", "radio link", "no connection"} <= labels
 
 
+def test_horizons_of_the_committed_problems():
+    """The problems of the results page: without inertia every horizon gives the law's run."""
+    folder = Path(__file__).parents[2] / "benchmarks" / "problems"
+    runs = {}
+    for name in ("spread_speed", "spread_inertia"):
+        content = planopt.load_system(folder / f"{name}.toml").content
+        control = content.given.control.model_copy(update={"duration_s": 12.0})
+        content = replace(content, given=content.given.model_copy(update={"control": control}))
+        for horizon in (2, 5):
+            planner = content.given.planner.model_copy(update={"horizon": horizon})
+            done = drive(content, planner, 100)
+            assert faults(done) == []
+            runs[name, horizon] = done.run.costs
+        if name == "spread_speed":
+            law = drive(content, planner.model_copy(update={"name": "law"}), 100).run.costs
+            assert runs[name, 5] == pytest.approx(law, rel=1e-9)
+            assert runs[name, 2] == pytest.approx(law, rel=1e-9)
+    assert runs["spread_inertia", 5][-1] < runs["spread_inertia", 2][-1]
+    assert (runs["spread_inertia", 5][1:] > runs["spread_speed", 5][1:]).all()
+
+
 def test_radio_is_kept_where_the_law_loses_it():
     """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
     problem = planopt.load_system("coverage_radio")

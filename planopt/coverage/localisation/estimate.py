@@ -3,7 +3,7 @@
 The likelihood of signals that fall with distance has several maxima: one straight path leaves the
 mirror image of the event. The best places of a grid over the region are therefore all refined by
 Levenberg-Marquardt steps. Events that add to one signal are found one after the other and then
-refined together.
+refined together. An event that moves is located where it is now, together with its velocity.
 """
 
 from __future__ import annotations
@@ -56,6 +56,8 @@ class EventEstimate:
         is right.
     rivals_m
         ``(r, 2)`` other places that explain the readings nearly as well; for one event only.
+    velocity_m_s
+        ``(2,)`` estimated velocity of an event that moves; zero for others.
     """
 
     positions_m: NDArray[np.float64]
@@ -63,6 +65,7 @@ class EventEstimate:
     covariance_m2: NDArray[np.float64]
     misfit: float
     rivals_m: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
 
     @property
     def is_determined(self) -> bool:
@@ -71,10 +74,33 @@ class EventEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class Drift:
+    """How an event moves: at a constant velocity, which is estimated together with its place.
+
+    Attributes
+    ----------
+    ages_s
+        ``(k,)`` how long ago each reading was taken.
+    speed_std_m_s
+        Standard deviation of each component of the velocity before anything is read, more than 0.
+    guess_m_s
+        ``(2,)`` a velocity to start from besides zero, such as an earlier estimate.
+    """
+
+    ages_s: NDArray[np.float64]
+    speed_std_m_s: float
+    guess_m_s: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class _Fits:
-    """Local maxima, best first: places (b, j, 2), strengths (b, j), misfits (b,), informations."""
+    """Local maxima, best first.
+
+    Places (b, j, 2), velocities (b, 2), strengths (b, j), misfits (b,), and informations.
+    """
 
     places: NDArray[np.float64]
+    velocities: NDArray[np.float64]
     strengths: NDArray[np.float64]
     misfit: NDArray[np.float64]
     information: NDArray[np.float64]
@@ -88,6 +114,7 @@ def locate_events(
     *,
     strength_known: bool = True,
     near_m: NDArray[np.float64] | None = None,
+    drift: Drift | None = None,
 ) -> EventEstimate:
     """Estimate the places of events whose signals add up.
 
@@ -106,28 +133,42 @@ def locate_events(
     near_m
         ``(g, 2)`` places to start from, such as an earlier estimate and its rivals; a grid over the
         region if None, which takes many times as long.
+    drift
+        How the one event moves; None for events that stand.
 
     Raises
     ------
     InputError
-        There is no reading, or less than one event is asked for.
+        There is no reading, less than one event is asked for, or several that move.
     """
     if not len(readings.signal):
         raise InputError("there is no reading", key="readings", remedy="measure first")
     if events < 1:
         raise InputError(f"{events} events", key="events")
+    if drift is not None and events != 1:
+        raise InputError(f"{events} events that move", key="events", remedy="locate one at a time")
     grid = _grid(region) if near_m is None else _inside(region, near_m)
     places, strengths = np.zeros((0, 2)), np.zeros(0)
     fits = None
     for _ in range(events):
-        start = _starts(sensor, readings, places, strengths, grid, strength_known)
-        fits = _refined(sensor, readings, region, *start, strength_known)
+        first, known = _starts(sensor, readings, places, strengths, grid, strength_known)
+        velocities = np.zeros((len(first), 2))
+        if drift is not None:
+            # Against readings that are moved by the velocity since they were taken, events stand.
+            moved = readings.positions_m + drift.ages_s[:, None] * drift.guess_m_s
+            shifted = Readings(moved, readings.signal, readings.counts)
+            more = _starts(sensor, shifted, places, strengths, grid, strength_known)
+            guesses = np.repeat(drift.guess_m_s[None], len(more[0]), axis=0)
+            first, known = np.concatenate((first, more[0])), np.concatenate((known, more[1]))
+            velocities = np.concatenate((velocities, guesses))
+        fits = _refined(sensor, readings, region, first, velocities, known, strength_known, drift)
         places, strengths = fits.places[0], fits.strengths[0]
     if fits is None:
         raise AssertionError("no event was looked for")
     covariance = _covariance(fits.information[0])[: 2 * events, : 2 * events]
     rivals = _rivals(fits, covariance, region) if events == 1 else np.zeros((0, 2))
-    return EventEstimate(places, strengths, covariance, float(fits.misfit[0]), rivals)
+    misfit, velocity = float(fits.misfit[0]), fits.velocities[0]
+    return EventEstimate(places, strengths, covariance, misfit, rivals, velocity)
 
 
 def _grid(region: ConvexRegion) -> NDArray[np.float64]:
@@ -148,7 +189,7 @@ def _starts(
     strength_known: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Places (b, j + 1, 2) and strengths: j that are found, and one of the best grid places."""
-    left = readings.signal - _model(sensor, readings, places, strengths)
+    left = readings.signal - _model(sensor, readings.positions_m, places, strengths)
     shape = sensor.profile(np.linalg.norm(grid[:, None] - readings.positions_m, axis=2))
     weight = readings.counts
     strength = np.full(len(grid), sensor.strength)
@@ -175,29 +216,38 @@ def _starts(
 
 def _model(
     sensor: EventSensor,
-    readings: Readings,
+    positions: NDArray[np.float64],
     places: NDArray[np.float64],
     strengths: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Expected signals (..., k) of events at places (..., j, 2) of strengths (..., j)."""
-    offset = places[..., None, :, :] - readings.positions_m[:, None]
+    """Expected signals (..., k) of events at places (..., j, 2) of strengths (..., j).
+
+    Positions of the readings are (k, 2) or (..., k, 2).
+    """
+    offset = places[..., None, :, :] - positions[..., None, :]
     distance = np.sqrt((offset * offset).sum(axis=-1))
     return (sensor.profile(distance) * strengths[..., None, :]).sum(axis=-1)
 
 
 def _jacobian(
     sensor: EventSensor,
-    readings: Readings,
+    positions: NDArray[np.float64],
     places: NDArray[np.float64],
     strengths: NDArray[np.float64],
     strength_known: bool,
+    drift: Drift | None,
 ) -> NDArray[np.float64]:
-    """Derivatives of expected signals by places and unknown strengths; (b, k, 2 j or 3 j)."""
-    offset = places[:, None] - readings.positions_m[:, None]
+    """Derivatives of expected signals; (b, k, columns).
+
+    Columns are places, the velocity if the event moves, and unknown strengths.
+    """
+    offset = places[:, None] - positions[..., None, :]
     distance = np.sqrt((offset * offset).sum(axis=-1))
     # At the event itself the direction is undefined, and the slope of a smooth profile zero.
     along = strengths[:, None] * sensor.slope(distance) / np.where(distance > 0.0, distance, 1.0)
     columns = (along[..., None] * offset).reshape(*offset.shape[:2], -1)
+    if drift is not None:
+        columns = np.concatenate((columns, -drift.ages_s[:, None] * columns), axis=2)
     if strength_known:
         return columns
     return np.concatenate((columns, sensor.profile(distance)), axis=2)
@@ -208,26 +258,52 @@ def _refined(
     readings: Readings,
     region: ConvexRegion,
     places: NDArray[np.float64],
+    velocities: NDArray[np.float64],
     strengths: NDArray[np.float64],
     strength_known: bool,
+    drift: Drift | None,
 ) -> _Fits:
     """Climb from several starts at once to the maxima beside them, within the region."""
     root = np.sqrt(readings.counts) / sensor.noise_std
     starts, events = len(places), int(places.shape[1])
+    still = 2 * events
+    rest = still if drift is None else still + 2
+
+    def seen(velocities: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions of the readings, moved by the velocity since they were taken."""
+        if drift is None:
+            return readings.positions_m
+        return readings.positions_m + drift.ages_s[:, None] * velocities[:, None]
 
     def residuals(
-        places: NDArray[np.float64], strengths: NDArray[np.float64]
+        places: NDArray[np.float64],
+        velocities: NDArray[np.float64],
+        strengths: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        return root * (readings.signal - _model(sensor, readings, places, strengths))
+        found = root * (readings.signal - _model(sensor, seen(velocities), places, strengths))
+        if drift is None:
+            return found
+        return np.concatenate((found, -velocities / drift.speed_std_m_s), axis=1)
 
-    def slopes(places: NDArray[np.float64], strengths: NDArray[np.float64]) -> NDArray[np.float64]:
-        return root[:, None] * _jacobian(sensor, readings, places, strengths, strength_known)
+    def slopes(
+        places: NDArray[np.float64],
+        velocities: NDArray[np.float64],
+        strengths: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        found = root[:, None] * _jacobian(
+            sensor, seen(velocities), places, strengths, strength_known, drift
+        )
+        if drift is None:
+            return found
+        prior = np.zeros((starts, 2, found.shape[2]))
+        prior[:, :, still:rest] = np.eye(2) / drift.speed_std_m_s
+        return np.concatenate((found, prior), axis=1)
 
-    residual = residuals(places, strengths)
+    residual = residuals(places, velocities, strengths)
     misfit = np.asarray((residual * residual).sum(axis=1), dtype=np.float64)
     damping = np.full(starts, 1e-3)
     open_ = np.ones(starts, dtype=np.bool_)
-    jacobian = slopes(places, strengths)
+    jacobian = slopes(places, velocities, strengths)
     for _ in range(STEPS):
         information = np.swapaxes(jacobian, 1, 2) @ jacobian
         scale = np.diagonal(information, axis1=1, axis2=2)
@@ -235,26 +311,30 @@ def _refined(
         damped = information + scale[:, :, None] * np.eye(scale.shape[1])
         pull = np.swapaxes(jacobian, 1, 2) @ residual[..., None]
         step = np.asarray(np.linalg.solve(damped, pull), dtype=np.float64)[..., 0]
-        moved = places + step[:, : 2 * events].reshape(places.shape)
+        moved = places + step[:, :still].reshape(places.shape)
         moved = _inside(region, moved.reshape(-1, 2)).reshape(places.shape)
-        stronger = strengths if strength_known else np.maximum(strengths + step[:, 2 * events :], 0)
-        tried = residuals(moved, stronger)
+        faster = velocities if drift is None else velocities + step[:, still:rest]
+        stronger = strengths if strength_known else np.maximum(strengths + step[:, rest:], 0)
+        tried = residuals(moved, faster, stronger)
         value = np.asarray((tried * tried).sum(axis=1), dtype=np.float64)
         better = np.asarray(open_ & (value < misfit), dtype=np.bool_)
         shift = np.abs(moved - places).max(axis=(1, 2))
         places = np.where(better[:, None, None], moved, places)
+        velocities = np.where(better[:, None], faster, velocities)
         strengths = np.where(better[:, None], stronger, strengths)
         residual = np.where(better[:, None], tried, residual)
         misfit = np.where(better, value, misfit)
         damping = np.where(better, np.maximum(damping / 5.0, 1e-12), 4.0 * damping)
         going = ~(better & (shift < SETTLED * region.radius_m)) & (damping < 1e12)
         open_ = np.asarray(open_ & going, dtype=np.bool_)
-        jacobian = slopes(places, strengths)
+        jacobian = slopes(places, velocities, strengths)
         if not open_.any():
             break
     order = np.argsort(misfit, kind="stable")
     information = np.swapaxes(jacobian, 1, 2) @ jacobian
-    return _Fits(places[order], strengths[order], misfit[order], information[order])
+    return _Fits(
+        places[order], velocities[order], strengths[order], misfit[order], information[order]
+    )
 
 
 def _inside(region: ConvexRegion, places: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -375,10 +375,17 @@ def _sensing(given: CoverageFile) -> Sensing | None:
     if table is None:
         return None
     sensor = diffusion_sensor(table.noise_std, table.strength, table.scale_m)
-    memory_s = table.memory_s
-    if memory_s is None and any(any(each.velocity_m_s) for each in given.events):
+    memory_s, moving = table.memory_s, any(any(each.velocity_m_s) for each in given.events)
+    if memory_s is None and moving:
         memory_s = MEMORY_STEPS * given.control.time_step_s
-    return Sensing(sensor, table.strength_known, table.detection_std, table.silent_steps, memory_s)
+    return Sensing(
+        sensor,
+        table.strength_known,
+        table.detection_std,
+        table.silent_steps,
+        memory_s,
+        table.event_speed_std_m_s if moving else None,
+    )
 
 
 def _event(given: CoverageFile, number: int, ground: Ground) -> Event:

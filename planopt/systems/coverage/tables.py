@@ -399,6 +399,13 @@ class SensorTable(Table):
         default=None, ge=SMALLEST, description="Older readings are forgotten; left out: none, or "
         "ten steps if an event moves.",
     )  # fmt: skip
+    event_speed_std_m_s: float = Field(
+        default=1.0,
+        ge=SMALLEST,
+        le=1e4,
+        description="If an event moves: standard deviation of each component of the velocities of "
+        "events before agents measure them.",
+    )
 
 
 class AssignmentTable(Table):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from planopt.coverage.counting.consensus import average_round
-from planopt.coverage.localisation.estimate import EventEstimate, locate_events
+from planopt.coverage.localisation.estimate import Drift, EventEstimate, locate_events
 from planopt.coverage.localisation.readings import Readings, no_readings, pooled, single_readings
 from planopt.coverage.localisation.ring import (
     cramer_rao_m2,
@@ -198,6 +198,35 @@ def test_against_scipy() -> None:
     jacobian = wanted.jac.T @ wanted.jac
     assert found.covariance_m2 == pytest.approx(np.linalg.inv(jacobian), rel=1e-4)
     assert found.is_determined
+
+
+def test_moving_event_against_scipy() -> None:
+    """Place and velocity agree with another solver; the covariance is of both, and the prior's."""
+    generator, sensor = np.random.default_rng(6), diffusion_sensor(0.3, 50.0, 3.0)
+    place, velocity = np.array([5.0, 5.5]), np.array([0.3, -0.2])
+    places, ages = generator.uniform(0.0, 16.0, (40, 2)), np.repeat(np.arange(8.0), 5)
+    away = np.linalg.norm(place - ages[:, None] * velocity - places, axis=1)
+    signal = sensor.signal(away) + 0.3 * generator.standard_normal(40)
+
+    def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        away = np.linalg.norm(x[:2] - ages[:, None] * x[2:] - places, axis=1)
+        return np.concatenate(((signal - sensor.signal(away)) / 0.3, x[2:] / 0.7))
+
+    other = least_squares(residuals, [*place, *velocity], xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    readings = single_readings(places, signal)
+    found = locate_events(sensor, readings, FIELD, drift=Drift(ages, 0.7, np.zeros(2)))
+    assert np.allclose(found.positions_m[0], other.x[:2], atol=1e-5)
+    assert np.allclose(found.velocity_m_s, other.x[2:], atol=1e-5)
+    inverse = np.linalg.inv(other.jac.T @ other.jac)[:2, :2]
+    assert np.allclose(found.covariance_m2, inverse, rtol=1e-3)
+    # Readings of one moment tell nothing of the velocity.
+    now = locate_events(sensor, readings, FIELD, drift=Drift(0.0 * ages, 0.7, velocity))
+    still = locate_events(sensor, readings, FIELD)
+    assert np.allclose(now.velocity_m_s, 0.0, atol=1e-6)
+    assert np.allclose(now.positions_m, still.positions_m, atol=1e-5)
+    assert np.allclose(now.covariance_m2, still.covariance_m2, rtol=1e-4)
+    with pytest.raises(InputError, match="2 events that move"):
+        locate_events(sensor, readings, FIELD, 2, drift=Drift(ages, 0.7, np.zeros(2)))
 
 
 def test_more_measurements_come_closer() -> None:

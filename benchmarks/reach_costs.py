@@ -62,11 +62,11 @@ class Record:
 
 
 def reach_problems() -> list[str]:
-    """Names of the library's problems that have a goal and a free path to it."""
+    """Names of the library's problems of one robot that have a goal and a free path to it."""
     names: list[str] = []
     for name in library_names():
         problem = load(name)
-        if problem.task != "reach":
+        if problem.task != "reach" or len(problem.robots) > 1:
             continue
         try:
             build_scene(problem)
@@ -80,7 +80,7 @@ def drive(name: str, seed: int, horizon: int) -> Record:
     """Drive one problem of the library with one seed."""
     problem = load(name)
     scene, prepared = build_scene(problem), prepare(problem, seed)
-    simulation = simulate(problem, horizon=horizon, seed=seed, scene=scene, prepared=prepared)
+    simulation = simulate(problem, horizon=horizon, seed=seed, scenes=[scene], prepared=prepared)
     run = simulation.run
     known = clairvoyant_path(problem, scene.road_map, scene.index, prepared.truths)
     below = run.log.connectivity[1:] < problem.constraints.p_min

@@ -90,6 +90,12 @@ def _in_words(run: Run) -> str:
     steps = sum(len(one.log.t_s) - 1 for one in run.runs)
     measured = sum(one.metrics.measured_steps for one in run.runs)
     ahead = f", cost to go {problem.cost_to_go}" if problem.cost_to_go is not None else ""
+    head = (
+        f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon}, "
+        f"planner {planner.name}{ahead}, seed {run.seed}"
+    )
+    if steps == 0:
+        return f"{head}\n  {robots}, no step was driven"
     shown = ", ".join(f"{name} {shown_number(value)}" for name, value in run.metrics.items())
     lines = [
         f"{robots}, {run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
@@ -102,30 +108,33 @@ def _in_words(run: Run) -> str:
             crossed = f"{one.robot} crossed" if len(run.runs) > 1 else "crossed"
             lines += holes_in_words(problem, run_holes(one), crossed)
     lines += reliability_lines(run_reliability(run.runs), "steps")
-    head = (
-        f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon}, "
-        f"planner {planner.name}{ahead}, seed {run.seed}"
-    )
     return "\n".join([head, *(f"  {line}" for line in lines)])
 
 
 def _costs_in_words(run: Run) -> list[str]:
     """What the run cost against the clairvoyant, and what steps were excused by."""
+    from planopt.planning.certificate import excused_in_words
+
     lines = [
         f"realised cost {shown_number(run.costs['realised_cost_m'], ' m')} at "
         f"objective.outage_price {run.problem.reach.outage_price:g}, of the clairvoyant "
         f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
-    shares = [
-        proof.path_cost_m / proof.best_cost_m - 1.0
+    excess_m = [
+        proof.path_cost_m - proof.best_cost_m
         for proof in proofs
-        if proof.path_cost_m and proof.best_cost_m
+        if proof.path_cost_m is not None and proof.best_cost_m is not None
     ]
-    if shares:
+    if excess_m:
         lines.append(
-            f"{len(shares)} of {len(proofs)} plans have steps below p_min, excused by their "
-            f"price: they cost at most {100.0 * max(*shares, 0.0):.1f} % more than the cheapest "
-            "path that the verifier found"
+            f"{len(excess_m)} of {len(proofs)} plans have steps below p_min, judged by their "
+            f"price: they cost at most {max(*excess_m, 0.0):.1f} m more than the cheapest path "
+            "that the verifier found"
         )
-    return lines
+    return lines + [
+        f"{made[0].robot}, {line}" if len(run.plans) > 1 else line
+        for made in run.plans
+        if made
+        for line in excused_in_words([plan.certificate for plan in made])
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from planopt.planning.rule_result import RuleResult
@@ -66,3 +67,47 @@ class Certificate:
     min_separation_m: float | None = None
     min_moving_clearance_m: float | None = None
     rule: RuleResult | None = None
+
+
+MOST_EXCUSED = 10
+"""Steps told of one by one."""
+
+
+def excused_in_words(proofs: Sequence[Certificate]) -> list[str]:
+    """Lines for people: which steps miss p_min, by how much, and what excuses each.
+
+    Parameters
+    ----------
+    proofs
+        Of one plan, whose steps are all told of; or one for each step of a run, of which the
+        first steps were driven.
+    """
+    if len(proofs) == 1:
+        missed = [(step, proofs[0], k) for k, step in enumerate(proofs[0].relaxed_steps)]
+    else:
+        missed = [
+            (number, proof, proof.relaxed_steps.index(1))
+            for number, proof in enumerate(proofs, start=1)
+            if 1 in proof.relaxed_steps
+        ]
+    lines = [
+        f"step {step} misses p_min by {proof.relaxation_db[k]:.2f} dB: {_excuse(proof, k)}"
+        for step, proof, k in missed[:MOST_EXCUSED]
+    ]
+    more = len(missed) - MOST_EXCUSED
+    return [*lines, f"and {more} more steps"] if more > 0 else lines
+
+
+def _excuse(proof: Certificate, number: int) -> str:
+    """What excuses the miss of this number, as far as the verifier found something."""
+    if proof.path_cost_m is not None and proof.best_cost_m is not None:
+        return (
+            f"the way costs {proof.path_cost_m:.1f} m, the cheapest that the verifier found "
+            f"{proof.best_cost_m:.1f} m"
+        )
+    if number < len(proof.best_margin_db):
+        margin_db = proof.best_margin_db[number]
+        if margin_db < 0.0:
+            return f"the best place found within reach misses it by {-margin_db:.2f} dB"
+        return "nothing excuses it"
+    return "within constraints.slack_max_db" if not proof.reasons else "nothing excuses it"

@@ -15,6 +15,9 @@ from planopt.problems.problem import Problem
 MOST_IN_WORDS = 4
 """Of more holes the longest are told of."""
 
+SHORTEST_IN_WORDS_M = 0.5
+"""Shorter ones are rounded to nothing."""
+
 
 @dataclass(frozen=True)
 class Hole:
@@ -114,6 +117,7 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
     verb
         Says when they are crossed.
     """
+    holes = [hole for hole in holes if hole.length_m >= SHORTEST_IN_WORDS_M]
     if not holes:
         return []
     price, p_min = problem.reach.outage_price, problem.constraints.p_min
@@ -123,8 +127,8 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
     if len(told) < len(holes):
         lines.append(f"{verb} {len(holes) - len(told)} shorter ones")
     lines.append(
-        f"in all {total_m:.0f} m below constraints.p_min {p_min:g}: at objective.outage_price "
-        f"{price:g} no path round is cheaper"
+        f"in all {total_m:.0f} m below constraints.p_min {p_min:g}, each metre at "
+        f"objective.outage_price {price:g}"
     )
     return lines
 

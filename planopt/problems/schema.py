@@ -98,7 +98,7 @@ class ProblemFile(Table):
     world: WorldTable
     channel: ChannelTable
     robots: list[RobotTable] = Field(
-        min_length=1, max_length=20, description="The robots; exactly one for the task reach."
+        min_length=1, max_length=20, description="The robots; each has a goal for the task reach."
     )
     stations: list[StationTable] = Field(
         min_length=1,

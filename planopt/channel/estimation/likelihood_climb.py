@@ -193,7 +193,10 @@ class LikelihoodClimb:
         tops = self.distinct(self.to_top(start, box, ROUGH) for start in starts)
         least = tops[0][1].log_likelihood - NEARLY_AS_LIKELY - ROUGH
         likely = [logs for logs, at in tops if at.log_likelihood > least]
-        return self.distinct(self.to_top(logs, box, self._fine) for logs in likely)
+        found = self.distinct(self.to_top(logs, box, self._fine) for logs in likely)
+        # A rough climb may end short of its top: only the fine ones tell which are likely.
+        least = found[0][1].log_likelihood - NEARLY_AS_LIKELY
+        return [top for top in found if top[1].log_likelihood >= least]
 
     def _on_one_ridge(self, better: NDArray[np.float64], top: Top) -> bool:
         logs, at = top

@@ -145,18 +145,26 @@ def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
         "measurements": report.measurements,
         "censored": report.censored,
         "threshold_dbm": report.threshold_dbm,
-        "predictors": {name: _score_json(score) for name, score in report.scores.items()},
+        "predictors": {
+            name: _score_json(score, report.groups) for name, score in report.scores.items()
+        },
     }
 
 
 def held_out_words(data: dict[str, Any]) -> list[str]:
     """Lines for people, from what :func:`held_out_json` gives."""
+    from planopt.channel.validation.calibration import FEWEST_GROUPS
+
     header = f"  {'':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
         f"  {f'inside {level:.0%}':21}" for level in SHOWN_LEVELS
     )
     lines = [
         f"held out by {data['columns']}: {data['groups']} groups in {data['folds']} folds, "
-        "intervals over the groups",
+        + (
+            "intervals over the groups"
+            if data["groups"] >= FEWEST_GROUPS
+            else f"no interval from fewer than {FEWEST_GROUPS} groups"
+        ),
         header.rstrip(),
     ]
     for name, score in data["predictors"].items():
@@ -184,25 +192,31 @@ def held_out_reliability_words(report: HeldOutReport) -> list[str]:
     ]
 
 
-def _score_json(score: HeldOutScore) -> dict[str, Any]:
+def _score_json(score: HeldOutScore, groups: int) -> dict[str, Any]:
     from planopt.planning.files.run_json import reliability_json
 
     return {
-        "rmse_db": _ratio_json(score.rmse_db),
-        "of_path_loss": _ratio_json(score.of_path_loss),
+        "rmse_db": _ratio_json(score.rmse_db, groups),
+        "of_path_loss": _ratio_json(score.of_path_loss, groups),
         "coverage": [
-            {"level": level, **_ratio_json(ratio)} for level, ratio in score.coverage.items()
+            {"level": level, **_ratio_json(ratio, groups)}
+            for level, ratio in score.coverage.items()
         ],
         "reliability": reliability_json(score.reliability),
     }
 
 
-def _ratio_json(ratio: GroupedRatio) -> dict[str, float]:
-    return {"value": ratio.value, "low": ratio.low, "high": ratio.high}
+def _ratio_json(ratio: GroupedRatio, groups: int) -> dict[str, float | None]:
+    from planopt.channel.validation.calibration import FEWEST_GROUPS
+
+    ends = (ratio.low, ratio.high) if groups >= FEWEST_GROUPS else (None, None)
+    return {"value": ratio.value, "low": ends[0], "high": ends[1]}
 
 
-def _words(ratio: dict[str, float], form: str) -> str:
-    """The number with its interval."""
+def _words(ratio: dict[str, Any], form: str) -> str:
+    """The number with its interval, if it has one."""
+    if ratio["low"] is None:
+        return format(ratio["value"], form)
     low, high = format(ratio["low"], form).rstrip("%"), format(ratio["high"], form)
     return f"{ratio['value']:{form}} ({low} to {high})"
 

@@ -20,6 +20,7 @@ import shapely
 
 from planopt.coverage.assignment.demand import capped_demand
 from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
+from planopt.coverage.control.movers import LawMover
 from planopt.coverage.cost import coverage
 from planopt.coverage.counting.consensus import (
     count_by_averaging,
@@ -32,7 +33,7 @@ from planopt.coverage.ground import ConvexGround, neighbour_network
 from planopt.coverage.localisation.sensor import diffusion_sensor
 from planopt.coverage.network import Network
 from planopt.coverage.region import ConvexRegion, convex_region
-from planopt.coverage.simulation import LawMover, Scene, simulate_network
+from planopt.coverage.simulation import Scene, simulate_network
 from planopt.coverage.voronoi import voronoi_cells
 
 GAINS = Gains(0.5, 1.0)

@@ -6,11 +6,11 @@ when a problem of its task is met; a new one needs its module and an entry in `S
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError, NoPlanError
 from planopt.problems.library import find_problem
@@ -18,6 +18,7 @@ from planopt.problems.load import SYSTEMS, located, task_of_system
 from planopt.problems.load import load as load_motion
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
+from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tables import Table
 from planopt.short_repr import short_repr
 
@@ -46,6 +47,49 @@ class Request:
     planners: Sequence[str] = ()
     on_step: Callable[[], None] = lambda: None
     animation: bool = False
+
+
+AnyPlanner = TypeVar("AnyPlanner", bound=Table)
+
+
+def asked_planners(
+    own: AnyPlanner, request: Request, names: Sequence[str], with_horizon: Collection[str]
+) -> list[AnyPlanner]:
+    """Return the planner tables that a request asks for, each name with each horizon.
+
+    Parameters
+    ----------
+    own
+        The problem's own table, with ``name`` and ``horizon``.
+    request
+        Names and horizons in place of its own.
+    names
+        All that there are.
+    with_horizon
+        Those that a horizon matters to; others have one.
+
+    Raises
+    ------
+    InputError
+        A name or a horizon is not allowed.
+    """
+    table = own.model_dump(include={"name", "horizon"})
+    asked, horizons = request.planners or (table["name"],), request.horizons or (table["horizon"],)
+    for name in asked:
+        if name not in names:
+            raise InputError(f"is {name!r}", key="planner.name", remedy=f"use {', '.join(names)}")
+    for horizon in horizons:
+        if not MIN_HORIZON <= horizon <= MAX_HORIZON:
+            raise InputError(
+                f"is {horizon}",
+                key="planner.horizon",
+                remedy=f"use {MIN_HORIZON} to {MAX_HORIZON}",
+            )
+    return [
+        own.model_copy(update={"name": name, "horizon": horizon})
+        for name in asked
+        for horizon in (horizons if name in with_horizon else (1,))
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import shapely
@@ -15,7 +15,7 @@ from planopt.coverage.events import Event
 from planopt.coverage.ground import Ground
 from planopt.coverage.limits import RadioLimits
 from planopt.coverage.simulation import ABSENT, NetworkRun
-from planopt.files.whole import write_whole
+from planopt.report.moving_picture import Line, Segments, save_moving
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
     BLACK,
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
-FRAMES, FRAMES_PER_S, ANIMATION_DPI = 90, 10, 70
-"""Of an animation: at most so many pictures, so many a second."""
 
 CELL = "#9a9a9a"
 """Colour of borders between cells."""
@@ -156,7 +154,6 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
     OutputError
         The file cannot be written.
     """
-    from matplotlib.animation import PillowWriter
     from matplotlib.collections import LineCollection
     from matplotlib.gridspec import GridSpec
 
@@ -166,8 +163,8 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
     borders = LineCollection([], colors=CELL, linewidths=0.7)
     panel.add_collection(borders)
 
-    def dots(**look: Any) -> _Line:
-        return cast(_Line, panel.plot([], [], linestyle="none", **look)[0])
+    def dots(**look: Any) -> Line:
+        return cast(Line, panel.plot([], [], linestyle="none", **look)[0])
 
     covering = dots(color=BLUE, marker="o", markersize=4.5, label="covers")
     team = dots(color=ORANGE, marker="o", markersize=6.0, label="responds")
@@ -189,16 +186,14 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
         fontsize=NOTE_PT - 1.0,
         frameon=False,
     )
-    last = len(run.costs) - 1
-    steps = np.unique(np.linspace(0, last, min(FRAMES, last + 1)).round().astype(np.int64))
 
     def show(step: int) -> None:
         here, states = run.positions_m[step], run.states[step]
-        cast(_Segments, borders).set_segments(picture.ground.borders(here[states != ABSENT]))
+        cast(Segments, borders).set_segments(picture.ground.borders(here[states != ABSENT]))
         covering.set_data(*here[states == -1].T)
         team.set_data(*here[states >= 0].T)
         links, lonely = picture.links(step)
-        cast(_Segments, tree).set_segments(links)
+        cast(Segments, tree).set_segments(links)
         unlinked.set_data(*lonely.T)
         time_s = float(run.times_s[step])
         places = [e.place_at(time_s) for e in picture.events if e.is_there(time_s)]
@@ -207,19 +202,7 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
         cost = f"{time_s:g} s, H = {run.costs[step]:.4g}"
         dress(panel, f"{spaced(picture.name)}, {cost}", "x [m]", "y [m]", grid=False)
 
-    def write(temporary: Path) -> None:
-        writer = cast(_Writer, PillowWriter(fps=FRAMES_PER_S))
-        writer.setup(figure, str(temporary), dpi=ANIMATION_DPI)
-        # Laid out once: panels would move, and layout takes most of the time.
-        show(0)
-        cast(_Drawn, figure.canvas).draw()
-        cast(_LaidOut, figure).set_layout_engine("none")
-        for step in [*steps.tolist(), *[last] * FRAMES_PER_S]:
-            show(step)
-            writer.grab_frame()
-        writer.finish()
-
-    write_whole(path, write)
+    save_moving(figure, path, len(run.costs), show)
 
 
 def _area(panel: Panel, picture: NetworkPicture) -> dict[str, Artist]:
@@ -345,35 +328,3 @@ def _shade(panel: Panel, picture: NetworkPicture) -> None:
         if event.appears_s < last_s:
             end_s = min(event.ends_s, last_s)
             panel.axvspan(event.appears_s, end_s, color=colour, alpha=EVENT_SHADE, linewidth=0.0)
-
-
-class _Writer(Protocol):
-    """The methods of ``matplotlib.animation.PillowWriter`` that are used, typed."""
-
-    def setup(self, figure: Figure, outfile: str, *, dpi: float) -> None: ...
-    def grab_frame(self) -> None: ...
-    def finish(self) -> None: ...
-
-
-class _Drawn(Protocol):
-    """The method of a canvas that draws it."""
-
-    def draw(self) -> None: ...
-
-
-class _LaidOut(Protocol):
-    """The method of a figure that says how it is laid out, typed."""
-
-    def set_layout_engine(self, layout: str, /) -> None: ...
-
-
-class _Line(Protocol):
-    """The method of ``matplotlib.lines.Line2D`` that moves it, typed."""
-
-    def set_data(self, x: object, y: object, /) -> None: ...
-
-
-class _Segments(Protocol):
-    """The method of ``matplotlib.collections.LineCollection`` that moves it, typed."""
-
-    def set_segments(self, segments: object, /) -> None: ...

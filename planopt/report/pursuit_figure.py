@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.files.whole import write_whole
 from planopt.pursuit.knowledge import Snapshot, Track
 from planopt.pursuit.simulation import Pursuit, Use
+from planopt.report.moving_picture import Line, save_moving
 from planopt.report.panel import Panel, add_colorbar, add_panel, new_figure
 from planopt.report.style import (
     BLACK,
@@ -33,11 +33,6 @@ from planopt.report.style import (
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
-
-FRAMES, FRAMES_PER_S = 60, 10
-"""Of an animation: at most so many pictures, so many a second."""
-
-ANIMATION_DPI = 70
 
 CIRCLE = np.linspace(0.0, 2.0 * np.pi, 49)
 
@@ -132,7 +127,6 @@ def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
     OutputError
         The file cannot be written.
     """
-    from matplotlib.animation import PillowWriter
     from matplotlib.gridspec import GridSpec
 
     figure = new_figure(6.4, 6.8)
@@ -150,48 +144,11 @@ def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
         fontsize=NOTE_PT - 1.0,
         frameon=False,
     )
-    last = len(pursuit.times_s) - 1
-    steps = np.unique(np.linspace(0, last, min(FRAMES, last + 1)).round().astype(np.int64))
 
-    def write(temporary: Path) -> None:
-        writer = cast(_Writer, PillowWriter(fps=FRAMES_PER_S))
-        writer.setup(figure, str(temporary), dpi=ANIMATION_DPI)
-        # Laid out once: panels would move, and layout takes most of the time.
-        dress(panel, f"{spaced(name)}, {moving.show(0)}", "x [m]", "y [m]")
-        cast(_Drawn, figure.canvas).draw()
-        cast(_LaidOut, figure).set_layout_engine("none")
-        for step in [*steps.tolist(), *[last] * FRAMES_PER_S]:
-            dress(panel, f"{spaced(name)}, {moving.show(step)}", "x [m]", "y [m]")
-            writer.grab_frame()
-        writer.finish()
+    def show(step: int) -> None:
+        dress(panel, f"{spaced(name)}, {moving.show(step)}", "x [m]", "y [m]")
 
-    write_whole(path, write)
-
-
-class _Writer(Protocol):
-    """The methods of ``matplotlib.animation.PillowWriter`` that are used, typed."""
-
-    def setup(self, figure: Figure, outfile: str, *, dpi: float) -> None: ...
-    def grab_frame(self) -> None: ...
-    def finish(self) -> None: ...
-
-
-class _Drawn(Protocol):
-    """The method of a canvas that draws it."""
-
-    def draw(self) -> None: ...
-
-
-class _LaidOut(Protocol):
-    """The method of a figure that says how it is laid out, typed."""
-
-    def set_layout_engine(self, layout: str, /) -> None: ...
-
-
-class _Line(Protocol):
-    """The method of ``matplotlib.lines.Line2D`` that moves it, typed."""
-
-    def set_data(self, x: object, y: object, /) -> None: ...
+    save_moving(figure, path, len(pursuit.times_s), show)
 
 
 class _Moving:
@@ -200,8 +157,8 @@ class _Moving:
     def __init__(self, panel: Panel, pursuit: Pursuit) -> None:
         self._pursuit = pursuit
 
-        def line(**look: object) -> _Line:
-            return cast(_Line, panel.plot([], [], **look)[0])
+        def line(**look: object) -> Line:
+            return cast(Line, panel.plot([], [], **look)[0])
 
         self._paths = [
             line(color=BLUE, linewidth=1.2, label="pursuer" if n == 0 else "_")

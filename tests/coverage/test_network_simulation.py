@@ -13,13 +13,14 @@ from planopt.coverage.assignment.demand import Demand
 from planopt.coverage.assignment.latch import relatch
 from planopt.coverage.assignment.several import optimal_assignment
 from planopt.coverage.control.laws import Gains
+from planopt.coverage.control.movers import LawMover
 from planopt.coverage.counting.tally import Counting
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
 from planopt.coverage.network import LinkModel
 from planopt.coverage.region import convex_region
-from planopt.coverage.simulation import ABSENT, LawMover, NetworkRun, Scene, simulate_network
+from planopt.coverage.simulation import ABSENT, NetworkRun, Scene, simulate_network
 
 REGION = convex_region(np.array([[0, 0], [60, 0], [60, 40], [0, 40]]))
 SENSING = Sensing(diffusion_sensor(0.2, 60.0, 3.0))

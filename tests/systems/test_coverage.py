@@ -20,7 +20,7 @@ from planopt.errors import InputError
 from planopt.problems.systems import system_from_tables
 from planopt.report.coverage_figure import NetworkPicture, draw_network
 from planopt.systems.coverage.check import faults
-from planopt.systems.coverage.driving import drive
+from planopt.systems.coverage.system import drive
 
 SMALL = """
 [problem]

@@ -20,21 +20,7 @@ from planopt.planning.solution import Solution
 
 @one_blas_thread()
 def load_result(path: Path | str) -> Solution | Run:
-    """Read a plan or run that ``planopt solve``, ``simulate`` or a result's ``save`` has saved.
-
-    Predictions, certificates and metrics are computed again from the saved places and
-    measurements. Whether the files say the same is for :func:`planopt.check` to judge.
-
-    Parameters
-    ----------
-    path
-        The folder, or its ``plan.json`` or ``run.json``.
-
-    Returns
-    -------
-    Solution | Run
-        As what the folder holds. Files have no constraint multipliers, and of the plans of a run
-        neither wall times nor iterations: these are empty or zero.
+    """Read a saved plan or run, as :func:`planopt.load_result` does.
 
     Raises
     ------
@@ -42,15 +28,6 @@ def load_result(path: Path | str) -> Solution | Run:
         A file is missing, damaged, or contradicts the others.
     NoPlanError
         The folder says that there is no plan.
-
-    Examples
-    --------
-    >>> import planopt, tempfile
-    >>> solution = planopt.solve(planopt.load("open_field"), horizon=2)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     solution.save(folder)
-    ...     planopt.load_result(folder).plan.objective == solution.plan.objective
-    True
     """
     saved = read_saved(Path(path))
     record = saved.record

@@ -18,6 +18,7 @@ from planopt.planning.loop.log import (
     TargetLog,
 )
 from planopt.planning.plan import Plan
+from planopt.planning.proof.rules.outage import longest_run
 from planopt.planning.proof.rules.proven import proven_rule
 from planopt.planning.team.least_distances import (
     driven_motion,
@@ -166,8 +167,4 @@ def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_
     connected
         ``(n,)`` whether the place that it ends at is connected.
     """
-    longest = current = 0.0
-    for length, is_connected in zip(lengths_m, connected, strict=True):
-        current = 0.0 if is_connected else current + float(length)
-        longest = max(longest, current)
-    return longest
+    return longest_run(lengths_m, ~connected, 0.0)

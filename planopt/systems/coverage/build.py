@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 
 from planopt.coverage.assignment.demand import LEAST_ON_RING, Demand, demanded
 from planopt.coverage.control.laws import Gains
+from planopt.coverage.control.movers import LawMover, Mover, RecedingMover
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.counting.tally import Counting
 from planopt.coverage.density import Density, checked_mass
@@ -26,7 +27,7 @@ from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sens
 from planopt.coverage.network import LinkModel
 from planopt.coverage.raster_density import RasterDensity
 from planopt.coverage.region import checked_polygon, convex_region
-from planopt.coverage.simulation import LawMover, Mover, RecedingMover, Scene
+from planopt.coverage.simulation import Scene
 from planopt.errors import InputError
 from planopt.problems.build import obstacles_of
 from planopt.systems.coverage.tables import (

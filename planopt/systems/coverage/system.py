@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from planopt.coverage.optima import best_deployment
+from planopt.coverage.simulation import simulate_network
 from planopt.problems.save import obstacle_table
-from planopt.problems.systems import Answer, Request, System, SystemProblem
+from planopt.problems.systems import (
+    Answer,
+    Request,
+    System,
+    SystemProblem,
+    asked_planners,
+)
 from planopt.systems.coverage.build import CoverageProblem, build, density_table
 from planopt.systems.coverage.check import check, deployment_json, faults
-from planopt.systems.coverage.driving import REACHED, drive, planners
 from planopt.systems.coverage.results import (
     EVENTS_FILE,
     NETWORK_FILE,
@@ -22,13 +29,35 @@ from planopt.systems.coverage.results import (
     run_json,
     save_tables,
 )
-from planopt.systems.coverage.tables import CoverageFile
+from planopt.systems.coverage.tables import CoverageFile, PlannerName, PlannerTable
+
+REACHED = ("settled", "served")
+"""Outcomes of runs that did what the problem asks."""
 
 PICTURE, ANIMATION = "run.png", "run.gif"
 NOT_REACHED, NOT_VERIFIED = 4, 3
 
 STARTS = 10
 """Initial deployments of ``solve``; the first is where agents start."""
+
+
+def drive(
+    content: CoverageProblem,
+    planner: PlannerTable,
+    seed: int,
+    on_step: Callable[[], None] = lambda: None,
+) -> Driven:
+    """Simulate a network; starts, noise and losses come from the seed."""
+    generator = np.random.default_rng(seed)
+    scene = content.scene(generator)
+    run = simulate_network(scene, content.mover(planner), generator, on_step)
+    return Driven(content, run, planner.name, planner.horizon, seed)
+
+
+def planners(content: CoverageProblem, request: Request) -> list[PlannerTable]:
+    """Return the planner settings asked for; the laws have one horizon."""
+    own = content.given.planner
+    return asked_planners(own, request, get_args(PlannerName), with_horizon=("receding",))
 
 
 def simulate(problem: SystemProblem, request: Request) -> Answer:

@@ -8,9 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from planopt.errors import InputError
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
-from planopt.problems.systems import Request
+from planopt.problems.systems import Request, asked_planners
 from planopt.pursuit.guarantees import Inequality, Theorem
 from planopt.pursuit.simulation import Pursuit, simulate_pursuit
 from planopt.systems.pursuit.tables import PlannerName, PlannerTable, PursuitProblem
@@ -62,22 +60,9 @@ def planners(content: PursuitProblem, request: Request) -> list[PlannerTable]:
     InputError
         A name or a horizon is not allowed.
     """
-    own, names = content.given.planner, get_args(PlannerName)
-    found: list[PlannerTable] = []
-    for name in request.planners or (own.name,):
-        if name not in names:
-            raise InputError(f"is {name!r}", key="planner.name", remedy=f"use {', '.join(names)}")
-        horizons = request.horizons or (own.horizon,)
-        for horizon in horizons if name == "receding" else horizons[:1]:
-            if not MIN_HORIZON <= horizon <= MAX_HORIZON:
-                raise InputError(
-                    f"is {horizon}",
-                    key="planner.horizon",
-                    remedy=f"use {MIN_HORIZON} to {MAX_HORIZON}",
-                )
-            changes = {"name": name, "horizon": horizon}
-            found.append(own.model_copy(update=changes))
-    return found
+    return asked_planners(
+        content.given.planner, request, get_args(PlannerName), with_horizon=("receding",)
+    )
 
 
 def unguaranteed(content: PursuitProblem) -> Inequality | None:

@@ -42,6 +42,7 @@ _WATCH = "end-with-parent"
 Item = TypeVar("Item")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
+Group = TypeVar("Group")
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,20 @@ def run_study(
     outside = registered_planners(), outside_terms(), registered_rules()
     jobs = [(study, group, record, *outside, os.getpid()) for group in groups]
     results = BACKENDS[backend](_group_results, jobs, workers)
-    if backend == "loky" or record is None:
+    if record is None:
         return results
-    return _kept(study, groups, record, results)
+    if backend != "loky":
+        return _kept(study, groups, record, results)
+    return _tidied(record, results)
+
+
+def _tidied(record: FinishedRuns, results: Iterator[Group]) -> Generator[Group]:
+    """Yield results; workers that were killed, now or earlier, leave nothing half-written."""
+    record.tidy()
+    try:
+        yield from results
+    finally:
+        record.tidy()
 
 
 def _kept(

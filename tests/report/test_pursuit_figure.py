@@ -8,7 +8,7 @@ from planopt.report.pursuit_figure import draw_view
 
 
 def test_view_of_one_mote():
-    """Ages double with the level, and each sub-cell holds the place where its object was seen."""
+    """Ages are those of the finest level that shows a place, and each sub-cell holds the place where its object was seen."""
     service = SnapshotService(6, 1.0, 0.1, 2)
     generator = np.random.default_rng(0)
     tracks = [
@@ -20,12 +20,13 @@ def test_view_of_one_mote():
     ages_s = np.asarray(panel.images[0].get_array())
     time_s = service.sample_numbers(60.0) * service.periods_s
     columns, rows = np.meshgrid(np.arange(64), np.arange(64))
+    expected = np.full((64, 64), np.nan)
     for level in range(6, -1, -1):
         shown = (abs((columns >> level) - (mote[0] >> level)) <= 1) & (
             abs((rows >> level) - (mote[1] >> level)) <= 1
         )
-        finer = ages_s[shown].max()
-        assert np.isclose(finer, 60.0 - time_s[level])
+        expected[shown] = 60.0 - time_s[level]
+    np.testing.assert_allclose(ages_s, expected)
     squares = [line for line in panel.lines if len(line.get_xdata()) == 5]
     ways = [line for line in panel.lines if len(line.get_xdata()) == 2]
     assert len(squares) == len(ways) == len(tracks)

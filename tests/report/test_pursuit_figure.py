@@ -8,7 +8,7 @@ from planopt.report.pursuit_figure import draw_view
 
 
 def test_view_of_one_mote():
-    """Ages are those of the finest level that shows a place, and each sub-cell holds the place where its object was seen."""
+    """Ages are of the finest level that shows a place; sub-cells hold where objects were seen."""
     service = SnapshotService(6, 1.0, 0.1, 2)
     generator = np.random.default_rng(0)
     tracks = [

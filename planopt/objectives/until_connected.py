@@ -115,8 +115,9 @@ def charged_distance_m(
 ) -> float:
     """E[D] + beyond_m P(not connected at q_1 .. q_h): what a plan that has to stop at h is charged.
 
-    E[D] alone is least for a robot that stands still; legs are those of :func:`counted_legs_m`. By filtering, from all measurements. Stations
-    are independent, so that the probabilities of no connection to each of them multiply.
+    E[D] alone is least for a robot that stands still, so that legs are those of
+    :func:`counted_legs_m`. By filtering, from all measurements. Stations are independent: the
+    probabilities of no connection to each of them multiply.
 
     Parameters
     ----------

@@ -32,6 +32,12 @@ NOT_TRIED_DB = 1e3
 LEAST_CHANCE = 1e-12
 """Of a place that is tried."""
 
+TRY_SHARE = 1.0 / 3.0
+"""How far apart tries are expected to be, as a share of the decorrelation distance. From 1/6 to 2/3
+searches from 40 starts on one map were within a tenth of the best; as tries that all begin where
+the robot is, D / P + L (1 - P) / P with the whole decorrelation distance, they drove a tenth
+farther."""
+
 LEAST_SCORE = -5.0
 """A place that misses connection with a smaller chance than Q(5), 3e-7, counts as one with that."""
 
@@ -51,7 +57,7 @@ class Search:
     beyond_m
         What :func:`charged_distance_m` adds for a path that ends without connection.
     step_m
-        Longest step: what a step is shorter is waited, and charged by :func:`counted_legs_m`.
+        Longest step, for what :func:`counted_legs_m` charges of waiting; None where it is free.
     further_thresholds_dbm
         The same of further stations.
     """
@@ -60,7 +66,7 @@ class Search:
     threshold_dbm: float
     disconnected_now: bool = True
     beyond_m: float = 0.0
-    step_m: float = 0.0
+    step_m: float | None = None
     further_thresholds_dbm: tuple[float, ...] = ()
 
     @property
@@ -143,9 +149,9 @@ def charged_distance_m(
     return float(legs @ after[:-1] + settings.beyond_m * after[-1])
 
 
-def counted_legs_m(legs_m: NDArray[np.float64], step_m: float) -> NDArray[np.float64]:
+def counted_legs_m(legs_m: NDArray[np.float64], step_m: float | None) -> NDArray[np.float64]:
     """Return legs with `WAITING` times what each is shorter than the longest step, `step_m`."""
-    return np.maximum(legs_m, (1.0 - WAITING) * legs_m + WAITING * step_m)
+    return legs_m if step_m is None else (1.0 - WAITING) * legs_m + WAITING * step_m
 
 
 def charged_distances_m(
@@ -206,20 +212,20 @@ def search_length_m(
     chance: NDArray[np.float64],
     decorrelation_m: float,
 ) -> NDArray[np.float64]:
-    """Return the expected length of a search by tries like one, R = D + (1 - P) (L + R).
+    """Return the expected length of a search that begins at a place, R = D + L (1 - P) / P.
 
-    A try costs the way to its place, D. If it fails, as it does with the chance 1 - P, the power
-    about the place is known, and the robot first has to leave its surroundings, L.
+    The first try costs the way to its place, D, and each further one L, `TRY_SHARE` of the
+    decorrelation distance: it is as likely to succeed as the first, and near it.
 
     Parameters
     ----------
     distance_m, chance
         ``(k,)`` D and P of places.
     decorrelation_m
-        L, from which on another try is independent.
+        Of the shadowing.
     """
-    tried = distance_m + (1.0 - chance) * decorrelation_m
-    return tried / np.maximum(chance, LEAST_CHANCE)
+    odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
+    return distance_m + TRY_SHARE * decorrelation_m * odds_against
 
 
 def independent_expected_distance_m(

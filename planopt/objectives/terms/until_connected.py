@@ -59,7 +59,7 @@ class UntilConnectedTerm(Term):
 
     @property
     def bends_starts(self) -> bool:
-        """The path to where the robot is steered is a start, and better than any fan."""
+        """The path that the robot is steered along is a better start than any fan."""
         return False
 
     @property
@@ -100,8 +100,8 @@ class UntilConnectedTerm(Term):
     def _after_try_m(self, at: StepContext) -> float:
         """Expected metres beyond the end of the path that the robot is steered along.
 
-        (1 - P) (L + R) of :func:`planopt.objectives.until_connected.search_length_m`, from that
-        path alone, so that a saved plan has the same.
+        R - D of :func:`planopt.objectives.until_connected.search_length_m`, from that path alone,
+        so that a saved plan has the same.
         """
         way = at.steering
         if way is None:

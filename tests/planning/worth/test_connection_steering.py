@@ -75,8 +75,7 @@ def oracle(situation, ground):
     score = (power.mean_db - problem.stations[0].threshold_dbm) / power.deviation_db
     chance = norm.cdf(score)
     apart = situation.posterior.parameters.decorrelation_m
-    found = (length + (1.0 - chance) * apart) / np.maximum(chance, 1e-12)
-    found = np.minimum(found, np.hypot(40.0, 40.0))
+    found = length + apart / 3.0 * (1.0 - chance) / np.maximum(chance, 1e-12)
     spacing = 1.25 * problem.channel.measure_spacing_m
     measured_m = situation.posterior.measurements
     failed = measured_m.power_dbm < problem.stations[0].threshold_dbm
@@ -110,7 +109,7 @@ def test_one_more_connected_place_never_makes_the_search_longer():
     assert (search_length_m(0.5 * length, chance, 10.0) < found).all()
     np.testing.assert_allclose(search_length_m(length, np.ones(50), 10.0), length)
     tries = generator.geometric(chance, (40_000, 50))
-    drawn = tries * length + (tries - 1) * 10.0
+    drawn = length + (tries - 1) * 10.0 / 3.0
     error = 5.0 * drawn.std(axis=0) / 200.0
     assert (abs(drawn.mean(axis=0) - found) < error + 1e-9).all()
 
@@ -147,7 +146,8 @@ def test_a_plan_is_charged_the_way_that_is_left():
     chance = norm.cdf((power.mean_db[0] - THRESHOLD_DBM) / power.deviation_db[0])
     whole = float(np.linalg.norm(np.diff(way.turns_m, axis=0), axis=1).sum())
     apart = situation.posterior.parameters.decorrelation_m
-    search = min((whole + (1.0 - chance) * apart) / chance, np.hypot(40.0, 40.0))
+    search = whole + apart / 3.0 * (1.0 - chance) / chance
+    search = min(search, whole + np.hypot(40.0, 40.0))
     after = search - legs.sum()
     expected = charged_distance_m(
         situation.posterior, path, replace(term.search(situation), beyond_m=after)

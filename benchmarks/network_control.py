@@ -229,6 +229,7 @@ def steps(agents: int, rounds: int) -> dict[str, float]:
         ("covering, single integrators", found, MoveLimits(**plain)),
         ("all to one place, single integrators", middle, MoveLimits(**plain)),
         ("covering, double integrators", found, MoveLimits(**plain, **inert)),
+        ("all to one place, double integrators", middle, MoveLimits(**plain, **inert)),
     ):
         jobs[name] = lambda aims=aims, limits=limits: plan_moves(
             ground, places, aims, limits, GAIN, 10

@@ -239,7 +239,7 @@ def killed_comparison(kills: int, seeds: int, folder: Path) -> None:
         kept = found
     assert main([*map(str, arguments), "--out", str(out)]) in (0, 3, 4)
     data = json.loads((out / "comparison.json").read_text())
-    assert data["resumed"] == len(kept)
+    assert data["resumed"] == len(kept) and not hidden(out)
     found = {p.name: p.stat().st_mtime_ns for p in out.glob("finished_runs/*.json")}
     assert found.items() >= kept.items() and len(found) == len(data["runs"]) == 2 * seeds
     assert main([*map(str, arguments), "--out", str(folder / "whole")]) in (0, 3, 4)

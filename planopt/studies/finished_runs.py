@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 from planopt.errors import InputError
 from planopt.files.regular import read_bytes, read_text
 from planopt.files.typed_json import decoded, encoded
-from planopt.files.whole import strict_text, write_text
+from planopt.files.whole import remove_remains, strict_text, write_text
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import FILE_KEYS
 from planopt.problems.save import problem_to_dict
@@ -71,6 +71,10 @@ class FinishedRuns:
             The folder cannot be written.
         """
         write_text(self._file(key), strict_text({"key": key, "result": encoded(result)}))
+
+    def tidy(self) -> None:
+        """Remove what processes left that were killed while they kept a result."""
+        remove_remains(self.folder)
 
     def _file(self, key: Mapping[str, Any]) -> Path:
         return self.folder / f"{_digest(strict_text(key).encode())[:32]}.json"

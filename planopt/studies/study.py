@@ -37,11 +37,10 @@ from planopt.studies.finished_runs import FinishedRuns
 CHECK_EVERY_S = 1.0
 """How often a worker looks for its parent."""
 
-_WATCH = "end-with-parent"
-
 Item = TypeVar("Item")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
+Group = TypeVar("Group")
 
 
 @dataclass(frozen=True)
@@ -113,9 +112,20 @@ def run_study(
     outside = registered_planners(), outside_terms(), registered_rules()
     jobs = [(study, group, record, *outside, os.getpid()) for group in groups]
     results = BACKENDS[backend](_group_results, jobs, workers)
-    if backend == "loky" or record is None:
+    if record is None:
         return results
-    return _kept(study, groups, record, results)
+    if backend != "loky":
+        return _kept(study, groups, record, results)
+    return _tidied(record, results)
+
+
+def _tidied(record: FinishedRuns, results: Iterator[Group]) -> Generator[Group]:
+    """Yield results; workers that were killed, now or earlier, leave nothing half-written."""
+    record.tidy()
+    try:
+        yield from results
+    finally:
+        record.tidy()
 
 
 def _kept(
@@ -134,10 +144,10 @@ def _kept(
 
 
 def _on_joblib(
-    work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
+    work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int, **settings: Any
 ) -> Iterator[Any]:
     """Yield results in order, from processes of joblib's current backend."""
-    parallel = Parallel(n_jobs=workers, return_as="generator")
+    parallel = Parallel(n_jobs=workers, return_as="generator", **settings)
     task = cast("Callable[..., object]", delayed(work))
     return iter(cast("Any", parallel([task(*job) for job in jobs])))
 
@@ -145,8 +155,9 @@ def _on_joblib(
 def _on_loky(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Iterator[Any]:
-    with parallel_config(backend="loky"):
-        return _on_joblib(work, jobs, workers)
+    # Workers watch from their beginning: one that never gets a job would wait for minutes.
+    watch = {"initializer": _end_with_parent, "initargs": (os.getpid(),)}
+    return _on_joblib(work, jobs, workers, backend="loky", **watch)
 
 
 def _on_dask(
@@ -224,7 +235,6 @@ def _group_results(
 ) -> list[Finished[Result]]:
     """Do the items of a group, but for those that are finished."""
     if os.getpid() != parent:
-        _end_with_parent(parent)
         for kind in planners:
             register_planner(kind)
         for term in terms:
@@ -252,15 +262,11 @@ def _end_with_parent(parent: int) -> None:
     """End this process, without further ado, soon after the process `parent` has ended.
 
     A process that is killed cannot tell its workers to stop, and theirs would go on for hours.
-    Calling this again changes nothing; nor does it if `parent` is not the parent of this process.
     """
-    watched = any(thread.name == _WATCH for thread in threading.enumerate())
-    if watched or os.getppid() != parent:
-        return
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(CHECK_EVERY_S)
         os._exit(1)
 
-    threading.Thread(target=watch, name=_WATCH, daemon=True).start()
+    threading.Thread(target=watch, daemon=True).start()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from planopt import load
+from planopt.files.whole import write_whole
 from planopt.planning.run import RunSummary
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
@@ -124,3 +127,22 @@ def test_a_record_of_another_type_is_none(tmp_path: Path) -> None:
     assert runs.find({"a": 1}, RunSummary) is None and runs.find({"a": 1}, dict[str, str]) == {
         "no": "run"
     }
+
+
+def test_remains_of_processes_that_ended_are_removed(tmp_path: Path) -> None:
+    """Killed while it keeps a result; a process that still writes is not disturbed."""
+    writer = (
+        "import os, sys; from pathlib import Path; from planopt.files.whole import write_whole; "
+        "write_whole(Path(sys.argv[1]), lambda temporary: os._exit(9))"
+    )
+    subprocess.run([sys.executable, "-c", writer, tmp_path / "a.json"], check=False)
+    (killed,) = tmp_path.iterdir()
+    record = FinishedRuns(tmp_path)
+
+    def write(temporary: Path) -> None:
+        record.tidy()
+        assert temporary.exists() and not killed.exists()
+        temporary.write_text("{}")
+
+    write_whole(tmp_path / "b.json", write)
+    assert [path.name for path in tmp_path.iterdir()] == ["b.json"]

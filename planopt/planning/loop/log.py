@@ -83,6 +83,8 @@ class Metrics:
         Mean relative gain of the polish over the lattice start.
     measured_steps
         How many steps brought a measurement.
+
+    What tells of steps is NaN where none was driven.
     """
 
     goal_time_s: float
@@ -121,9 +123,10 @@ class RobotRun:
 
     @property
     def verified_rate(self) -> float:
-        """Share of released steps whose plan was verified (1 if none was released)."""
+        """Share of released steps whose plan was verified (NaN if none was released)."""
         released = self.log.verdict[1:]
-        return sum(v is Verdict.VERIFIED for v in released) / len(released) if released else 1.0
+        verified = sum(v is Verdict.VERIFIED for v in released)
+        return verified / len(released) if released else float("nan")
 
     @property
     def rungs(self) -> dict[str, int]:

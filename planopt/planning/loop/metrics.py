@@ -63,19 +63,20 @@ def metrics_of(
     """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
     A robot that reached its goal arrived after step number `arrival`. Shares are over the steps
-    driven, the start not counted; a run of no step counts as wholly connected.
-    The polish gain is the mean over the steps.
+    driven, the start not counted; the polish gain is the mean over the steps. After no step what
+    tells of steps is NaN.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
     gains = [plan.polish_gain for plan in plans]
+    nothing = float("nan")
     return Metrics(
-        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else float("nan"),
+        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else nothing,
         path_m=float(lengths.sum()),
-        true_connected_share=float(connected.mean()) if connected.size else 1.0,
-        longest_outage_m=longest_outage_m(lengths, connected),
-        predicted_min_connectivity=float(np.min(log.connectivity[1:], initial=1.0)),
-        polish_gain=float(np.mean(gains)) if gains else 0.0,
+        true_connected_share=float(connected.mean()) if connected.size else nothing,
+        longest_outage_m=longest_outage_m(lengths, connected) if connected.size else nothing,
+        predicted_min_connectivity=float(log.connectivity[1:].min()) if connected.size else nothing,
+        polish_gain=float(np.mean(gains)) if gains else nothing,
         measured_steps=sum(learnt),
     )
 
@@ -133,9 +134,9 @@ def run_metrics(
 def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
     """The metric of the problem's rule by name, of the worst robot; empty where it has none.
 
-    ``stated_times_connected``: share of the stated times driven through that were connected (one
-    where there are none). ``least_connected_share``: of the steps, for the average.
-    ``longest_outage_s``. ``data_mbit``: delivered by the deadline.
+    ``stated_times_connected``: share of the stated times driven through that were connected.
+    ``least_connected_share``: of the steps, for the average. ``longest_outage_s``. ``data_mbit``:
+    delivered by the deadline. NaN where no step, or no stated time, was driven through.
     """
     connected = [log.connected[1:] for log in logs]
     return proven_rule(problem.constraints.rule).run_metrics(problem, connected)

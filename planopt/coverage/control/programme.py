@@ -88,6 +88,7 @@ def solve_programme(
     most_m: float,
     sets: SafeSets,
     inertia: Inertia | None = None,
+    drifts_m: Floats | None = None,
 ) -> tuple[Floats, Floats] | None:
     """Return the optimal paths and velocities of agents, or None if the solver gives up.
 
@@ -110,6 +111,9 @@ def solve_programme(
         Where each agent stays in; it holds all starts.
     inertia
         For double integrators; None for single ones.
+    drifts_m
+        ``(n, 2)`` way that each aim moves in a step; None for aims that stand. Places and moves are
+        then those relative to the aim.
 
     Returns
     -------
@@ -121,7 +125,9 @@ def solve_programme(
     unit = np.maximum(length, most_m) if np.isfinite(most_m) else length
     unit = np.maximum(unit, LEAST_UNIT * unit.max(initial=0.0))
     unit[unit == 0.0] = 1.0
+    drifts = np.zeros((count, 1, 2)) if drifts_m is None else (drifts_m / unit[:, None])[:, None]
     aims = ((aims_m - starts_m) / unit[:, None])[:, None]
+    aims = aims + np.arange(1.0, horizon + 1.0)[:, None] * drifts
     weights, effort = stage_weights(share, horizon)
     cost, none = _Cost(count, horizon), np.zeros((count, horizon, 2))
     most = np.repeat((1.0 - WITHIN) * most_m / unit[:, None], horizon, axis=1)
@@ -130,7 +136,7 @@ def solve_programme(
         place, shift = np.eye(horizon), none
         reserve = np.repeat(place[None], count, axis=0)
         cost.add_squares(place, weights, aims)
-        cost.add_squares(changes, effort[:, None], none)
+        cost.add_squares(changes, effort[:, None], drifts)
         kept = horizon if np.isfinite(most_m) else 0
         bounded, less, most = changes[:kept], none[:, :kept], most[:, :kept]
     else:
@@ -143,8 +149,11 @@ def solve_programme(
         last = np.zeros((count, horizon))
         last[:, -1] = 0.5 / share
         cost.add_squares(place, weights - last, aims - shift)
-        cost.add_squares(reserve, last, aims - shift)
-        cost.add_squares(np.eye(horizon) - 0.5 * changes, effort[:, None], -0.5 * now)
+        # The place where the agent would stop, if it kept up with the aim.
+        cost.add_squares(
+            reserve, last, aims - shift + 0.5 * inertia.stop_steps[:, None, None] * drifts
+        )
+        cost.add_squares(np.eye(horizon) - 0.5 * changes, effort[:, None], drifts - 0.5 * now)
         cost.add_squares(changes, 0.25 / share[:, None] ** 2, now)
         # Places follow: each is between the one before, where that stops, and where it stops.
         bounded = np.concatenate((np.eye(horizon), changes))

@@ -166,6 +166,8 @@ def _not_judged(saved: Saved, given: Given | None) -> list[str]:
         )
     if given is None and isinstance(saved.record, RunRecord) and problem.task != "reach":
         remarks.append("knowledge.csv is taken as it stands, because there is no truth")
+    if saved.former and isinstance(saved.record, RunRecord) and problem.task == "reach":
+        remarks.append("costs are taken as they stand: that version charged steps by their ends")
     return remarks
 
 

@@ -252,11 +252,14 @@ def _costs(
     tracks_m: Sequence[NDArray[np.float64]],
     outcome: Outcome,
 ) -> dict[str, float]:
-    """Return what a run to a goal cost; as it is said where there is no truth."""
+    """Return what a run to a goal cost; as it is said where there is no truth.
+
+    As it is said in former results, too, which charged each step by its end.
+    """
     problem = saved.problem
     if problem.task != "reach":
         return {}
-    if truths:
+    if truths and not saved.former:
         owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
         roads = [build_roads(own, np.asarray(own.goal_m)) for own in owns]
         return run_costs(problem, roads, truths, tracks_m, outcome)

@@ -172,7 +172,10 @@ class StartSearch:
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
         self._move_values = move_values(problem, ground.road_map.lengths_m)
-        self._coupled = CoupledStarts(problem, ground) if bends_starts(problem) else None
+        # One step ahead the directions of the fan are all there is to compare, and few.
+        self._bends = bends_starts(problem) or problem.planner.horizon == 1
+        bends = bends_starts(problem, steered=False)
+        self._coupled = CoupledStarts(problem, ground) if bends else None
 
     def find_starts(
         self,
@@ -202,8 +205,9 @@ class StartSearch:
         if situation.steering is not None:
             longest = problem.step_length_m - STEP_PAD_M
             paths.append(situation.steering.path_m(problem.planner.horizon, longest))
-        if self._coupled is not None:
-            paths += self._coupled.find_ways(situation, paths, budget)
+        coupled = self._coupled if self._bends or situation.steering is None else None
+        if coupled is not None:
+            paths += coupled.find_ways(situation, paths, budget)
         if self._ends > 1 and not budget.searched:
             # Besides what is found otherwise, so that being thorough loses no start.
             paths += self._lattice_paths(situation, self._ends)
@@ -211,7 +215,7 @@ class StartSearch:
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), rule_missing(situation, path)) for path in paths]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
-        count = self._starts if self._coupled is None else max(self._starts, COUPLED_STARTS)
+        count = self._starts if coupled is None else max(self._starts, COUPLED_STARTS)
         kept: list[Start] = []
         for start in starts:
             if len(kept) < count and all(

@@ -197,7 +197,7 @@ class CoverageProblem:
         control, limits = self.given.control, self.limits
         gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
         if planner.name == "receding":
-            return RecedingMover(gains, limits, planner.horizon, self.radio)
+            return RecedingMover(gains, limits, planner.horizon, self.radio, planner.lead_events)
         bodies = limits.body_radius_m > 0.0
         inert = limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None
         if inert or bodies:

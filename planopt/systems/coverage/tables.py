@@ -492,6 +492,10 @@ class PlannerTable(Table):
         description="law (the control laws, speeds clipped) or receding (plans ahead).",
     )
     horizon: int = Field(default=1, ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead.")
+    lead_events: bool = Field(
+        default=False,
+        description="Whether receding follows the estimated velocity of an event over the horizon.",
+    )
 
 
 class ReportTable(Table):

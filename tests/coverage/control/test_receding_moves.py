@@ -137,6 +137,30 @@ def test_batch_agrees_with_clarabel() -> None:
     np.testing.assert_allclose(np.delete(again, 3, 0), np.delete(found, 3, 0), atol=1e-7)
 
 
+@pytest.mark.parametrize("horizon", [1, 4, 12])
+def test_drifting_targets_are_led(square: ConvexRegion, horizon: int) -> None:
+    """Without a binding limit the first move is the law's in the frame of the target."""
+    rng = np.random.default_rng(6)
+    agents = scattered(square, 20, rng)
+    aims, drifts = agents + 6.0 * rng.normal(size=(20, 2)), rng.normal(size=(20, 2))
+    limits = MoveLimits(time_step_s=0.5, speed_m_s=1e3)
+    moves = plan_moves(
+        ConvexGround(square), agents, aims, limits, 0.8, horizon, target_velocities_m_s=drifts
+    )
+    law = agents + 0.4 * (aims - agents) + 0.5 * drifts
+    inside = np.asarray(square.contains(law) & square.contains(aims + 0.5 * horizon * drifts))
+    assert inside.sum() > 10
+    np.testing.assert_allclose(moves.next_m[inside], law[inside], atol=1e-6)
+    # Along a straight line at its greatest speed, a double integrator keeps up with the target.
+    here, speed = np.array([[20.0, 50.0]]), np.array([[2.0, 0.0]])
+    inert = MoveLimits(speed_m_s=2.0, acceleration_m_s2=0.5)
+    moves = plan_moves(
+        ConvexGround(square), here, here, inert, 0.5, horizon,
+        velocities_m_s=speed, target_velocities_m_s=speed,
+    )  # fmt: skip
+    np.testing.assert_allclose(moves.next_m, [[22.0, 50.0]], atol=1e-4)
+
+
 def test_free_way_needs_no_programme() -> None:
     """The closed form of agents whose way is free is the optimum of the programme."""
     rng = np.random.default_rng(2)

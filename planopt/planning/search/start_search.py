@@ -174,8 +174,9 @@ class StartSearch:
         self._move_values = move_values(problem, ground.road_map.lengths_m)
         # One step ahead the directions of the fan are all there is to compare, and few.
         self._bends = bends_starts(problem) or problem.planner.horizon == 1
-        bends = bends_starts(problem, steered=False)
-        self._coupled = CoupledStarts(problem, ground) if bends else None
+        self._may_bend = bends_starts(problem, steered=False)
+        # Built where it is first needed: its raster of distances is dear.
+        self._coupled: CoupledStarts | None = None
 
     def find_starts(
         self,
@@ -205,9 +206,11 @@ class StartSearch:
         if situation.steering is not None:
             longest = problem.step_length_m - STEP_PAD_M
             paths.append(situation.steering.path_m(problem.planner.horizon, longest))
-        coupled = self._coupled if self._bends or situation.steering is None else None
-        if coupled is not None:
-            paths += coupled.find_ways(situation, paths, budget)
+        bends = self._may_bend and (self._bends or situation.steering is None)
+        if bends:
+            if self._coupled is None:
+                self._coupled = CoupledStarts(problem, self._ground)
+            paths += self._coupled.find_ways(situation, paths, budget)
         if self._ends > 1 and not budget.searched:
             # Besides what is found otherwise, so that being thorough loses no start.
             paths += self._lattice_paths(situation, self._ends)
@@ -215,7 +218,7 @@ class StartSearch:
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), rule_missing(situation, path)) for path in paths]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
-        count = self._starts if coupled is None else max(self._starts, COUPLED_STARTS)
+        count = max(self._starts, COUPLED_STARTS) if bends else self._starts
         kept: list[Start] = []
         for start in starts:
             if len(kept) < count and all(

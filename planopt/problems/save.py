@@ -105,7 +105,7 @@ def _term(term: Term) -> dict[str, Any]:
 
 def _constraints(problem: Problem) -> dict[str, Any]:
     table = constraints_table(problem.constraints)
-    if problem.task != "reach":
+    if problem.robots[0].goal_m is None:
         del table["goal_radius_m"]
     return table
 

@@ -3,6 +3,9 @@
 ``python benchmarks/network_cases.py teams --cases 200`` drives random networks with an event that
 stays to rest, and counts those in which exactly the agents asked for are at it and all others on
 the centroids of their cells.
+``python benchmarks/network_cases.py localisation --cases 100`` sends agents to an event by the
+paper's law and to the ring around it, locates it from all readings along the way, and compares the
+errors with the Cramer-Rao bound of the places where they measured.
 ``python benchmarks/network_cases.py counts --graphs 200`` counts random graphs by consensus for as
 many rounds as the bound says, and with half of them.
 ``python benchmarks/network_cases.py steps --agents 1000,10000`` times a step of the laws against
@@ -30,7 +33,10 @@ from planopt.coverage.counting.consensus import (
 from planopt.coverage.counting.tally import Counting
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.ground import ConvexGround, neighbour_network
-from planopt.coverage.localisation.sensor import diffusion_sensor
+from planopt.coverage.localisation.estimate import locate_events
+from planopt.coverage.localisation.readings import no_readings, pooled, single_readings
+from planopt.coverage.localisation.ring import cramer_rao_m2, fisher_information, ring_places
+from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor, measure
 from planopt.coverage.network import Network
 from planopt.coverage.region import ConvexRegion, convex_region
 from planopt.coverage.simulation import Scene, simulate_network
@@ -84,6 +90,57 @@ def team_case(seed: int) -> tuple[bool, bool]:
     return bool(at_event.sum() == demand(count) and known), bool(off_m.max() <= 2.0 * settled_m)
 
 
+def located(seed: int, agents: int, ring: bool, steps: int) -> np.ndarray:
+    """Return squared errors and Cramer-Rao bounds in m^2, half-way and at the end; (2, 2).
+
+    Agents start around the event. In each step all measure once and go on by the law, to the
+    estimate or to the best ring about it.
+    """
+    generator = np.random.default_rng(seed)
+    region = convex_region(np.array([[0, 0], [100, 0], [100, 80], [0, 80]]))
+    sensor, event = diffusion_sensor(0.5, 60.0, 3.0), np.array([50.0, 40.0])
+    turn = 2.0 * np.pi * generator.random(agents)
+    away = 6.0 + 9.0 * generator.random(agents)
+    here = event + away[:, None] * np.stack((np.cos(turn), np.sin(turn)), axis=1)
+    logs, near, rows = no_readings(), None, list[list[float]]()
+    information, responds = np.zeros((2, 2)), np.ones(agents, dtype=np.bool_)
+    for step in range(1, steps + 1):
+        logs = pooled((logs, single_readings(here, measure(sensor, here, event, generator))))
+        information += fisher_information(sensor, here, event)
+        found = locate_events(sensor, logs, region, near_m=near)
+        estimate = found.positions_m[0]
+        near = None if step < 5 else np.concatenate((found.positions_m, found.rivals_m))
+        if step in (steps // 2, steps):
+            error = float(((estimate - event) ** 2).sum())
+            rows.append([error, cramer_rao_m2(information)])
+        aims = np.tile(estimate, (agents, 1))
+        if ring:
+            aims = ring_places(here, estimate, best_distance_m(sensor))
+        here = law_moves(here, aims, responds, GAINS, 1.0, 2.0)
+    return np.array(rows)
+
+
+def localisation(first_seed: int, cases: int, steps: int) -> dict[str, list[float]]:
+    """Print root mean squared errors and bounds; return the ratios, half-way and at the end."""
+    ratios: dict[str, list[float]] = {}
+    for agents in (3, 4, 6):
+        for name, ring in (("ring", True), ("law", False)):
+            each = [located(first_seed + k, agents, ring, steps) for k in range(cases)]
+            errors, bounds = np.array(each).transpose(2, 0, 1)
+            rms, bound = (np.sqrt(values.mean(axis=0)) for values in (errors, bounds))
+            ratio = rms / bound
+            # Interval by the spread of squared errors in units of their bounds.
+            half = 1.96 * (errors / bounds).std(axis=0, ddof=1) / (2.0 * np.sqrt(cases)) / ratio
+            print(
+                f"{agents} agents, {name}: after {steps // 2} steps error {rms[0]:.4f} m, bound "
+                f"{bound[0]:.4f} m; after {steps} steps error {rms[1]:.4f} m, bound "
+                f"{bound[1]:.4f} m, ratio {ratio[1]:.3f} +- {half[1]:.3f}",
+                flush=True,
+            )
+            ratios[f"{agents} {name}"] = [*ratio.tolist(), *bound.tolist()]
+    return ratios
+
+
 def graph_case(seed: int) -> tuple[bool, bool]:
     """Return whether all counts are exact after the rounds of the bound, and after half of them."""
     generator = np.random.default_rng(seed)
@@ -124,7 +181,7 @@ def step_times(agents: int, repeats: int, seed: int) -> tuple[float, float]:
 def main() -> None:
     """Print one of the studies."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("study", choices=("teams", "counts", "steps"))
+    parser.add_argument("study", choices=("teams", "localisation", "counts", "steps"))
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--graphs", type=int, default=200)
     parser.add_argument("--first-seed", type=int, default=1000)
@@ -138,6 +195,9 @@ def main() -> None:
                 f"{agents} agents: a step of the laws {1e3 * law_s:.1f} ms CPU, shapely's Voronoi "
                 f"diagram {1e3 * shapely_s:.1f} ms, ratio {law_s / shapely_s:.2f}"
             )
+        return
+    if asked.study == "localisation":
+        localisation(first, asked.cases, 40)
         return
     case, count = (team_case, asked.cases) if asked.study == "teams" else (graph_case, asked.graphs)
     found = np.array([case(seed) for seed in range(first, first + count)])

@@ -1,9 +1,10 @@
 """Constrained control of networks in numbers: faults, horizons, optima and step times.
 
 ``python benchmarks/network_control.py faults --runs 100`` moves 50 agents with active limits and
-has every move verified. ``horizons --seeds 8`` compares horizons on the same starts, ``optima
---scenes 20`` several starts with the best of 50 runs of Lloyd's method, and ``steps --agents 1000``
-measures a step against the Voronoi diagram of the same places. All take ``--first-seed``.
+has every move verified. ``horizons --seeds 8`` compares horizons on the same starts, ``moving``
+horizons with an event that moves, ``optima --scenes 20`` several starts with the best of 50 runs of
+Lloyd's method, and ``steps --agents 1000`` measures a step against the Voronoi diagram of the same
+places. All take ``--first-seed``.
 """
 
 from __future__ import annotations
@@ -42,18 +43,34 @@ def drive(
     steps: int,
     radio: RadioLimits | None,
     event: NDArray[np.float64] | None = None,
+    event_m_s: NDArray[np.float64] | None = None,
+    lead: bool = False,
 ) -> dict[str, float]:
-    """Drive agents, verify every move, and sum up; a third of them drives to the event."""
+    """Drive agents, verify every move, and sum up; a third of them drives to the event.
+
+    The event may move; plans hold its place over the horizon, or lead it.
+    """
     velocities, headings = np.zeros_like(agents), np.zeros(len(agents))
-    sums = {"cost": 0.0, "path": 0.0, "energy": 0.0, "faults": 0.0, "bound": 0.0, "final": 0.0}
+    sums = {
+        "cost": 0.0,
+        "path": 0.0,
+        "energy": 0.0,
+        "faults": 0.0,
+        "bound": 0.0,
+        "final": 0.0,
+        "lag": 0.0,
+    }
     inert = limits.acceleration_m_s2
     for _ in range(steps):
         cover = ground.cover(agents)
-        targets = cover.targets_m.copy()
+        targets, drifts = cover.targets_m.copy(), np.zeros_like(agents)
         if event is not None:
             third = len(agents) // 3
             aims = np.tile(event, (third, 1))
             targets[:third] = ground.steered(agents[:third], aims, GAIN)
+            if event_m_s is not None:
+                drifts[:third] = event_m_s
+                event = event + limits.time_step_s * event_m_s
         kept = None
         if radio is not None:
             stops = agents if inert is None else agents + stopping_ways(velocities, inert)
@@ -68,6 +85,7 @@ def drive(
             velocities_m_s=velocities,
             headings_rad=headings,
             kept=kept,
+            target_velocities_m_s=drifts if lead else None,
         )
         after = moves.velocities_m_s[:, 1]
         turned = None if moves.headings_rad is None else (headings, moves.headings_rad)
@@ -87,6 +105,9 @@ def drive(
         sums["path"] += float(np.linalg.norm(moves.next_m - agents, axis=1).sum())
         sums["energy"] += float(((after - velocities) ** 2).sum())
         sums["bound"] += moves.solved
+        if event is not None:
+            off = np.linalg.norm(moves.next_m[: len(agents) // 3] - event, axis=1)
+            sums["lag"] += float(off.mean()) / steps
         agents, velocities = moves.next_m, after
         headings = headings if moves.headings_rad is None else moves.headings_rad
     return sums | {"final": ground.cover(agents).cost}
@@ -124,6 +145,48 @@ def faults(first_seed: int, runs: int, agents: int, steps: int) -> float:
         total, bound = total + sums["faults"], bound + sums["bound"]
         print(f"seed {seed}: {total:.0f} faults so far, {bound:.0f} limited moves", flush=True)
     return total
+
+
+MOVING = {
+    "speed": MoveLimits(speed_m_s=2.0),
+    "acceleration": MoveLimits(speed_m_s=2.0, acceleration_m_s2=0.4),
+}
+
+
+def moving(first_seed: int, seeds: int, agents: int, steps: int) -> dict[str, list[float]]:
+    """Print how far teams are from a moving event by horizon, over horizon 1 with it held."""
+    found: dict[str, list[float]] = {}
+    square = shapely.box(0, 0, SIDE_M, SIDE_M)
+    for name, limits in MOVING.items():
+        rows: dict[tuple[bool, int], list[list[float]]] = {}
+        for seed in range(first_seed, first_seed + seeds):
+            generator = np.random.default_rng(seed)
+            ground = ConvexGround(convex_region(square))
+            start = SIDE_M * (0.05 + 0.9 * generator.random((agents, 2)))
+            turn = 2.0 * np.pi * generator.random()
+            velocity = 1.2 * np.array([np.cos(turn), np.sin(turn)])
+            event = 0.5 * SIDE_M - 0.5 * steps * velocity
+            start = start[np.argsort(np.linalg.norm(start - event, axis=1))]
+            for lead in (False, True):
+                for horizon in (1, 3, 10):
+                    sums = drive(
+                        ground, square, start, limits, horizon, steps, None, event, velocity, lead
+                    )
+                    keys = ("lag", "cost", "path", "energy")
+                    rows.setdefault((lead, horizon), []).append([sums[key] for key in keys])
+        one = np.array(rows[False, 1])
+        print(f"{name}: lag {one[:, 0].mean():.2f} m at N = 1, held", flush=True)
+        for (lead, horizon), values in rows.items():
+            ratio = np.array(values) / one
+            mean = ratio.mean(axis=0)
+            error = t.ppf(0.975, seeds - 1) * ratio.std(axis=0, ddof=1) / np.sqrt(seeds)
+            words = ", ".join(
+                f"{key} {m:.3f} +- {e:.3f}"
+                for key, m, e in zip(("lag", "H", "path", "energy"), mean, error, strict=True)
+            )
+            print(f"  {'led' if lead else 'held'}, N = {horizon}: {words}", flush=True)
+            found[f"{name} {'led' if lead else 'held'} {horizon}"] = mean.tolist()
+    return found
 
 
 SETTINGS = {
@@ -229,6 +292,7 @@ def steps(agents: int, rounds: int) -> dict[str, float]:
         ("covering, single integrators", found, MoveLimits(**plain)),
         ("all to one place, single integrators", middle, MoveLimits(**plain)),
         ("covering, double integrators", found, MoveLimits(**plain, **inert)),
+        ("all to one place, double integrators", middle, MoveLimits(**plain, **inert)),
     ):
         jobs[name] = lambda aims=aims, limits=limits: plan_moves(
             ground, places, aims, limits, GAIN, 10
@@ -246,7 +310,7 @@ def steps(agents: int, rounds: int) -> dict[str, float]:
 def main() -> None:
     """Run one of the studies."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("study", choices=("faults", "horizons", "optima", "steps"))
+    parser.add_argument("study", choices=("faults", "horizons", "moving", "optima", "steps"))
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=8)
@@ -258,6 +322,8 @@ def main() -> None:
         faults(asked.first_seed, asked.runs, asked.agents or 50, 20)
     elif asked.study == "horizons":
         horizons(asked.first_seed, asked.seeds, asked.agents or 16, 30, asked.only)
+    elif asked.study == "moving":
+        moving(asked.first_seed, asked.seeds, asked.agents or 12, 40)
     elif asked.study == "optima":
         optima(asked.first_seed, asked.scenes, 50)
     else:

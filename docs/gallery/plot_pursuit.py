@@ -2,37 +2,52 @@
 A pursuer that knows old news
 =============================
 
-A grid of radio motes reports an evader: fresh and exact where it is near, old and coarse where it
-is far. The first picture is what the motes know, the second a pursuit among buildings with the age
-of what the pursuer goes by, the third the network of least power for which capture is guaranteed.
+A grid of radio motes reports evaders: fresh and exact where they are near, old and coarse where
+they are far. The pictures show what one mote knows, what all motes know of one evader, a pursuit
+with what the pursuers went by, and the network of least power for which capture is guaranteed.
 """
 
 # %%
-# What every mote knows of an evader that has driven east at 1 m/s. A mote takes the finest level
-# whose last finished round shows the evader near it; the age of its report is that level's.
+# The snapshot of one mote. Squares of doubling size around it are the levels: what stands there is
+# reported with that level's age, to a sub-cell of that level's size. Each object has moved on.
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
 from planopt import load_system
 from planopt.pursuit.knowledge import Track, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.report.pursuit_design_figure import draw_design
-from planopt.report.pursuit_figure import draw_knowledge, draw_pursuit
+from planopt.report.pursuit_figure import animate_pursuit, draw_knowledge, draw_pursuit, draw_view
 
-service = SnapshotService(levels=7, mote_spacing_m=1.0, frame_s=0.1, bits_per_axis=4)
-track = Track(np.array([0.0, 60.0]), np.array([[20.0, 48.0], [80.0, 48.0]]))
-draw_knowledge(snapshot(service, track, 60.0), track)
+service = SnapshotService(levels=7, mote_spacing_m=1.0, frame_s=0.1, bits_per_axis=3)
+ways_m = [[[20, 48], [80, 48]], [[125, 60], [65, 100]], [[60, 5], [60, 15]], [[20, 90], [20, 110]]]
+tracks = [Track(np.array([0.0, 60.0]), np.array(way_m, dtype=float)) for way_m in ways_m]
+view = draw_view(service, tracks, np.array([66, 50]), 60.0)
 
 # %%
-# A pursuit among obstacles: the pursuer drives to the reported place by the shortest path, and asks
-# again there. The report's age grows until then.
-problem = load_system("pursuit_obstacles")
+# What every mote knows of the first of them, which has driven east at 1 m/s. A mote takes the
+# finest level whose last finished round shows the object near it, and has its age.
+known = draw_knowledge(snapshot(service, tracks[0], 60.0), tracks[0])
+
+# %%
+# A pursuit in open space: pursuers drive to the reported place, and ask again there. The report's
+# age grows until then.
+problem = load_system("pursuit_several")
 run = problem.simulate(seed=1)
 print("\n".join(run.words))
-draw_pursuit(problem.name, run.result.pursuit)
+driven = draw_pursuit(problem.name, run.result.pursuit)
+
+# %%
+# The same pursuit step by step: circles are what each pursuer goes by, crosses where that evader
+# was when it was seen.
+moving = Path(tempfile.mkdtemp()) / "pursuit.gif"
+animate_pursuit(problem.name, run.result.pursuit, moving)
 
 # %%
 # The network of least power whose snapshots guarantee capture within five minutes: power by slot
 # width and bits, what a quantity is worth, and energy against time to capture.
 design = load_system("pursuit_design").solve()
 print("\n".join(design.words))
-draw_design(design.result.task, design.data)
+chart = draw_design(design.result.task, design.data)

@@ -131,6 +131,9 @@ def solve_upper(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArr
 
 def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     """(L L')^-1, symmetric; (n, n)."""
+    if not len(lower):
+        # LAPACK complains of nothing on the terminal.
+        return np.zeros_like(lower)
     half, _ = INVERT(lower, lower=True)
     return half + np.tril(half, -1).T
 

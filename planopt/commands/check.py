@@ -20,9 +20,13 @@ def check(
     json: JsonOption = False,
 ) -> int:
     """Audit saved results from their files alone. Exit code 0 agrees, 3 rejects."""
-    from planopt.planning.certificate import excused_in_words
+    from planopt.planning.certificate import excused_in_words, excused_steps
     from planopt.planning.check.check import check as judge
-    from planopt.planning.files.solution_json import certificate_json, no_certificate_json
+    from planopt.planning.files.solution_json import (
+        certificate_json,
+        excused_json,
+        no_certificate_json,
+    )
     from planopt.planning.plan import Verdict
 
     with progress("checking"):
@@ -34,11 +38,11 @@ def check(
     )
     planned = planned_in_words(certificate["min_clearance_m"], certificate["min_connectivity"])
     rule = None if result.certificate is None else result.certificate.rule
-    excused = excused_in_words(result.certificates)
+    excused = excused_steps(result.certificates)
     data = {
         "verdict": result.verdict.value,
         "certificate": certificate,
-        "excused": list(excused),
+        "excused": excused_json(excused),
         "reasons": list(result.reasons),
         "remarks": list(result.remarks),
     }
@@ -47,7 +51,7 @@ def check(
         *([] if result.certificate is None else [f"  {planned}"]),
         *apart_in_words(certificate["min_separation_m"], certificate["min_moving_clearance_m"]),
         *([] if rule is None else [f"  {rule.words}"]),
-        *(f"  {line}" for line in excused),
+        *(f"  {line}" for line in excused_in_words(excused)),
         *(f"  {reason}" for reason in result.reasons),
         *(f"  remark: {remark}" for remark in result.remarks),
     ]

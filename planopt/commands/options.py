@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-PLANNERS = "auto, nlp, scp, lattice, one_step, random, random_disk, random_persistent and lawnmower"
+from planopt.problems.planner_kinds import OWN
+
+PLANNERS = ", ".join(OWN)
 
 ProblemArgument = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")

@@ -113,7 +113,7 @@ def _in_words(run: Run) -> str:
 
 def _costs_in_words(run: Run) -> list[str]:
     """What the run cost against the clairvoyant, and what steps were excused by."""
-    from planopt.planning.certificate import excused_in_words
+    from planopt.planning.certificate import excused_in_words, excused_steps
 
     lines = [
         f"realised cost {shown_number(run.costs['realised_cost_m'], ' m')} at "
@@ -136,5 +136,5 @@ def _costs_in_words(run: Run) -> list[str]:
         f"{made[0].robot}, {line}" if len(run.plans) > 1 else line
         for made in run.plans
         if made
-        for line in excused_in_words([plan.certificate for plan in made])
+        for line in excused_in_words(excused_steps([plan.certificate for plan in made]))
     ]

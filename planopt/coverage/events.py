@@ -115,6 +115,11 @@ class Watch:
         return np.full(2, math.nan) if self.estimate is None else self.estimate.positions_m[0]
 
     @property
+    def velocity_m_s(self) -> NDArray[np.float64]:
+        """The estimated velocity (2,); zero while it is not detected, or if events stand."""
+        return np.zeros(2) if self.estimate is None else self.estimate.velocity_m_s
+
+    @property
     def std_m(self) -> float:
         """Root of the trace of the estimate's covariance; NaN while it is not detected.
 

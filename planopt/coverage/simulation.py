@@ -260,11 +260,11 @@ def simulate_network(
                     generator,
                 )  # fmt: skip
                 last, asked = now, wanted
-        targets, cost = _aims(scene, watches, here, states)
+        targets, drifts, cost = _aims(scene, watches, here, states)
         responds = states[who] >= 0
         velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
         now = Motion(here[who], motion.velocities_m_s[who], headings[who])
-        after = mover(scene.ground, now, targets[who], responds)
+        after = mover(scene.ground, now, targets[who], responds, drifts[who])
         residual = residual_m(scene.gains, scene.time_step_s, now, after, targets[who], responds)
         known = np.array([watch.is_known for watch in watches], dtype=np.bool_)
         settled = scene.has_settled(time_s, residual, known, members)
@@ -419,24 +419,28 @@ def _aims(
     watches: tuple[Watch, ...],
     here_m: NDArray[np.float64],
     states: NDArray[np.intp],
-) -> tuple[NDArray[np.float64], float]:
-    """Targets (n, 2) of all agents, and the coverage cost of those that take part."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Targets (n, 2) of all agents, their velocities, and the coverage cost of who takes part."""
     who = np.flatnonzero(states != ABSENT)
     agents, responds = here_m[who], states[who] >= 0
     aims = coverage_aims(scene.ground, agents, responds, scene.partition)
     cost = aims.cost
     if scene.partition == "coverage_only" and responds.any():
         cost = coverage_aims(scene.ground, agents, np.zeros_like(responds)).cost
-    targets, own = here_m.copy(), aims.targets_m.copy()
+    targets, own, drifts = here_m.copy(), aims.targets_m.copy(), np.zeros_like(here_m)
     for number in range(len(watches)):
         team = states[who] == number
         if not team.any():
             continue
         ends = event_places(agents[team], watches[number].place_m, scene.stand_off_m)
         share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
-        own[team] = scene.ground.steered(agents[team], scene.ground.nearest(ends), share)
+        ends = scene.ground.nearest(ends)
+        own[team] = scene.ground.steered(agents[team], ends, share)
+        # On the way round an obstacle the next corner is the target; it stands.
+        straight = np.linalg.norm(own[team] - ends, axis=1) <= 1e-9 * scene.ground.hull.radius_m
+        drifts[who[team]] = straight[:, None] * watches[number].velocity_m_s
     targets[who] = own
-    return targets, cost
+    return targets, drifts, cost
 
 
 def residual_m(

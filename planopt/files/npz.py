@@ -151,5 +151,5 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     }
     version = np.lib.format.read_magic(stream)
     if version not in readers:
-        raise ValueError(f"npy version {version[0]}.{version[1]} is not known")
+        raise InputError(f"npy version {version[0]}.{version[1]} is not known")
     return readers[version](stream)

@@ -25,6 +25,9 @@ LARGEST_BINARY_BYTES = 512 * 2**20
 LARGEST_ARRAY_VALUES = 25_000_000
 """Number of values that one array of a file may declare: a map of 5000 x 5000 cells."""
 
+AGAIN = "copy or export the file again"
+"""Remedy for damaged files."""
+
 MEGABYTE = 2**20
 
 
@@ -101,7 +104,7 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
 
     Readers of binary formats check little: a damaged file ends in whatever its bytes lead to,
     among them warnings, MemoryError, errors of other readers, and errors within their callbacks,
-    which Python would print.
+    which Python would print. Their words tell of their insides, not of the file, and are left out.
 
     Parameters
     ----------
@@ -113,7 +116,7 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
     Raises
     ------
     InputError
-        Anything was raised within; an InputError passes as it is.
+        Anything was raised within; an InputError passes, with the file filled in.
     """
     hooks = sys.excepthook, sys.unraisablehook
     sys.excepthook, sys.unraisablehook = _unseen, _unseen
@@ -121,11 +124,12 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
-    except InputError:
-        raise
+    except InputError as error:
+        raise (error if error.file is not None else error.located(path)) from error.__cause__
     except Exception as error:
-        reason = str(error) or type(error).__name__
-        raise InputError(f"not {kind} that can be read: {reason}", file=path) from error
+        raise InputError(
+            f"is damaged, or not {kind} that can be read", file=path, remedy=AGAIN
+        ) from error
     finally:
         sys.excepthook, sys.unraisablehook = hooks
 

@@ -1,17 +1,12 @@
 # pyright: basic
-"""The distance until connected by assumed-density filtering, with derivatives by CasADi.
+"""Derivatives of the filtered distance until connected (equation 4.18), by CasADi.
 
-Places are taken in turn. Given that the earlier ones are not connected, power at all later ones is
-taken as Gaussian again, with the mean and covariance that it truly has (moments of a truncated
-normal). The chance of no connection so far is then a smooth formula of means and covariances, some
-thousandths to hundredths off, with derivatives that the multivariate integral does not have.
-Searches and solvers look at it; what they find is valued by the integral.
+The same formula as :func:`planopt.objectives.until_connected.filtered_failing`, for solvers.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -20,8 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_SCORE = -5.0
-"""A place that misses connection with a smaller chance than Q(5), 3e-7, counts as one with that."""
+from planopt.objectives.until_connected import LEAST_SCORE
 
 
 @dataclass(frozen=True)
@@ -91,38 +85,6 @@ def _failing(z: Any, steps: int) -> list[Any]:
             for j in range(k + 1, i + 1):
                 covariance[i][j] -= covariance[i][k] * covariance[j][k] * shrink
     return found
-
-
-def charged_distances_m(
-    mean_db: NDArray[np.float64],
-    covariance_db2: NDArray[np.float64],
-    legs_m: NDArray[np.float64],
-    beyond_m: NDArray[np.float64] | float,
-    further: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
-) -> NDArray[np.float64]:
-    """Distance until connected of c paths, as filtering has it; ``(c,)``.
-
-    Parameters
-    ----------
-    mean_db, covariance_db2
-        ``(c, h)`` above the threshold, and ``(c, h, h)``, of the power at the places.
-    legs_m
-        ``(c, h)`` lengths of the steps.
-    beyond_m
-        Added where a path ends without connection; ``(c,)`` or the same for all.
-    further
-        Mean and covariance of each further station.
-    """
-    count, steps = mean_db.shape
-    each = [
-        part
-        for mean, covariance in ((mean_db, covariance_db2), *further)
-        for part in (mean, covariance.reshape(count, -1))
-    ]
-    beyond = np.broadcast_to(np.reshape(beyond_m, (-1, 1)), (count, 1))
-    z = np.concatenate([*each, legs_m, beyond], axis=1)
-    programme = passage_programme(steps, 1 + len(further))
-    return np.asarray(programme.value(z.T)).ravel()
 
 
 def slopes_and_bends(

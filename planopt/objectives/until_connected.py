@@ -1,7 +1,14 @@
-"""How far a robot drives along a path until it is connected (equation 4.16): a cost, in metres."""
+"""How far a robot drives along a path until it is connected (equation 4.16): a cost, in metres.
+
+Plans are valued by assumed-density filtering (equation 4.18): places are taken in turn, and given
+that the earlier ones are not connected, power at all later ones is taken as Gaussian again, with
+the moments that it truly has. It is within hundredths of the multivariate integral
+(:func:`expected_distance_m`), costs a hundredth of it, and is what searches and solvers climb.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connection.first_passage import first_passage
+from planopt.channel.joint import joint_prediction
 from planopt.channel.places import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import score_probability
 from planopt.objectives.near_posterior import factored_near
 
-LATER = 1.1
-"""What a metre counts that lies beyond a plan. Were it 1, a robot far from any chance of connection
-could as well wait as drive."""
+WAITING = 0.1
+"""What a metre counts that a step could be longer. Were it nothing, a robot could as well wait as
+drive: it would put off its first step again and again."""
 
 NOT_TRIED_DB = 1e3
 """So far below the threshold the searches' formula takes places that are no tries."""
@@ -23,8 +32,14 @@ NOT_TRIED_DB = 1e3
 LEAST_CHANCE = 1e-12
 """Of a place that is tried."""
 
-SEED, TOLERANCE = 0, 1e-3
-"""Of the integral that plans are compared by; it is mostly a hundred times more accurate."""
+TRY_SHARE = 1.0 / 3.0
+"""How far apart tries are expected to be, as a share of the decorrelation distance. From 1/6 to 2/3
+searches from 40 starts on one map were within a tenth of the best; as tries that all begin where
+the robot is, D / P + L (1 - P) / P with the whole decorrelation distance, they drove a tenth
+farther."""
+
+LEAST_SCORE = -5.0
+"""A place that misses connection with a smaller chance than Q(5), 3e-7, counts as one with that."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +56,8 @@ class Search:
         Given that it is not connected at the start. False where that is among the measurements.
     beyond_m
         What :func:`charged_distance_m` adds for a path that ends without connection.
+    step_m
+        Longest step, for what :func:`counted_legs_m` charges of waiting; None where it is free.
     further_thresholds_dbm
         The same of further stations.
     """
@@ -49,6 +66,7 @@ class Search:
     threshold_dbm: float
     disconnected_now: bool = True
     beyond_m: float = 0.0
+    step_m: float | None = None
     further_thresholds_dbm: tuple[float, ...] = ()
 
     @property
@@ -103,14 +121,14 @@ def charged_distance_m(
 ) -> float:
     """E[D] + beyond_m P(not connected at q_1 .. q_h): what a plan that has to stop at h is charged.
 
-    E[D] alone is least for a robot that stands still. The same numbers integrate every path, so
-    that its value does not change. Stations are independent, so that the probabilities of no
-    connection to each of them multiply. Arguments and errors as :func:`expected_distance_m`.
+    E[D] alone is least for a robot that stands still, so that legs are those of
+    :func:`counted_legs_m`. By filtering, from all measurements. Stations are independent: the
+    probabilities of no connection to each of them multiply.
 
     Parameters
     ----------
     posterior, path_m, settings
-        As there.
+        As of :func:`expected_distance_m`; what is known at the start is among the measurements.
     further
         Of further stations.
     tried
@@ -119,20 +137,74 @@ def charged_distance_m(
     """
     whole = _whole(path_m, settings)
     tries = np.ones(len(path_m), dtype=np.bool_) if tried is None else tried
-    places = whole[np.concatenate([[True], tries])]
-    failing = np.ones(len(places))
+    places = whole[1:][tries]
+    failing = np.ones(len(places) + 1)
     for station, threshold in zip((posterior, *further), settings.thresholds_dbm, strict=True):
-        if len(places) > 1:
-            failing *= first_passage(
-                factored_near(station, places),
-                places,
-                threshold,
-                np.random.default_rng(SEED),
-                disconnected_now=settings.disconnected_now,
-                tolerance=TOLERANCE,
-            ).not_connected
+        if len(places):
+            power = joint_prediction(factored_near(station, places), places)
+            above = (power.mean_db - threshold)[None]
+            failing[1:] *= filtered_failing(above, power.covariance_db2[None])[0]
     after = failing[np.concatenate([[0], np.cumsum(tries)])]
-    return float(leg_lengths_m(whole) @ after[:-1] + settings.beyond_m * after[-1])
+    legs = counted_legs_m(leg_lengths_m(whole), settings.step_m)
+    return float(legs @ after[:-1] + settings.beyond_m * after[-1])
+
+
+def counted_legs_m(legs_m: NDArray[np.float64], step_m: float | None) -> NDArray[np.float64]:
+    """Return legs with `WAITING` times what each is shorter than the longest step, `step_m`."""
+    return legs_m if step_m is None else (1.0 - WAITING) * legs_m + WAITING * step_m
+
+
+def charged_distances_m(
+    stations: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    legs_m: NDArray[np.float64],
+    beyond_m: NDArray[np.float64] | float,
+) -> NDArray[np.float64]:
+    """Return what c paths of h places are charged, as :func:`charged_distance_m`; ``(c,)``.
+
+    Parameters
+    ----------
+    stations
+        Of each: ``(c, h)`` mean above the threshold and ``(c, h, h)`` covariance at the places.
+    legs_m
+        ``(c, h)`` what the steps count.
+    beyond_m
+        Added where a path ends without connection; ``(c,)`` or the same for all.
+    """
+    failing = np.ones_like(legs_m)
+    for above_db, covariance_db2 in stations:
+        failing *= filtered_failing(above_db, covariance_db2)
+    return (
+        legs_m[:, 0]
+        + np.einsum("ck,ck->c", legs_m[:, 1:], failing[:, :-1])
+        + beyond_m * failing[:, -1]
+    )
+
+
+def filtered_failing(
+    above_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Chance of no connection up to each place of c paths, by filtering (equation 4.18); (c, h).
+
+    Parameters
+    ----------
+    above_db, covariance_db2
+        ``(c, h)`` mean of the power less the threshold, and ``(c, h, h)`` its covariance.
+    """
+    mean, covariance = above_db.copy(), covariance_db2.copy()
+    below = np.empty_like(mean)
+    for k in range(int(mean.shape[1])):
+        variance = covariance[:, k, k]
+        deviation = np.sqrt(variance)
+        score = np.maximum(-mean[:, k] / deviation, LEAST_SCORE)
+        below[:, k] = score_probability(score)
+        ratio = np.exp(-0.5 * score * score) / math.sqrt(2.0 * math.pi) / below[:, k]
+        shared = covariance[:, k, k + 1 :].copy()
+        mean[:, k + 1 :] -= (ratio / deviation)[:, None] * shared
+        shrink = ratio * (ratio + score) / variance
+        covariance[:, k + 1 :, k + 1 :] -= (
+            shrink[:, None, None] * shared[:, :, None] * shared[:, None, :]
+        )
+    return np.asarray(np.cumprod(below, axis=1), dtype=np.float64)
 
 
 def search_length_m(
@@ -140,20 +212,20 @@ def search_length_m(
     chance: NDArray[np.float64],
     decorrelation_m: float,
 ) -> NDArray[np.float64]:
-    """Return the expected length of a search by tries like one, R = D + (1 - P) (L + R).
+    """Return the expected length of a search that begins at a place, R = D + L (1 - P) / P.
 
-    A try costs the way to its place, D. If it fails, as it does with the chance 1 - P, the power
-    about the place is known, and the robot first has to leave its surroundings, L.
+    The first try costs the way to its place, D, and each further one L, `TRY_SHARE` of the
+    decorrelation distance: it is as likely to succeed as the first, and near it.
 
     Parameters
     ----------
     distance_m, chance
         ``(k,)`` D and P of places.
     decorrelation_m
-        L, from which on another try is independent.
+        Of the shadowing.
     """
-    tried = distance_m + (1.0 - chance) * decorrelation_m
-    return tried / np.maximum(chance, LEAST_CHANCE)
+    odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
+    return distance_m + TRY_SHARE * decorrelation_m * odds_against
 
 
 def independent_expected_distance_m(

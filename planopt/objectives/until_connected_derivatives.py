@@ -24,7 +24,7 @@ from planopt.objectives.batch_derivatives import (
 from planopt.objectives.local_channel import LocalChannel
 from planopt.objectives.motion_derivatives import legs_curvature
 from planopt.objectives.passage_programme import passage_programme, slopes_and_bends
-from planopt.objectives.until_connected import NOT_TRIED_DB, Search
+from planopt.objectives.until_connected import NOT_TRIED_DB, WAITING, Search, counted_legs_m
 from planopt.targets.rounding import Derivatives, rounded_length
 
 
@@ -58,6 +58,10 @@ def charged_distance_derivatives(
     steps = len(places)
     stations = [_station(channel, places) for channel in channels]
     legs = rounded_length(np.diff(np.vstack([settings.start_m, places]), axis=0), width_m)
+    if settings.step_m is not None:
+        driven = 1.0 - WAITING
+        counted = counted_legs_m(legs.value, settings.step_m)
+        legs = Derivatives(counted, driven * legs.gradient, driven * legs.hessian)
 
     # What each coordinate changes: rows of z = (mean, covariance, legs), columns of coordinates.
     k = np.arange(steps)

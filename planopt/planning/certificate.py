@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 from planopt.planning.rule_result import RuleResult
 
@@ -69,12 +70,51 @@ class Certificate:
     rule: RuleResult | None = None
 
 
-MOST_EXCUSED = 10
-"""Steps told of one by one."""
+@dataclass(frozen=True)
+class Excused:
+    """A step that misses the bound, and what excuses it as far as the verifier found something.
+
+    Attributes
+    ----------
+    step
+        Its number; 1 is the first.
+    relaxation_db
+        By how many dB it misses the bound.
+    excuse
+        ``price``: the way is hardly dearer than the cheapest that the verifier found.
+        ``out_of_reach``: no place found within reach keeps the bound by then. ``slack``: within
+        ``constraints.slack_max_db``. ``none``: nothing excuses it.
+    path_cost_m, best_cost_m
+        With ``price``: of the way and of the cheapest found; else None.
+    best_margin_db
+        With ``out_of_reach``: the best margin found within reach, negative; else None.
+    """
+
+    step: int
+    relaxation_db: float
+    excuse: str
+    path_cost_m: float | None = None
+    best_cost_m: float | None = None
+    best_margin_db: float | None = None
+
+    @property
+    def words(self) -> str:
+        """The step, its miss and the excuse for people."""
+        why = "nothing excuses it"
+        if self.excuse == "price":
+            why = (
+                f"the way costs {self.path_cost_m:.1f} m, the cheapest that the verifier found "
+                f"{self.best_cost_m:.1f} m"
+            )
+        elif self.excuse == "slack":
+            why = "within constraints.slack_max_db"
+        elif self.best_margin_db is not None:
+            why = f"the best place found within reach misses it by {-self.best_margin_db:.2f} dB"
+        return f"step {self.step} misses p_min by {self.relaxation_db:.2f} dB: {why}"
 
 
-def excused_in_words(proofs: Sequence[Certificate]) -> list[str]:
-    """Lines for people: which steps miss p_min, by how much, and what excuses each.
+def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
+    """Return the steps that miss p_min.
 
     Parameters
     ----------
@@ -83,31 +123,60 @@ def excused_in_words(proofs: Sequence[Certificate]) -> list[str]:
         first steps were driven.
     """
     if len(proofs) == 1:
-        missed = [(step, proofs[0], k) for k, step in enumerate(proofs[0].relaxed_steps)]
-    else:
-        missed = [
-            (number, proof, proof.relaxed_steps.index(1))
-            for number, proof in enumerate(proofs, start=1)
-            if 1 in proof.relaxed_steps
-        ]
-    lines = [
-        f"step {step} misses p_min by {proof.relaxation_db[k]:.2f} dB: {_excuse(proof, k)}"
-        for step, proof, k in missed[:MOST_EXCUSED]
+        return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
+    return [
+        _excused(proof, proof.relaxed_steps.index(1), number)
+        for number, proof in enumerate(proofs, start=1)
+        if 1 in proof.relaxed_steps
     ]
-    more = len(missed) - MOST_EXCUSED
+
+
+MOST_EXCUSED = 10
+"""Steps told of one by one."""
+
+
+def excused_in_words(steps: Sequence[Excused]) -> list[str]:
+    """Lines for people about steps that miss p_min; of many the first, and how many more."""
+    lines = [one.words for one in steps[:MOST_EXCUSED]]
+    more = len(steps) - MOST_EXCUSED
     return [*lines, f"and {more} more steps"] if more > 0 else lines
 
 
-def _excuse(proof: Certificate, number: int) -> str:
-    """What excuses the miss of this number, as far as the verifier found something."""
+def _excused(proof: Certificate, number: int, step: int) -> Excused:
+    """The miss of this number in a plan, as step `step`."""
+    missed_db = proof.relaxation_db[number]
     if proof.path_cost_m is not None and proof.best_cost_m is not None:
-        return (
-            f"the way costs {proof.path_cost_m:.1f} m, the cheapest that the verifier found "
-            f"{proof.best_cost_m:.1f} m"
-        )
+        return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
     if number < len(proof.best_margin_db):
         margin_db = proof.best_margin_db[number]
         if margin_db < 0.0:
-            return f"the best place found within reach misses it by {-margin_db:.2f} dB"
-        return "nothing excuses it"
-    return "within constraints.slack_max_db" if not proof.reasons else "nothing excuses it"
+            return Excused(step, missed_db, "out_of_reach", best_margin_db=margin_db)
+        return Excused(step, missed_db, "none")
+    return Excused(step, missed_db, "none" if proof.reasons else "slack")
+
+
+class Costs(TypedDict):
+    """What a certificate says of costs, by its attributes."""
+
+    path_cost_m: float | None
+    best_cost_m: float | None
+    step_cost_m: float | None
+    step_excess_m: float | None
+
+
+def dearest(proofs: Iterable[Certificate]) -> Costs:
+    """Return what the plans cost that cost most beyond the cheapest: on the whole, in the step."""
+    each = list(proofs)
+    ways = [
+        (one.path_cost_m - one.best_cost_m, one.path_cost_m, one.best_cost_m)
+        for one in each
+        if one.path_cost_m is not None and one.best_cost_m is not None
+    ]
+    steps = [
+        (one.step_excess_m, one.step_cost_m)
+        for one in each
+        if one.step_excess_m is not None and one.step_cost_m is not None
+    ]
+    _, path_m, best_m = max(ways, default=(None, None, None))
+    excess_m, step_m = max(steps, default=(None, None))
+    return Costs(path_cost_m=path_m, best_cost_m=best_m, step_cost_m=step_m, step_excess_m=excess_m)

@@ -10,6 +10,12 @@ from planopt.errors import InputError
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
 from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.baselines.random_walk import RandomPlanner
+from planopt.planning.baselines.strategies import (
+    StrategyPlanner,
+    informed_disk,
+    path_loss_only,
+    unaware,
+)
 from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
@@ -52,9 +58,17 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
     Raises
     ------
     InputError
-        The planner is not for the robot's dynamics, or cannot be imported.
+        The planner is not for the robot's dynamics or the problem's terms, knows the ground truth,
+        or cannot be imported.
     """
     robot, kind = problem.robots[0], planner_kind(problem.planner.name)
+    if kind.foresees:
+        raise InputError(
+            f"is {kind.name}, a bound that knows the ground truth of a whole run",
+            file=problem.file,
+            key="planner.name",
+            remedy="simulate or compare with it, or name another planner",
+        )
     if robot.dynamics is not None and not kind.has_dynamics:
         raise InputError(
             f"is {kind.name}, which plans for single integrators only; "
@@ -96,3 +110,18 @@ def persistent_walk_planner(
 def lawnmower_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
     """Make the baseline that mows the workspace."""
     return LawnmowerPlanner(problem, ground)
+
+
+def path_loss_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
+    """Make the strategy that knows path loss, and nothing of shadowing."""
+    return StrategyPlanner(problem, ground, path_loss_only)
+
+
+def disk_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
+    """Make the strategy that counts on all packets within a disc, and on none beyond."""
+    return StrategyPlanner(problem, ground, informed_disk)
+
+
+def unaware_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
+    """Make the strategy that counts on all packets everywhere."""
+    return StrategyPlanner(problem, ground, unaware)

@@ -115,7 +115,7 @@ class Run:
 
     @property
     def verified_rate(self) -> float:
-        """Share of all released steps whose plan was verified (1 if none was released)."""
+        """Share of all released steps whose plan was verified (NaN if none was released)."""
         return float(np.mean([run.verified_rate for run in self.runs]))
 
     @property
@@ -179,7 +179,8 @@ def exit_code(run: Run) -> int:
     """Return 0 if the task was done with every step verified, 3 if some was not, 4 if not done."""
     if run.outcome not in ARRIVED:
         return 4
-    return 0 if run.verified_rate == 1.0 else 3
+    # Without a step there is nothing that was not verified.
+    return 3 if run.verified_rate < 1.0 else 0
 
 
 @dataclass(frozen=True, eq=False)

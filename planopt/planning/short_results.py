@@ -40,7 +40,7 @@ def short_run(
     head = f"run of {problem.name}, horizon {problem.planner.horizon}, seed {seed}"
     lines = [
         f"{run.robot}: {run.outcome.value} after {len(run.log.t_s) - 1} steps ({run.reason}), "
-        f"{run.verified_rate:.1%} of the steps verified"
+        + (f"{run.verified_rate:.1%} of the steps verified" if run.rungs else "no step was driven")
         for run in runs
     ]
     shown = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items())

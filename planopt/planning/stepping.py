@@ -186,7 +186,12 @@ class Stepper:
         return robot.dynamics is None and not has_separation(self.problem)
 
 
-def plan_step(problem: Problem, scenes: Sequence[Scene] | None, seeds: TeamSeeds) -> PlanStep:
+def plan_step(
+    problem: Problem,
+    scenes: Sequence[Scene] | None,
+    seeds: TeamSeeds,
+    foreseen_m: Sequence[NDArray[np.float64]] | None = None,
+) -> PlanStep:
     """Return what plans a step: to goals in a scene of each robot, or a team for its terms.
 
     Parameters
@@ -197,9 +202,11 @@ def plan_step(problem: Problem, scenes: Sequence[Scene] | None, seeds: TeamSeeds
         Geometry of each robot that is to reach a goal; None for all other problems.
     seeds
         Of planners that draw.
+    foreseen_m
+        ``(T, 2)`` of each robot for the whole run, by a planner that knows the ground truth.
     """
     if scenes is not None:
         couriers = Couriers(problem, scenes)
         return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])
-    crew = build_crew(problem, seeds)
+    crew = build_crew(problem, seeds, foreseen_m)
     return lambda at: plan_together(problem, crew, at)

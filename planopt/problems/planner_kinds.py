@@ -21,6 +21,7 @@ GROUP = "planopt.planners"
 """Entry points of planners from outside."""
 
 _HOME = "planopt.planning.planners"
+_BOUNDS = "planopt.planning.baselines.foresight"
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,10 @@ class PlannerKind:
         Whether it has a global search, whose paths fall back on each other.
     solves
         Whether a solver runs: only then may a plan report its termination, iterations and residual.
+    foresees
+        Whether it knows the ground truth, as a bound on what planners can do. ``make`` is then
+        called with the problem of all robots, the first station's ground truth, and the target's
+        path; it gives the paths of all robots for the whole run.
     version
         Of a planner from outside: studies do not take results of another version from a record.
     """
@@ -53,6 +58,7 @@ class PlannerKind:
     has_dynamics: bool = False
     searches: bool = False
     solves: bool = False
+    foresees: bool = False
     version: str = ""
 
     def maker(self) -> Callable[..., Any]:
@@ -88,10 +94,17 @@ OWN = {
         PlannerKind("random_disk", f"{_HOME}:disk_walk_planner"),
         PlannerKind("random_persistent", f"{_HOME}:persistent_walk_planner"),
         PlannerKind("lawnmower", f"{_HOME}:lawnmower_planner"),
+        PlannerKind("path_loss_only", f"{_HOME}:path_loss_planner"),
+        PlannerKind("informed_disk", f"{_HOME}:disk_planner"),
+        PlannerKind("unaware", f"{_HOME}:unaware_planner"),
+        PlannerKind("oracle", f"{_BOUNDS}:oracle_paths", foresees=True),
+        PlannerKind("oracle_log", f"{_BOUNDS}:oracle_log_paths", foresees=True),
+        PlannerKind("clairvoyant", f"{_BOUNDS}:clairvoyant_paths", foresees=True),
+        PlannerKind("clairvoyant_log", f"{_BOUNDS}:clairvoyant_log_paths", foresees=True),
     )
 }
-"""planopt's own. The last five are baselines: no goal, no lattice path, and only robots that can
-turn and stop at will."""
+"""planopt's own. All from ``one_step`` on are baselines: no goal, and only robots that can turn and
+stop at will. The last four are bounds on tracking, which no robot could follow."""
 
 _registered: dict[str, PlannerKind] = {}
 

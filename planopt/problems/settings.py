@@ -38,9 +38,9 @@ class PlannerSettings:
     name
         ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
         programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
-        tasks other than reach ``one_step`` (dense local search one step ahead), ``random``,
-        ``random_disk``, ``random_persistent`` and ``lawnmower``, or a planner from outside
-        (:mod:`planopt.problems.planner_kinds`).
+        tasks other than reach baselines such as ``one_step`` (dense local search one step ahead)
+        and ``random``, bounds such as ``clairvoyant``, or a planner from outside
+        (:mod:`planopt.problems.planner_kinds` has all).
     horizon
         Steps ahead, N.
     neighbours
@@ -66,7 +66,8 @@ class PlannerSettings:
             examples=list(OWN),
             description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
             "programming), auto (the better of them, nlp), lattice (no polish), and for tasks "
-            "other than reach one_step, random, random_disk, random_persistent or lawnmower; or a "
+            "other than reach a baseline: "
+            f"{', '.join(name for name, kind in OWN.items() if not kind.reaches_goals)}; or a "
             "planner that is registered.",
         ),
     ] = "auto"

@@ -1,9 +1,9 @@
 """Data association: which report belongs to which evader, and which to none.
 
 An evader explains a chain of reports, each within reach of the one before. A link is worth the
-logarithm of how much likelier the report is from an evader that may have gone anywhere in reach
-than from a false alarm. Chains that share no report and are worth most together are a flow of
-least cost, whose linear programme has whole solutions.
+logarithm of how much likelier the report is from the evader than from a false alarm (equation
+8.17). Chains that share no report and are worth most together are a flow of least cost, whose
+linear programme has whole solutions.
 """
 
 from __future__ import annotations
@@ -33,19 +33,26 @@ class AssociationModel:
         Misses and false alarms.
     area_m2
         Where false alarms are spread.
+    periods_s
+        ``(L + 1,)`` time between the samples of each level. A link that skips instants at which
+        both its levels sample says that the evader was missed there.
     """
 
     speed_max_m_s: float
     detector: Detector
     area_m2: float
+    periods_s: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         require_number(self.speed_max_m_s, "speed_max_m_s", above=0.0)
         require_number(self.area_m2, "area_m2", above=0.0)
 
 
-LEAST_FALSE_ALARMS = 1e-6
-"""Stands for none at all, so that a link out of reach is the only one that is impossible."""
+LEAST_RATE = 1e-6
+"""Stands for no misses and no false alarms, so that only links out of reach are impossible."""
+
+INSTANT_SHARE = 1e-3
+"""Share of a period by which rounding may move an instant."""
 
 
 def associate(
@@ -88,6 +95,7 @@ def associate(
         np.concatenate([starts_s, reports.sampled_s]),
         np.vstack([starts_m, reports.reported_m]),
         np.concatenate([starts_error_m, reports.errors_m]),
+        np.append(np.zeros(count, dtype=np.int64), reports.levels),
         count,
         model,
     )
@@ -105,6 +113,7 @@ def _links(
     sampled_s: NDArray[np.float64],
     places_m: NDArray[np.float64],
     errors_m: NDArray[np.float64],
+    levels: NDArray[np.int64],
     starts: int,
     model: AssociationModel,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
@@ -115,9 +124,17 @@ def _links(
     linked = (lapse_s > 0.0) & (apart_m <= reach_m)
     linked[:, :starts] = False
     before, after = np.nonzero(linked)
-    alarms = max(model.detector.false_alarms, LEAST_FALSE_ALARMS)
-    of_evader = (1.0 - model.detector.miss_probability) / (np.pi * reach_m[linked] ** 2)
-    return before, after, np.log(of_evader * model.area_m2 / alarms)
+    # Both levels sample at the instants of the coarser one.
+    period_s = model.periods_s[np.maximum(levels[before], levels[after])]
+    missed = np.floor(lapse_s[linked] / period_s - INSTANT_SHARE)
+    alarms = max(model.detector.false_alarms, LEAST_RATE)
+    # Full speed in an unknown direction, and an error uniform over the sub-cell of each report.
+    moved_m2 = 0.5 * (model.speed_max_m_s * lapse_s[linked]) ** 2
+    variance_m2 = moved_m2 + (errors_m[before] ** 2 + errors_m[after] ** 2) / 6.0
+    fits = -0.5 * apart_m[linked] ** 2 / variance_m2 - np.log(2.0 * np.pi * variance_m2)
+    sure = (1.0 - model.detector.miss_probability) * model.area_m2 / alarms
+    unseen = np.log(max(model.detector.miss_probability, LEAST_RATE))
+    return before, after, fits + np.log(sure) + unseen * np.maximum(0.0, missed)
 
 
 def _best_chains(

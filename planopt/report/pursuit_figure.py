@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -9,7 +10,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.pursuit.knowledge import Snapshot, Track
+from planopt.pursuit.knowledge import Snapshot, Track, mote_centres_m, snapshot
+from planopt.pursuit.service import SnapshotService
 from planopt.pursuit.simulation import Pursuit, Use
 from planopt.report.moving_picture import Line, save_moving
 from planopt.report.panel import Panel, add_colorbar, add_panel, new_figure
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CIRCLE = np.linspace(0.0, 2.0 * np.pi, 49)
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 
 
 def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
@@ -107,6 +110,69 @@ def draw_knowledge(known: Snapshot, track: Track) -> Figure:
     panel.set_ylim(0.0, side_m)
     dress(panel, "what every mote knows", "x [m]", "y [m]", grid=False)
     legend_inside(panel, "lower right")
+    return figure
+
+
+def draw_view(
+    service: SnapshotService, tracks: Sequence[Track], mote: NDArray[np.int64], time_s: float
+) -> Figure:
+    """Draw the snapshot that one mote has: how old and how coarse its news of every place is.
+
+    Parameters
+    ----------
+    service
+        The grid and its rounds.
+    tracks
+        Objects, which it knows by the records of the finest level that shows each.
+    mote
+        ``(2,)`` column and row.
+    time_s
+        Now.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(7.4, 6.6)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    here_m = mote_centres_m(service)[mote[1], mote[0]]
+    side_m = service.side_m
+    # What stands at a place is shown to the mote by the levels that show the mote to the place.
+    seen = snapshot(service, Track(np.zeros(1), here_m[None]), time_s)
+    layer = panel.imshow(
+        np.asarray(seen.ages_s[seen.level_map()], dtype=np.float64),
+        origin="lower",
+        extent=(0.0, side_m, 0.0, side_m),
+        cmap=DEVIATION_MAP,
+    )
+    add_colorbar(figure, layer, panel, label="age of its records of a place [s]")
+    entries: dict[str, Artist] = {}
+    for track in tracks:
+        known = snapshot(service, track, time_s)
+        level = int(known.shown_at(mote).argmax())
+        place_m, reported_m = track.at(np.array(time_s)), known.reported_m[level]
+        half_m = service.error_bound_m(level) / np.sqrt(2.0)
+        square = reported_m + half_m * SQUARE
+        entries["record"] = panel.plot(
+            square[:, 0], square[:, 1], color=ORANGE, linewidth=2.0, label="reported sub-cell"
+        )[0]
+        way = np.array([known.sampled_m[level], place_m])
+        entries["way"] = panel.plot(
+            way[:, 0], way[:, 1], color=VERMILLION, linewidth=1.4, label="its way since"
+        )[0]
+        entries["now"] = panel.plot(
+            way[1:, 0],
+            way[1:, 1],
+            color=VERMILLION,
+            marker="o",
+            linestyle="none",
+            label="object now",
+        )[0]
+    entries["mote"] = panel.plot(
+        here_m[:1], here_m[1:], color=BLUE, marker="s", linestyle="none", label="the mote"
+    )[0]
+    panel.set_xlim(0.0, side_m)
+    panel.set_ylim(0.0, side_m)
+    dress(panel, "the snapshot of one mote", "x [m]", "y [m]", grid=False)
+    legend_below(figure, entries.values(), len(entries))
     return figure
 
 

@@ -145,8 +145,9 @@ def _draw_connection(panel: Panel, run: Run) -> None:
                 times = one.log.t_s[selection]
                 panel.scatter(times, np.full(len(times), float(number)), s=20.0, **look)
     share = np.mean([one.metrics.true_connected_share for one in run.runs])
+    words = f"{100.0 * share:.1f} % of the steps; x: not" if run.rungs else "no step was driven"
     dress(
-        panel, f"connected in truth ({100.0 * share:.1f} % of the steps; x: not)", TIME, "",
+        panel, f"connected in truth ({words})", TIME, "",
         grid=False,
     )  # fmt: skip
     name_rows(panel, run.problem)
@@ -182,7 +183,8 @@ def _draw_rungs(panel: Panel, run: Run) -> None:
             linewidths=1.3,
             label=f"not verified ({len(unproven)})",
         )
-    dress(panel, f"{100.0 * run.verified_rate:.0f} % verified", TIME, "", grid=False)
+    rate = f"{100.0 * run.verified_rate:.0f} % verified" if run.rungs else "no step was driven"
+    dress(panel, rate, TIME, "", grid=False)
     name_rows(panel, run.problem)
     if len(run.runs[0].log.t_s) > 1:
         legend_above(panel, 3)

@@ -16,6 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.errors import InputError
+from planopt.files.regular import AGAIN
+
 SIGNATURES = {b"CDF\x01": ">I", b"CDF\x02": ">Q"}
 """First bytes by the kind of offsets that follow: of 32 or of 64 bits."""
 
@@ -57,12 +60,12 @@ def classic_variables(content: bytes) -> dict[str, ClassicVariable]:
 
     Raises
     ------
-    ValueError
+    InputError
         The header is damaged or cut off.
     """
     offsets = SIGNATURES.get(content[:4])
     if offsets is None:
-        raise ValueError("neither NetCDF-3 nor NetCDF-4")
+        raise InputError("neither NetCDF-3 nor NetCDF-4")
     header = _Header(content, 4)
     records = header.count(largest=STREAMING)
     dimensions = [(header.name(), header.count()) for _ in header.items(DIMENSIONS)]
@@ -94,7 +97,7 @@ def classic_values(content: bytes, variable: ClassicVariable) -> NDArray[Any]:
 
     Raises
     ------
-    ValueError
+    InputError
         The file ends before them.
     """
     item = variable.dtype.itemsize
@@ -105,7 +108,7 @@ def classic_values(content: bytes, variable: ClassicVariable) -> NDArray[Any]:
         return np.zeros(variable.shape, dtype=variable.dtype)
     end = variable.begin + (rows - 1) * stride + row_bytes
     if end > len(content):
-        raise ValueError(f"the file ends before its values: {len(content)} of {end} bytes")
+        raise InputError(f"the file ends before its values: {len(content)} of {end} bytes")
     # Rows are `stride` apart, values within a row close together.
     inner = np.array(variable.shape[1:], dtype=np.int64)
     strides = [item * int(np.prod(inner[axis + 1 :])) for axis in range(len(inner))]
@@ -155,7 +158,7 @@ def _described(header: _Header, dimensions: list[tuple[str, int]], offsets: str)
     begin = header.take(offsets)
     lengths = tuple(length for _, length in own)
     if 0 in lengths[1:]:
-        raise ValueError(f"the record dimension is not the first of {name}")
+        raise InputError(f"the record dimension is not the first of {name}")
     return _Described(name, tuple(name for name, _ in own), lengths, attributes, dtype, begin)
 
 
@@ -175,7 +178,7 @@ class _Header:
         """The next `count` bytes."""
         found = self.content[self.at : self.at + count]
         if len(found) < count:
-            raise ValueError("the file ends within its header")
+            raise InputError("the file ends within its header")
         self.at += count
         return found
 
@@ -189,25 +192,32 @@ class _Header:
         """The next number, at most `largest`."""
         number = self.take(">I")
         if number > largest:
-            raise ValueError(f"{number} at byte {self.at - 4} is too large")
+            raise InputError(f"{number} at byte {self.at - 4} is too large")
         return number
 
     def name(self) -> str:
         """The next name."""
-        return self.padded(self.count(largest=len(self.content))).decode("utf-8")
+        start, count = self.at, self.count(largest=len(self.content))
+        try:
+            text = self.padded(count).decode("utf-8")
+        except UnicodeDecodeError:
+            text = ""
+        if not text or not text.isprintable():
+            raise InputError(f"the name at byte {start} is not text", remedy=AGAIN)
+        return text
 
     def items(self, tag: int) -> range:
         """A range over the entries of the list that follows, which is tagged unless empty."""
         found, count = self.take(">I"), self.count(largest=len(self.content))
         if found != tag and (found, count) != (0, 0):
-            raise ValueError(f"a list of kind {found} at byte {self.at - 8}, not {tag}")
+            raise InputError(f"a list of kind {found} at byte {self.at - 8}, not {tag}")
         return range(count)
 
     def dtype(self) -> np.dtype[Any]:
         """The next type."""
         code = self.take(">I")
         if code not in TYPES:
-            raise ValueError(f"type {code} at byte {self.at - 4} is not known")
+            raise InputError(f"type {code} at byte {self.at - 4} is not known")
         return np.dtype(TYPES[code])
 
     def attributes(self) -> dict[str, NDArray[Any] | bytes]:

@@ -33,6 +33,8 @@ from planopt.world.occupancy_grid import MOST_CELLS, OccupancyGrid
 
 LARGEST_YAML_BYTES = 64 * 1024
 
+FEWER_CELLS = "cut the map to what is needed, or use larger cells"
+
 CSV_HEADER = ("resolution_m", "origin_x_m", "origin_y_m", "occupied_from")
 
 IMAGES = {".pgm": "PPM", ".png": "PNG"}
@@ -117,6 +119,8 @@ def _read_csv_grid(path: Path) -> OccupancyGrid:
                 f"the first two rows are not {','.join(CSV_HEADER)} and their values",
                 file=path,
                 row=1,
+                remedy="put both above the cells, which alone do not say where they are: "
+                f"{','.join(CSV_HEADER)}, then for instance 0.05,0,0,50",
             )
         numbers = [_cell(path, text, 2, name) for text, name in zip(values, header, strict=True)]
         cells: list[list[float]] = []
@@ -160,7 +164,11 @@ def _yaml_table(path: Path) -> dict[str, object]:
 
     text = read_text(path, LARGEST_YAML_BYTES)
     with foreign_reader(path, "a YAML file"):
-        table: object = yaml.safe_load(text)
+        try:
+            table: object = yaml.safe_load(text)
+        except yaml.MarkedYAMLError as error:
+            row = None if error.problem_mark is None else error.problem_mark.line + 1
+            raise InputError(f"is not YAML: {error.problem}", file=path, row=row) from error
     if not isinstance(table, dict):
         raise InputError(
             "has no keys", file=path, remedy="a map of ROS has image, resolution, origin, ..."
@@ -245,7 +253,13 @@ def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool
         )
     content = read_bytes(path)
     with foreign_reader(path, "an image"):
-        with Image.open(io.BytesIO(content), formats=[kind]) as image:
+        try:
+            image = Image.open(io.BytesIO(content), formats=[kind])
+        except Image.DecompressionBombError:
+            raise InputError(
+                f"declares far more than {MOST_CELLS:,} cells", file=path, remedy=FEWER_CELLS
+            ) from None
+        with image:
             _require_cells(path, image.width * image.height)
             if image.mode not in (*DEEP_MODES, *BYTE_MODES) or (raw and image.mode in DEEP_MODES):
                 raise InputError(
@@ -264,7 +278,7 @@ def _require_cells(path: Path, count: int) -> None:
         raise InputError(
             f"has {count:,} cells, should have 1 to {MOST_CELLS:,}",
             file=path,
-            remedy="cut the map to what is needed, or use larger cells",
+            remedy=FEWER_CELLS,
         )
 
 

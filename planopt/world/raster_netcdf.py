@@ -123,7 +123,9 @@ def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str)
     dimensions = tuple(held[variable])
     if dimensions != AXES:
         raise InputError(
-            f"the dimensions are {dimensions}, should be {AXES}", file=path, key=variable
+            f"its dimensions are {listed(dimensions)}, should be {listed(AXES)}",
+            file=path,
+            key=variable,
         )
 
 

@@ -126,8 +126,19 @@ def shortest_ways(
     weights = road_map.edge_length_m
     if node_factor is not None:
         weights = weights * 0.5 * (node_factor[road_map.edge_from] + node_factor[road_map.edge_to])
+    return cheapest_ways(road_map, goal_node, weights, limit_m=limit_m)
+
+
+def cheapest_ways(
+    road_map: RoadMap,
+    goal_node: int,
+    edge_cost_m: NDArray[np.float64],
+    *,
+    limit_m: float = math.inf,
+) -> Ways:
+    """Cheapest ways to `goal_node`, where each edge has its cost (e,), the same both ways."""
     count = len(road_map.nodes_m)
-    graph = csr_matrix((weights, road_map.edge_to, road_map.edge_start), shape=(count, count))
+    graph = csr_matrix((edge_cost_m, road_map.edge_to, road_map.edge_start), shape=(count, count))
     cost, following = cast(
         "tuple[NDArray[np.float64], NDArray[np.int32]]",
         dijkstra(graph, indices=goal_node, return_predecessors=True, limit=limit_m),

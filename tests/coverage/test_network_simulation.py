@@ -13,10 +13,11 @@ from planopt.coverage.assignment.demand import Demand
 from planopt.coverage.assignment.latch import relatch
 from planopt.coverage.assignment.several import optimal_assignment
 from planopt.coverage.control.laws import Gains
-from planopt.coverage.control.movers import LawMover
+from planopt.coverage.control.movers import LawMover, RecedingMover
 from planopt.coverage.counting.tally import Counting
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.ground import ConvexGround
+from planopt.coverage.limits import MoveLimits
 from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
 from planopt.coverage.network import LinkModel
 from planopt.coverage.region import convex_region
@@ -183,6 +184,22 @@ def test_moving_events_are_located_within_their_deviation() -> None:
     assert len(within) > 80
     assert np.mean(within) >= 0.9 and np.mean(wrongly) < 0.6
     assert np.median(errors) < 0.3
+
+
+def test_plans_that_lead_keep_nearer_to_a_moving_event() -> None:
+    """The estimated velocity brings the team nearer to the event than its place alone."""
+    plume = Event("plume", (12.0, 20.0), 3.0, math.inf, (1.2, 0.0))
+    sensing = replace(SENSING, memory_s=6.0, speed_std_m_s=1.0)
+    scene = replace(scene_of(30, 12, plume), sensing=sensing, duration_s=30.0)
+    lags_m = list[float]()
+    for lead in (False, True):
+        mover = RecedingMover(GAINS, MoveLimits(speed_m_s=3.0), 3, lead=lead)
+        run = simulate_network(scene, mover, np.random.default_rng(30))
+        places = np.array([plume.place_at(time_s) for time_s in run.times_s[1:].tolist()])
+        off_m = np.linalg.norm(run.positions_m[1:] - places[:, None], axis=2)
+        lags_m.append(float(off_m[20:][run.states[20:] == 0].mean()))
+    assert lags_m[1] < 0.5 * lags_m[0]
+    assert lags_m[0] > 0.8
 
 
 def test_stand_off_ring_learns_on() -> None:

@@ -33,6 +33,8 @@ CPU_S = 30
 
 LONGEST_MESSAGE = 2000
 CODES = (0, 2, 3, 4)
+LEAKS = ("codec can't", "<_io.", "object at 0x", "[Errno", "bomb")
+"""Words of dependencies, which tell the user nothing."""
 
 
 def run(root: Path, seed: int, first: int, count: int) -> None:
@@ -107,7 +109,8 @@ def fault_of(code: int | None, printed: str, errors: str) -> str | None:
     one_line = errors.startswith("planopt: ") and errors.count("\n") == 1 and errors[-1] == "\n"
     if not one_line or not errors[:-1].isprintable() or len(errors) > LONGEST_MESSAGE:
         return f"not one line of ours: {errors[:2000]!r}"
-    return None
+    leaks = [words for words in LEAKS if words in errors]
+    return f"words of a dependency: {errors[:2000]!r}" if leaks else None
 
 
 def fault_of_files(folder: Path, code: int | None) -> str | None:

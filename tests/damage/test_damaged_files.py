@@ -87,6 +87,7 @@ def test_faults_are_seen() -> None:
         (2, "half", "planopt: a.csv: no\n"),
         (2, "", "HDF5-DIAG: 000\nplanopt: a.csv: no\n"),
         (2, "", "planopt: \x1b[31m\n"),
+        (2, "", "planopt: a.tif: 'utf-8' codec can't decode byte 0x93\n"),
         (2, "", ""),
     ):
         assert fault_of(code, printed, errors) is not None

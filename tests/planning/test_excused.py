@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from planopt.planning.certificate import MOST_EXCUSED, Certificate, excused_in_words
+from planopt.planning.certificate import (
+    MOST_EXCUSED,
+    Certificate,
+    dearest,
+    excused_in_words,
+    excused_steps,
+)
+from planopt.planning.team.team_certificate import worst_of_robots
 
 PROOF = Certificate(1.0, 0.5, 0.0, None, "exact")
 PRICED = replace(PROOF, relaxed_steps=(1, 3), relaxation_db=(0.5, 2.0), path_cost_m=8.0)
@@ -12,33 +19,62 @@ PRICED = replace(PRICED, best_cost_m=7.5)
 FAR = replace(PROOF, relaxed_steps=(2,), relaxation_db=(1.25,), best_margin_db=(-0.75,))
 
 
+def said(proofs: list[Certificate]) -> list[str]:
+    """The lines about their steps."""
+    return excused_in_words(excused_steps(proofs))
+
+
 def test_a_plan_tells_of_all_its_steps():
     """By how much each misses the bound, and what the price of it was compared with."""
-    first, second = excused_in_words([PRICED])
+    first, second = said([PRICED])
     assert first == (
         "step 1 misses p_min by 0.50 dB: the way costs 8.0 m, the cheapest that the verifier "
         "found 7.5 m"
     )
     assert second.startswith("step 3 misses p_min by 2.00 dB")
-    assert excused_in_words([FAR]) == [
+    assert said([FAR]) == [
         "step 2 misses p_min by 1.25 dB: the best place found within reach misses it by 0.75 dB"
     ]
 
 
 def test_a_run_tells_of_the_steps_that_were_driven():
     """The first of each plan; of many the first, and how many more."""
-    lines = excused_in_words([PROOF, PRICED, FAR, PRICED])
+    lines = said([PROOF, PRICED, FAR, PRICED])
     assert [line.split(" misses")[0] for line in lines] == ["step 2", "step 4"]
-    many = excused_in_words([PRICED] * (MOST_EXCUSED + 3))
+    many = said([PRICED] * (MOST_EXCUSED + 3))
     assert len(many) == MOST_EXCUSED + 1 and many[-1] == "and 3 more steps"
-    assert excused_in_words([PROOF, FAR]) == []
+    assert said([PROOF, FAR]) == []
 
 
 def test_nothing_is_made_up():
     """Where the verifier found a place that keeps the bound, or objects, no excuse is given."""
     kept = replace(FAR, best_margin_db=(0.25,))
-    assert excused_in_words([kept])[0].endswith("nothing excuses it")
+    assert said([kept])[0].endswith("nothing excuses it")
     refused = replace(FAR, best_margin_db=(), reasons=("too far",))
-    assert excused_in_words([refused])[0].endswith("nothing excuses it")
+    assert said([refused])[0].endswith("nothing excuses it")
     slack = replace(FAR, best_margin_db=())
-    assert excused_in_words([slack])[0].endswith("within constraints.slack_max_db")
+    assert said([slack])[0].endswith("within constraints.slack_max_db")
+
+
+def test_steps_have_their_numbers_and_a_reason():
+    """As JSON has them: what is missed in dB, why, and what that is measured by."""
+    first, third = excused_steps([PRICED])
+    assert (first.step, first.relaxation_db, first.excuse) == (1, 0.5, "price")
+    assert (third.path_cost_m, third.best_cost_m, third.best_margin_db) == (8.0, 7.5, None)
+    (far,) = excused_steps([FAR])
+    assert (far.excuse, far.best_margin_db, far.path_cost_m) == ("out_of_reach", -0.75, None)
+    kept = replace(FAR, best_margin_db=(0.25,))
+    slack = replace(FAR, best_margin_db=())
+    assert [excused_steps([one])[0].excuse for one in (kept, slack)] == ["none", "slack"]
+
+
+def test_merged_certificates_keep_the_dearest():
+    """The plan that is most above the cheapest, and the step that cost most too much."""
+    steps = {"step_cost_m": 6.0, "step_excess_m": 5.0}
+    cheap = replace(PRICED, path_cost_m=90.0, best_cost_m=89.9, **steps)
+    assert dearest([PROOF, PRICED, cheap]) == {
+        "path_cost_m": 8.0, "best_cost_m": 7.5, **steps
+    }  # fmt: skip
+    assert set(dearest([PROOF, FAR]).values()) == {None}
+    merged = worst_of_robots({"a": cheap, "b": PRICED})
+    assert (merged.path_cost_m, merged.best_cost_m, merged.step_excess_m) == (8.0, 7.5, 5.0)

@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from objects_on_grid import walk
+from scipy.stats import norm
 
 from planopt.errors import InputError
 from planopt.pursuit.association import AssociationModel, associate
@@ -17,7 +18,7 @@ from planopt.pursuit.detection import (
 )
 from planopt.pursuit.service import SnapshotService
 
-MODEL = AssociationModel(1.0, Detector(0.1, 1.0), 400.0)
+MODEL = AssociationModel(1.0, Detector(0.3, 1.0), 400.0, np.array([1.0]))
 
 
 def reports_of(sampled_s, places_m, error_m=0.2):
@@ -42,8 +43,13 @@ def worth_of(owners, reports, starts_m, model):
             reach = model.speed_max_m_s * lapse + error + reports.errors_m[number]
             if lapse <= 0.0 or np.linalg.norm(reports.reported_m[number] - where) > reach:
                 return None
-            density = (1 - model.detector.miss_probability) / (np.pi * reach**2)
-            total += np.log(density * model.area_m2 / model.detector.false_alarms)
+            errors = [error, reports.errors_m[number]]
+            spread = np.sqrt((model.speed_max_m_s * lapse) ** 2 / 2 + np.square(errors).sum() / 6)
+            density = norm.pdf(reports.reported_m[number] - where, scale=spread).prod()
+            rate = model.detector.false_alarms / model.area_m2
+            total += np.log((1 - model.detector.miss_probability) * density / rate)
+            skipped = np.ceil(lapse / model.periods_s[0] - 1e-3) - 1
+            total += skipped * np.log(model.detector.miss_probability)
             when, where, error = (
                 reports.sampled_s[number],
                 reports.reported_m[number],
@@ -107,7 +113,7 @@ def test_on_the_grid():
             more = reports_at(service, detections, np.array([32, 32]), time_s)
             reports = merge_reports(reports, more)
         starts = np.array([track.positions_m[0] for track in tracks])
-        model = AssociationModel(0.5, detector, service.side_m**2)
+        model = AssociationModel(0.5, detector, service.side_m**2, service.periods_s)
         found = associate(reports, np.zeros(3), starts, np.zeros(3), model)
         truth = detections.objects[reports.numbers]
         right += int(((found == truth) & (truth >= 0)).sum())

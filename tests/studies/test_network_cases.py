@@ -34,3 +34,14 @@ def test_steps(study):
     """Times are of the same order, at any load."""
     law_s, shapely_s = study.step_times(300, 3, 0)
     assert 0.2 < law_s / shapely_s < 20.0
+
+
+def test_localisation(study):
+    """From the ring the bound is met and goes on falling; by the law it nearly stops."""
+    found = study.localisation(1, 4, 24)
+    for agents in (3, 6):
+        assert 0.3 < found[f"{agents} ring"][1] < 2.0
+        # Bounds half-way and at the end.
+        assert found[f"{agents} ring"][3] < 0.8 * found[f"{agents} ring"][2]
+        assert found[f"{agents} law"][3] > 0.8 * found[f"{agents} law"][2]
+        assert found[f"{agents} law"][3] > 2.0 * found[f"{agents} ring"][3]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
+from planopt.errors import InputError
 from planopt.world.netcdf_classic import classic_values, classic_variables
 
 
@@ -62,7 +63,7 @@ def test_a_file_that_was_never_closed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_damage_is_a_value_error_or_other_values(seed: int, tmp_path: Path) -> None:
+def test_damage_is_an_error_of_ours_or_other_values(seed: int, tmp_path: Path) -> None:
     """Whatever the bytes say, and wherever the file ends."""
     whole = written(tmp_path / "a.nc")
     generator = np.random.default_rng(seed)
@@ -74,5 +75,14 @@ def test_damage_is_a_value_error_or_other_values(seed: int, tmp_path: Path) -> N
             for variable in classic_variables(bytes(content)).values():
                 if np.prod(variable.shape, dtype=float) < 1e6:
                     classic_values(bytes(content), variable)
-        except ValueError:
-            pass
+        except InputError as error:
+            assert str(error).isprintable()
+
+
+def test_a_name_that_is_no_text(tmp_path: Path) -> None:
+    """Control characters of a damaged name never reach a message."""
+    content = written(tmp_path / "a.nc")
+    assert b"\0\0\0\x03two" in content
+    for damaged in (b"t\0o", b"\x1b[m", b"\xff\xff\xff"):
+        with pytest.raises(InputError, match=r"the name at byte \d+ is not text \(copy"):
+            classic_variables(content.replace(b"\x03two", b"\x03" + damaged))

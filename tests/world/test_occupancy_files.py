@@ -133,8 +133,8 @@ def test_pgm_of_other_kinds(tmp_path: Path) -> None:
         ("image: hall.pgm", "image: .", None, "images ending in ''"),
         (YAML, "", None, "has no keys"),
         (YAML, "- 1\n- 2\n", None, "has no keys"),
-        (YAML, "a: [1, 2", None, "not a YAML file that can be read"),
-        (YAML, "a: !!python/object/apply:os.system ['true']", None, "not a YAML file"),
+        (YAML, "a: [1, 2", None, "is not YAML: expected ',' or ']'"),
+        (YAML, "a: !!python/object/apply:os.system ['true']", None, "is not YAML: could not"),
         (YAML, "[" * 3000, None, "not a YAML file"),
         (YAML, "a: " + "b" * 70_000, None, "more than the limit"),
     ],
@@ -186,7 +186,7 @@ def test_image_of_another_format(tmp_path: Path) -> None:
     Image.fromarray(SHADES).save(tmp_path / "hall.gif")
     (tmp_path / "hall.gif").rename(tmp_path / "hall.png")
     (tmp_path / "hall.yaml").write_text(YAML.replace("hall.pgm", "hall.png"))
-    with pytest.raises(InputError, match=r"hall\.png: not an image"):
+    with pytest.raises(InputError, match=r"hall\.png: .* not an image"):
         read_grid(tmp_path / "hall.yaml")
 
 
@@ -223,7 +223,7 @@ def test_too_many_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         read_grid(ros_map(tmp_path))
     monkeypatch.undo()
     (tmp_path / "hall.pgm").write_bytes(b"P5\n1000000 1000000\n255\n")
-    with pytest.raises(InputError, match=r"hall\.pgm.*(cells|size)"):
+    with pytest.raises(InputError, match=r"hall\.pgm: declares far more .*larger cells"):
         read_grid(tmp_path / "hall.yaml")
 
 

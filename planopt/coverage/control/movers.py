@@ -43,8 +43,12 @@ class Mover(Protocol):
         motion: Motion,
         targets_m: NDArray[np.float64],
         responds: NDArray[np.bool_],
+        drifts_m_s: NDArray[np.float64],
     ) -> Motion:
-        """Return where agents are after the step, and how they move then."""
+        """Return where agents are after the step, and how they move then.
+
+        Targets move at velocities `drifts_m_s` (n, 2) as far as agents have estimated that.
+        """
         ...
 
 
@@ -68,6 +72,7 @@ class LawMover:
         motion: Motion,
         targets_m: NDArray[np.float64],
         responds: NDArray[np.bool_],
+        drifts_m_s: NDArray[np.float64],
     ) -> Motion:
         """Return where agents are after a step of the laws."""
         here, gains = motion.places_m, self.gains
@@ -85,12 +90,15 @@ class RecedingMover:
         As for :func:`planopt.coverage.control.receding.plan_moves`.
     radio
         Links to base stations that agents keep over a tree; None for none.
+    lead
+        Whether plans follow targets that move; else targets are held over the horizon.
     """
 
     gains: Gains
     limits: MoveLimits
     horizon: int
     radio: RadioLimits | None = None
+    lead: bool = False
 
     def __call__(
         self,
@@ -98,6 +106,7 @@ class RecedingMover:
         motion: Motion,
         targets_m: NDArray[np.float64],
         responds: NDArray[np.bool_],
+        drifts_m_s: NDArray[np.float64],
     ) -> Motion:
         """Return where agents are after the first move of a plan."""
         step_s, kept = self.limits.time_step_s, None
@@ -117,6 +126,7 @@ class RecedingMover:
             velocities_m_s=motion.velocities_m_s,
             headings_rad=motion.headings_rad,
             kept=kept,
+            target_velocities_m_s=drifts_m_s if self.lead else None,
         )
         if most is not None:
             velocities = moves.velocities_m_s[:, 1]

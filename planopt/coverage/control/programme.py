@@ -1,9 +1,9 @@
 # pyright: basic
-"""The optimal control problem of all agents as one second-order cone programme.
+"""The optimal control problems of all agents as convex programmes.
 
-Agents do not share variables, so that the programme is block-diagonal and Clarabel solves a
-thousand agents at once. Each agent's block is in units of its own distances, about its own place.
-Velocities are in units of length per step.
+Agents do not share variables, so that all of them are solved in one batch. Clarabel takes those
+that the batch leaves, as one block-diagonal second-order cone programme. Each agent's programme is
+in units of its own distances, about its own place; velocities are in units of length per step.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.coverage.control.interior_point import Programmes, solve_programmes
 from planopt.coverage.control.safe_sets import SafeSets
 
 WITHIN = 1e-6
@@ -21,6 +22,9 @@ WITHIN = 1e-6
 
 LEAST_UNIT = 1e-3
 """An agent nearer to its aim than this share of the farthest one's distance is scaled by that."""
+
+NO_LIMIT = 1e3
+"""Radius of discs, in units of agents, that fill tables up."""
 
 Floats = NDArray[np.float64]
 
@@ -84,6 +88,7 @@ def solve_programme(
     most_m: float,
     sets: SafeSets,
     inertia: Inertia | None = None,
+    drifts_m: Floats | None = None,
 ) -> tuple[Floats, Floats] | None:
     """Return the optimal paths and velocities of agents, or None if the solver gives up.
 
@@ -106,155 +111,190 @@ def solve_programme(
         Where each agent stays in; it holds all starts.
     inertia
         For double integrators; None for single ones.
+    drifts_m
+        ``(n, 2)`` way that each aim moves in a step; None for aims that stand. Places and moves are
+        then those relative to the aim.
 
     Returns
     -------
     tuple of arrays, or None
         Paths ``(n, N + 1, 2)`` and velocities ``(n, N + 1, 2)`` on arrival in metres per step.
     """
-    import clarabel
-
-    count = len(starts_m)
+    count, changes = len(starts_m), np.eye(horizon) - np.eye(horizon, k=-1)
     length = np.linalg.norm(aims_m - starts_m, axis=1)
     unit = np.maximum(length, most_m) if np.isfinite(most_m) else length
     unit = np.maximum(unit, LEAST_UNIT * unit.max(initial=0.0))
     unit[unit == 0.0] = 1.0
+    drifts = np.zeros((count, 1, 2)) if drifts_m is None else (drifts_m / unit[:, None])[:, None]
     aims = ((aims_m - starts_m) / unit[:, None])[:, None]
+    aims = aims + np.arange(1.0, horizon + 1.0)[:, None] * drifts
     weights, effort = stage_weights(share, horizon)
-    place, change = np.eye(horizon), np.eye(horizon) - np.eye(horizon, k=-1)
+    cost, none = _Cost(count, horizon), np.zeros((count, horizon, 2))
+    most = np.repeat((1.0 - WITHIN) * most_m / unit[:, None], horizon, axis=1)
     if inertia is None:
-        programme = _Programme(count, horizon)
-        programme.add_squares(place, weights, aims)
-        programme.add_squares(change, effort[:, None], 0.0)
-        programme.stay_in(sets, starts_m, unit, place[None])
-        if np.isfinite(most_m):
-            programme.shorten(change, most_m / unit, 0.0)
+        # Variables are places.
+        place, shift = np.eye(horizon), none
+        reserve = np.repeat(place[None], count, axis=0)
+        cost.add_squares(place, weights, aims)
+        cost.add_squares(changes, effort[:, None], drifts)
+        kept = horizon if np.isfinite(most_m) else 0
+        bounded, less, most = changes[:kept], none[:, :kept], most[:, :kept]
     else:
-        programme = _Programme(count, 2 * horizon)
-        none = np.zeros((horizon, horizon))
-        now = np.zeros((count, horizon, 2))
+        # Variables are velocities; a move is the mean of those before and after it.
+        place = np.cumsum(np.eye(horizon) - 0.5 * changes, axis=0)
+        now = none.copy()
         now[:, 0] = inertia.velocities_m / unit[:, None]
-        stop = 0.5 * inertia.stop_steps[:, None, None]
-        place, speed = np.hstack((place, none)), np.hstack((none, place))
-        # A move is the mean of the velocities before and after it.
-        mean = np.hstack((none, np.eye(horizon) - 0.5 * change))
-        change, jolt = np.hstack((change, none)), np.hstack((none, change))
+        shift = np.repeat(0.5 * now[:, :1], horizon, axis=1)
+        reserve = place + 0.5 * inertia.stop_steps[:, None, None] * np.eye(horizon)
         last = np.zeros((count, horizon))
         last[:, -1] = 0.5 / share
-        programme.add_squares(place, weights - last, aims)
-        programme.add_squares(place + stop * speed, last, aims)
-        programme.add_squares(change, effort[:, None], 0.0)
-        programme.add_squares(jolt, 0.25 / share[:, None] ** 2, now)
+        cost.add_squares(place, weights - last, aims - shift)
+        # The place where the agent would stop, if it kept up with the aim.
+        cost.add_squares(
+            reserve, last, aims - shift + 0.5 * inertia.stop_steps[:, None, None] * drifts
+        )
+        cost.add_squares(np.eye(horizon) - 0.5 * changes, effort[:, None], drifts - 0.5 * now)
+        cost.add_squares(changes, 0.25 / share[:, None] ** 2, now)
         # Places follow: each is between the one before, where that stops, and where it stops.
-        programme.stay_in(sets, starts_m, unit, place + stop * speed)
-        programme.shorten(speed, most_m / unit, 0.0)
-        programme.shorten(jolt, inertia.change_m / unit, now)
-        programme.equate(change - mean, 0.5 * now)
-    settings = clarabel.DefaultSettings()  # pyright: ignore[reportAttributeAccessIssue]
-    settings.verbose = False
-    settings.max_threads = 1
-    solver = clarabel.DefaultSolver(*programme.posed(), settings)  # pyright: ignore[reportAttributeAccessIssue]
-    solution: Any = solver.solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        return None
-    found = np.asarray(solution.x, dtype=np.float64).reshape(count, -1, horizon, 2)
-    found *= unit[:, None, None, None]
-    paths = np.concatenate((starts_m[:, None], starts_m[:, None] + found[:, 0]), axis=1)
+        bounded = np.concatenate((np.eye(horizon), changes))
+        less = np.concatenate((none, now), axis=1)
+        jolt = (1.0 - WITHIN) * inertia.change_m / unit[:, None]
+        most = np.concatenate((most, np.repeat(jolt, horizon, axis=1)), axis=1)
+    normals, rooms, centres, radii = _tables(sets, starts_m, unit)
+    programmes = Programmes(
+        cost.hessian,
+        cost.linear,
+        reserve,
+        shift,
+        normals,
+        rooms,
+        centres,
+        radii,
+        bounded,
+        -less,
+        most,
+    )
+    found, solved = solve_programmes(programmes)
+    if not solved.all():
+        rest = solve_by_clarabel(programmes.of(~solved))
+        if rest is None:
+            return None
+        found[~solved] = rest
+    places = (place @ found + shift) * unit[:, None, None]
+    paths = np.concatenate((starts_m[:, None], starts_m[:, None] + places), axis=1)
     if inertia is None:
         return paths, np.diff(paths, axis=1, prepend=paths[:, :1])
-    return paths, np.concatenate((inertia.velocities_m[:, None], found[:, 1]), axis=1)
+    ways = np.concatenate((inertia.velocities_m[:, None], found * unit[:, None, None]), axis=1)
+    return paths, ways
 
 
 @dataclass(eq=False)
-class _Programme:
-    """A block-diagonal programme over variables z, `width` places for each of `count` agents.
-
-    Matrices take one agent's variables, ``(r, width)``, or ``(n, r, width)`` if agents differ.
-    """
+class _Cost:
+    """A sum of squares of `width` variables of each of `count` agents."""
 
     count: int
     width: int
     hessian: Floats = field(init=False)
     linear: Floats = field(init=False)
-    entries: list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]] = field(default_factory=list)
-    right: list[Floats] = field(default_factory=list)
-    cones: list[Any] = field(default_factory=list)
-    rows: int = 0
 
     def __post_init__(self) -> None:
         self.hessian = np.zeros((self.count, self.width, self.width))
         self.linear = np.zeros((self.count, self.width, 2))
 
-    def add_squares(self, matrix: Floats, weights: Floats, aims: Floats | float) -> None:
-        """Add ``weights (n, r) * |matrix @ z - aims (n, r, 2)|^2`` to the cost."""
+    def add_squares(self, matrix: Floats, weights: Floats, aims: Floats) -> None:
+        """Add ``weights (n, r) * |matrix @ z - aims (n, r, 2)|^2``.
+
+        The matrix is ``(r, width)``, or ``(n, r, width)`` if agents differ.
+        """
         weighted = 2.0 * np.swapaxes(matrix * weights[:, :, None], 1, 2)
         self.hessian += weighted @ matrix
-        size = (self.count, matrix.shape[-2], 2)
-        self.linear -= weighted @ np.broadcast_to(np.asarray(aims, dtype=np.float64), size)
+        self.linear -= weighted @ np.broadcast_to(aims, (self.count, matrix.shape[-2], 2))
 
-    def stay_in(self, sets: SafeSets, starts_m: Floats, unit: Floats, matrix: Floats) -> None:
-        """Keep ``start + unit * matrix @ z`` within the set of each agent."""
-        import clarabel
 
-        own, steps = sets.agent, matrix.shape[1]
-        room = sets.offsets_m - (sets.normals * starts_m[own]).sum(axis=1)
-        self._add(own, matrix, sets.normals[:, None])
-        self.right.append(np.repeat(np.maximum(room, 0.0) / unit[own], steps))
-        self.cones.append(clarabel.NonnegativeConeT(len(own) * steps))  # pyright: ignore[reportAttributeAccessIssue]
-        disc = sets.disc_agent
-        away = (starts_m[disc] - sets.centres_m) / unit[disc][:, None]
-        radius = np.maximum(sets.radii_m / unit[disc], np.linalg.norm(away, axis=1))
-        self._balls(disc, matrix, radius, np.repeat(-away[:, None], steps, axis=1))
+def _tables(
+    sets: SafeSets, starts_m: Floats, unit: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Normals, rooms, centres and radii of sets about starts in units, filled up for each agent."""
+    count = len(starts_m)
+    room = sets.offsets_m - (sets.normals * starts_m[sets.agent]).sum(axis=1)
+    normals, rooms = _filled(
+        sets.agent, sets.normals, np.maximum(room, 0.0) / unit[sets.agent], count, 1.0
+    )
+    disc = sets.disc_agent
+    centres = (sets.centres_m - starts_m[disc]) / unit[disc][:, None]
+    radii = np.maximum(sets.radii_m / unit[disc], np.linalg.norm(centres, axis=1))
+    return normals, rooms, *_filled(disc, centres, radii, count, NO_LIMIT)
 
-    def shorten(self, matrix: Floats, most: Floats, less: Floats | float) -> None:
-        """Keep each ``matrix @ z - less (n, r, 2)`` at most as long as `most` (n,)."""
-        size = (self.count, matrix.shape[-2], 2)
-        less = np.broadcast_to(np.asarray(less, dtype=np.float64), size)
-        self._balls(np.arange(self.count), matrix[None], (1.0 - WITHIN) * most, less)
 
-    def equate(self, matrix: Floats, right: Floats) -> None:
-        """Require ``matrix @ z = right (n, r, 2)``."""
-        import clarabel
+def _filled(
+    agent: NDArray[np.intp], vectors: Floats, values: Floats, count: int, filler: float
+) -> tuple[Floats, Floats]:
+    """Vectors (k, 2) and values (k,) of agents as tables (n, most, 2) and (n, most)."""
+    order = np.argsort(agent, kind="stable")
+    number = np.bincount(agent, minlength=count)
+    column = np.arange(len(agent)) - np.repeat(np.cumsum(number) - number, number)
+    at = agent[order], column
+    most = int(number.max(initial=0))
+    table, limits = np.zeros((count, most, 2)), np.full((count, most), filler)
+    table[at], limits[at] = vectors[order], values[order]
+    return table, limits
 
-        self._add(np.arange(self.count), matrix[None], np.eye(2))
-        self.right.append(right.ravel())
-        self.cones.append(clarabel.ZeroConeT(right.size))  # pyright: ignore[reportAttributeAccessIssue]
 
-    def posed(self) -> tuple[object, Floats, object, Floats, list[Any]]:
-        """Hessian, linear cost, constraints, right sides and cones as Clarabel takes them."""
-        from scipy.sparse import coo_array, csc_array
+def solve_by_clarabel(given: Programmes) -> Floats | None:
+    """Return the optima ``(n, V, 2)`` of programmes by Clarabel, or None if it gives up.
 
-        agent, row, column = np.nonzero(np.triu(self.hessian))
-        value = self.hessian[agent, row, column]
-        base, axes = 2 * self.width * agent[:, None], np.arange(2)
-        total = 2 * self.width * self.count
-        at = (base + 2 * row[:, None] + axes).ravel(), (base + 2 * column[:, None] + axes).ravel()
-        hessian = coo_array((np.repeat(value, 2), at), shape=(total, total))
-        rows, columns, values = (np.concatenate(one) for one in zip(*self.entries, strict=True))
-        matrix = coo_array((values, (rows, columns)), shape=(self.rows, total))
-        right = np.concatenate(self.right)
-        return csc_array(hessian), self.linear.ravel(), csc_array(matrix), right, self.cones
+    Parameters
+    ----------
+    given
+        The programmes, posed as one block-diagonal second-order cone programme.
+    """
+    import clarabel
+    from scipy.sparse import coo_array, csc_array
 
-    def _balls(self, agent: NDArray[np.intp], matrix: Floats, radius: Floats, less: Floats) -> None:
-        """Keep ``matrix @ z - less (k, r, 2)`` of agents (k,) within radii (k,)."""
-        import clarabel
+    count, size = given.linear.shape[:2]
+    rows, sides = list[Floats](), list[Floats]()
+    # Rows (n, r, V, 2) of all agents, one cone after the other.
+    planes = np.einsum("ikx,ijv->ikjvx", given.normals, given.place_map)
+    rows.append(planes.reshape(count, -1, size, 2))
+    heights = (given.normals[:, :, None] * given.place_offset[:, None]).sum(axis=3)
+    sides.append((given.rooms[..., None] - heights).reshape(count, -1))
+    discs = given.place_offset[:, None] - given.centres[:, :, None]
+    steps = discs.shape[2]
+    way_map = np.broadcast_to(given.way_map, (count, *given.way_map.shape))
+    for matrix, offset, radius in (
+        (
+            np.tile(given.place_map, (1, discs.shape[1], 1)),
+            discs.reshape(count, -1, 2),
+            np.repeat(given.radii, steps, axis=1),
+        ),
+        (way_map, given.way_offset, given.longest),
+    ):
+        ball = np.zeros((count, matrix.shape[1], 3, size, 2))
+        ball[:, :, 1, :, 0] = ball[:, :, 2, :, 1] = -matrix
+        rows.append(ball.reshape(count, -1, size, 2))
+        sides.append(np.concatenate((radius[..., None], offset), axis=2).reshape(count, -1))
+    cones: list[Any] = []
+    for _ in range(count):
+        cones.append(clarabel.NonnegativeConeT(sides[0].shape[1]))  # pyright: ignore[reportAttributeAccessIssue]
+        cones.extend([clarabel.SecondOrderConeT(3)] * (sum(s.shape[1] for s in sides[1:]) // 3))  # pyright: ignore[reportAttributeAccessIssue]
 
-        self._add(agent, matrix, np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]))
-        wide = np.broadcast_to(radius[:, None, None], (*less.shape[:2], 1))
-        self.right.append(np.concatenate((wide, -less), axis=2).ravel())
-        size = less.shape[0] * less.shape[1]
-        self.cones.extend([clarabel.SecondOrderConeT(3)] * size)  # pyright: ignore[reportAttributeAccessIssue]
+    def diagonal(blocks: Floats) -> Any:
+        """A sparse matrix of blocks (n, r, c) on its diagonal."""
+        agent, row, column = np.nonzero(blocks)
+        high, wide = blocks.shape[1:]
+        at = agent * high + row, agent * wide + column
+        return csc_array(coo_array((blocks[agent, row, column], at), (count * high, count * wide)))
 
-    def _add(self, agent: NDArray[np.intp], matrix: Floats, axes: Floats) -> None:
-        """Add rows: for agents (k,) and steps r, the rows of `axes` (s, 2), or (k, s, 2), each."""
-        whole = np.broadcast_to(matrix, (self.count, *matrix.shape[1:]))[agent]
-        which, step, column = np.nonzero(whole)
-        axes = np.broadcast_to(axes, (len(agent), *axes.shape[-2:]))
-        size, steps = axes.shape[1], whole.shape[1]
-        row = self.rows + size * (steps * which + step)[:, None, None]
-        row = row + np.arange(size)[:, None] + np.zeros(2, dtype=np.intp)
-        at = 2 * (self.width * agent[which] + column)[:, None, None] + np.arange(2)
-        value = whole[which, step, column][:, None, None] * axes[which]
-        at = np.broadcast_to(at, row.shape)
-        self.entries.append((row.ravel(), at.ravel(), value.ravel()))
-        self.rows += size * steps * len(agent)
+    hessian = np.einsum("ivw,xy->ivxwy", given.hessian, np.eye(2)).reshape(count, 2 * size, -1)
+    matrix = np.concatenate(rows, axis=1).reshape(count, -1, 2 * size)
+    settings = clarabel.DefaultSettings()  # pyright: ignore[reportAttributeAccessIssue]
+    settings.verbose = False
+    settings.max_threads = 1
+    solver = clarabel.DefaultSolver(  # pyright: ignore[reportAttributeAccessIssue]
+        diagonal(np.triu(hessian)), given.linear.ravel(), diagonal(matrix),
+        np.concatenate(sides, axis=1).ravel(), cones, settings,
+    )  # fmt: skip
+    solution: Any = solver.solve()
+    if str(solution.status) not in ("Solved", "AlmostSolved"):
+        return None
+    return np.asarray(solution.x, dtype=np.float64).reshape(count, size, 2)

@@ -65,8 +65,9 @@ def plan_moves(
     velocities_m_s: Floats | None = None,
     headings_rad: Floats | None = None,
     kept: SafeSets | None = None,
+    target_velocities_m_s: Floats | None = None,
 ) -> NetworkMoves:
-    """Plan the moves of all agents over a horizon, targets held.
+    """Plan the moves of all agents over a horizon, with targets that stand or drift.
 
     The first move equals that of the law ``k (target - p)`` as long as no limit binds. Bodies never
     touch, and keep off obstacles and the border, during the whole move; stopping always stays
@@ -93,6 +94,9 @@ def plan_moves(
     kept
         More sets that agents stay in, such as those that keep radio links; they hold the agents'
         reserves.
+    target_velocities_m_s
+        ``(n, 2)`` velocities of targets; None if all stand. The law is then that of the frame that
+        moves with the target, ``k (target - p) + v``.
 
     Raises
     ------
@@ -124,23 +128,28 @@ def plan_moves(
             remedy="keep gain times step above 0 and at most 1, and the horizon at least 1",
         )
     share = np.minimum(share, 1.0)
+    drifts = np.zeros_like(places)
+    if target_velocities_m_s is not None:
+        velocities = _checked(target_velocities_m_s, len(places), "target_velocities")
+        drifts = limits.time_step_s * velocities
     most_m = limits.speed_m_s * limits.time_step_s
     if limits.acceleration_m_s2 is not None:
         velocities = np.zeros_like(places) if velocities_m_s is None else velocities_m_s
         velocities = _checked(velocities, len(places), "velocities")
-        return _inert_moves(ground, places, aims, limits, share, horizon, velocities, kept)
-    distance = np.linalg.norm(aims - places, axis=1)
-    step_m = np.minimum(most_m, share * distance)
+        return _inert_moves(ground, places, aims, limits, share, horizon, velocities, kept, drifts)
+    step_m = share * np.linalg.norm(aims - places, axis=1) + np.linalg.norm(drifts, axis=1)
+    step_m = np.minimum(most_m, step_m)
     sets = _sets(ground, places, places, aims, limits, step_m, float(horizon * step_m.max()), kept)
-    clear = sets.share_inside(places, aims) >= 1.0
+    clear = (sets.share_inside(places, aims) >= 1.0) & ~drifts.any(axis=1)
     paths = saturated_paths(places, aims, share, horizon, most_m)
     stopping = np.zeros(len(places), dtype=np.bool_)
     blocked = np.flatnonzero(~clear)
     if len(blocked):
         mine = sets.of(blocked).thinned(places[blocked], horizon * step_m[blocked])
         found = solve_programme(
-            places[blocked], aims[blocked], share[blocked], horizon, most_m, mine
-        )
+            places[blocked], aims[blocked], share[blocked], horizon, most_m, mine,
+            drifts_m=drifts[blocked],
+        )  # fmt: skip
         paths[blocked] = places[blocked, None] if found is None else found[0]
         stopping[blocked] = found is None
     headings = None
@@ -180,8 +189,9 @@ def _inert_moves(
     horizon: int,
     velocities: Floats,
     kept: SafeSets | None,
+    drifts: Floats,
 ) -> NetworkMoves:
-    """Moves of double integrators at velocities (n, 2)."""
+    """Moves of double integrators at velocities (n, 2) to aims that drift (n, 2) in a step."""
     assert limits.acceleration_m_s2 is not None
     most = limits.speed_m_s * limits.time_step_s
     change = limits.acceleration_m_s2 * limits.time_step_s**2
@@ -201,7 +211,7 @@ def _inert_moves(
     braking = _braking(places, now, change, horizon)
     wide = _widened(sets, np.concatenate((braking[0], _ends(*braking, inertia)), axis=1))
     wide = wide.thinned(places, np.full(len(places), reach_m))
-    found = solve_programme(places, aims, share, horizon, most, wide, inertia)
+    found = solve_programme(places, aims, share, horizon, most, wide, inertia, drifts)
     paths, ways = braking if found is None else found
     stopping = np.ones(len(places), dtype=np.bool_)
     slack = ROUNDING * ground.hull.radius_m

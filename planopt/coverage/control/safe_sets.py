@@ -301,6 +301,8 @@ def ground_sets(
         shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1))  # pyright: ignore[reportArgumentType, reportCallIssue]
     )
     meets = np.asarray(shapely.intersects(ground.region.free_border, hulls), dtype=np.bool_)
+    # Clearances of corners are round, the region's are mitred: an agent may be outside of it.
+    meets |= ~ground.region.contains(places_m)
     ends[meets] = stops_m[meets]
     seeds = np.stack((places_m, stops_m, ends), axis=1)
     touch_m = TOUCHES * ground.hull.radius_m

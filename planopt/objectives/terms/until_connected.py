@@ -15,10 +15,11 @@ from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Steers, Term
 from planopt.objectives.until_connected import (
-    LATER,
     NOT_TRIED_DB,
     Search,
     charged_distance_m,
+    charged_distances_m,
+    counted_legs_m,
     search_length_m,
 )
 from planopt.targets.rounding import Derivatives, rounded_length
@@ -57,6 +58,11 @@ class UntilConnectedTerm(Term):
         return True
 
     @property
+    def bends_starts(self) -> bool:
+        """The path that the robot is steered along is a better start than any fan."""
+        return False
+
+    @property
     def ends_connected(self) -> bool:
         """The search is over then."""
         return True
@@ -87,14 +93,15 @@ class UntilConnectedTerm(Term):
             at.thresholds_dbm[0],
             disconnected_now=False,
             beyond_m=at.once((UntilConnectedTerm, "after", self), lambda: self._after_try_m(at)),
+            step_m=at.step_length_m,
             further_thresholds_dbm=at.thresholds_dbm[1:],
         )
 
     def _after_try_m(self, at: StepContext) -> float:
         """Expected metres beyond the end of the path that the robot is steered along.
 
-        (1 - P) (L + R) of :func:`planopt.objectives.until_connected.search_length_m`, from that
-        path alone, so that a saved plan has the same.
+        R - D of :func:`planopt.objectives.until_connected.search_length_m`, from that path alone,
+        so that a saved plan has the same.
         """
         way = at.steering
         if way is None:
@@ -122,10 +129,10 @@ class UntilConnectedTerm(Term):
         The way that is left to where the robot is steered to, and what is expected from there.
         """
         after = np.full(len(ends_m), self.search(at).beyond_m)
-        return after if at.steering is None else after + LATER * at.steering.distance_m(ends_m)
+        return after if at.steering is None else after + at.steering.distance_m(ends_m)
 
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
-        """Return minus the metres that a search along one path is charged, integrated once."""
+        """Return minus the metres that a search along one path is charged."""
 
         def charged_m() -> float:
             beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
@@ -138,18 +145,17 @@ class UntilConnectedTerm(Term):
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the same of many paths, by recursive filtering."""
-        from planopt.objectives.passage_programme import charged_distances_m
-
         settings = self.search(paths.at)
         missing_db = np.where(paths.at.tries.takes(paths.ways_m), 0.0, NOT_TRIED_DB)
-        (above, covariance), *further = [
+        powers = [
             (power.mean_db.reshape(paths.shape) - threshold - missing_db, batch.universal)
             for power, batch, threshold in zip(
                 paths.each, paths.stations, settings.thresholds_dbm, strict=True
             )
         ]
         beyond = self.charged_beyond_m(paths.at, paths.ways_m[:, -1])
-        return -charged_distances_m(above, covariance, paths.legs_m, beyond, further)
+        legs = counted_legs_m(paths.legs_m, settings.step_m)
+        return -charged_distances_m(powers, legs, beyond)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
         """Return the value of one path near the channel of its start."""
@@ -180,5 +186,5 @@ def _beyond(path: NearPath, search: Search) -> Derivatives | None:
         return None
     turn = path.ahead[-1:]
     leg = rounded_length(path.places_m[-1:] - steering.turns_m[turn], path.rounding_m)
-    rest = LATER * (leg.value + steering.rest_m[turn]) + search.beyond_m
-    return Derivatives(rest, LATER * leg.gradient, LATER * leg.hessian)
+    rest = leg.value + steering.rest_m[turn] + search.beyond_m
+    return Derivatives(rest, leg.gradient, leg.hessian)

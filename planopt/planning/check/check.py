@@ -20,7 +20,7 @@ from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
-from planopt.planning.certificate import Certificate
+from planopt.planning.certificate import Certificate, dearest
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import given_again
 from planopt.planning.check.check_explanation import no_way_faults
@@ -166,6 +166,8 @@ def _not_judged(saved: Saved, given: Given | None) -> list[str]:
         )
     if given is None and isinstance(saved.record, RunRecord) and problem.task != "reach":
         remarks.append("knowledge.csv is taken as it stands, because there is no truth")
+    if saved.former and isinstance(saved.record, RunRecord) and problem.task == "reach":
+        remarks.append("costs are taken as they stand: that version charged steps by their ends")
     return remarks
 
 
@@ -204,6 +206,7 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
         relaxed_steps=tuple(step for step, _ in missed),
         relaxation_db=tuple(c.relaxation_db[0] for _, c in missed),
         best_margin_db=tuple(c.best_margin_db[0] for _, c in missed if c.best_margin_db),
+        **dearest(certificates),
         reasons=tuple(reason for c in certificates for reason in c.reasons),
         min_separation_m=least_of(c.min_separation_m for c in certificates),
         min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in certificates),

@@ -70,6 +70,10 @@ from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
 from planopt.world.timed_motion import TimedMotion
 
+LATER_KEYS = {"excused", "relaxed_steps", "relaxation_db", "best_margin_db"}
+"""Keys of robots and released plans that runs of format 2 did not have at first; for one version
+they may be missing."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Driven:
@@ -129,6 +133,9 @@ def check_run(
     if saved.former and isinstance(said, Mapping):
         # Former versions knew fewer metrics.
         found["metrics"] = {key: found["metrics"][key] for key in found["metrics"] if key in said}
+    _drop_later_keys(found["robots"], saved.data["robots"])
+    for one, other in zip(found["plans"], saved.data["plans"], strict=True):
+        _drop_later_keys(one["released"], other["released"])
     reasons += in_words(RUN_FILE, disagreements(saved.data, found))
     reasons += _step_time_faults(record.step_s, sum(len(made) for made in run.plans))
     again = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
@@ -245,11 +252,14 @@ def _costs(
     tracks_m: Sequence[NDArray[np.float64]],
     outcome: Outcome,
 ) -> dict[str, float]:
-    """Return what a run to a goal cost; as it is said where there is no truth."""
+    """Return what a run to a goal cost; as it is said where there is no truth.
+
+    As it is said in former results, too, which charged each step by its end.
+    """
     problem = saved.problem
     if problem.task != "reach":
         return {}
-    if truths:
+    if truths and not saved.former:
         owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
         roads = [build_roads(own, np.asarray(own.goal_m)) for own in owns]
         return run_costs(problem, roads, truths, tracks_m, outcome)
@@ -403,6 +413,13 @@ def _ended(
         f"{problem.planner.max_steps}, and neither its task nor a standstill ended it"
     )
     return (Outcome.STEP_LIMIT, ""), [short]
+
+
+def _drop_later_keys(found: list[dict[str, Any]], said: list[dict[str, Any]]) -> None:
+    """Leave out keys that a run saved before they were there cannot have."""
+    for one, other in zip(found, said, strict=True):
+        for key in LATER_KEYS - other.keys():
+            one.pop(key, None)
 
 
 def length_faults(saved: Saved, record: RunRecord) -> list[str]:

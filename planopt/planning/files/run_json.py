@@ -6,7 +6,7 @@ what was believed when it was made.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.channel.validation.calibration import ReliabilityBin
+from planopt.planning.certificate import excused_steps
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
 from planopt.planning.files.solution_json import (
@@ -22,6 +23,7 @@ from planopt.planning.files.solution_json import (
     PivotRecord,
     RobotRecord,
     aim_json,
+    excused_json,
     holes_json,
     pivot_json,
 )
@@ -81,7 +83,9 @@ def run_json(run: Run) -> dict[str, Any]:
         "problem": run.problem.name,
         **summary_json(summary_of(run)),
         "reliability": reliability_json(run_reliability(run.runs)),
-        "robots": [_robot(run.problem, one) for one in run.runs],
+        "robots": [
+            _robot(run.problem, one, made) for one, made in zip(run.runs, run.plans, strict=True)
+        ],
     }
 
 
@@ -158,8 +162,8 @@ def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:
     return {"p50": finite(p50), "p95": finite(p95), "max": finite(largest)}
 
 
-def _robot(problem: Problem, run: RobotRun) -> dict[str, Any]:
-    """One robot's trajectory and metrics, and coverage holes crossed on the way to a goal."""
+def _robot(problem: Problem, run: RobotRun, plans: Sequence[Plan]) -> dict[str, Any]:
+    """One robot's trajectory and metrics, the steps excused, and holes on the way to a goal."""
     log, metrics = run.log, run.metrics
     holes = {"holes": holes_json(run_holes(run))}
     return {
@@ -175,20 +179,20 @@ def _robot(problem: Problem, run: RobotRun) -> dict[str, Any]:
         "measured_steps": metrics.measured_steps,
         "rungs": run.rungs,
         "verified_rate": finite(run.verified_rate),
+        "excused": excused_json(excused_steps([plan.certificate for plan in plans])),
         **(holes if problem.task == "reach" else {}),
     }
 
 
 def _released(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
-    """One released plan.
+    """One released plan, with the steps that miss the bound.
 
-    Steps of a plan to a goal that miss the bound are excused by its cost and that of the cheapest
-    path that the verifier found.
+    Those of a plan to a goal are excused by its cost and that of the cheapest path that the
+    verifier found.
     """
     proof = plan.certificate
     to_goal = {
         "pivot": pivot_json(plan.pivot),
-        "relaxed_steps": list(proof.relaxed_steps),
         "path_cost_m": finite(proof.path_cost_m),
         "best_cost_m": finite(proof.best_cost_m),
     }
@@ -203,5 +207,8 @@ def _released(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
         "kkt_residual": finite(proof.kkt_residual),
         **drive_json(plan.drive),
         "aim": aim_json(aim),
+        "relaxed_steps": list(proof.relaxed_steps),
+        "relaxation_db": finite_list(proof.relaxation_db),
+        "best_margin_db": finite_list(proof.best_margin_db),
         **(to_goal if problem.task == "reach" else {}),
     }

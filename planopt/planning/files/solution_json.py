@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from planopt.planning.certificate import Certificate
+from planopt.planning.certificate import Certificate, Excused
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
@@ -193,6 +193,11 @@ def holes_json(holes: Iterable[Hole]) -> list[dict[str, Any]]:
         }
         for hole in holes
     ]
+
+
+def excused_json(steps: Iterable[Excused]) -> list[dict[str, Any]]:
+    """Steps that miss the bound, and what excuses each."""
+    return [asdict(one) for one in steps]
 
 
 def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:

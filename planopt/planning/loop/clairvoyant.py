@@ -1,14 +1,14 @@
 """What a run to a goal cost in truth, and what it costs one who knows the mean power everywhere.
 
-A step costs its length, and the outage price for its length besides where its end is truly out of
-contact. The clairvoyant drives the cheapest path on the true power without small-scale fading, and
-is charged by the same fading as the robot: nobody can know that beforehand. It knows as well that
-only the ends of steps are charged, so that it may step from island to island.
+A path costs its length, and the outage price for the length of it that is truly out of contact:
+along the whole of it, wherever its steps end. The clairvoyant drives the cheapest path on the true
+power without small-scale fading, and is charged by the same fading as the robot: nobody can know
+that beforehand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,17 @@ from planopt.planning.roads import node_at, nodes_in_reach
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
-from planopt.world.road_map import RoadMap, shortest_ways, way_from
+from planopt.world.road_map import RoadMap, cheapest_ways, way_from
 
 SHORTCUT_NODES = 40
 """A straight stretch of the clairvoyant's path skips at most so many nodes of the lattice."""
-SAMPLES = 16
-"""Places at which a stretch is looked at."""
+JUDGED_CELLS = 0.1
+"""Paths are judged at places so many cells of the true map apart."""
+SEARCHED_CELLS = 0.5
+"""The clairvoyant's search looks at places so many cells apart."""
+
+IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+"""From places (n, 2) to whether each is out of contact (n,)."""
 
 
 COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
@@ -73,11 +78,16 @@ def run_costs(
 def realised_cost_m(
     problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> float:
-    """Length of a driven path (n + 1, 2), steps truly out of contact at the outage price."""
-    lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
-    power = true_serving_dbm(problem, truths, places_m[1:])
-    outside = power < problem.stations[0].threshold_dbm
-    return float(lengths.sum() + problem.reach.outage_price * lengths[outside].sum())
+    """Length of a driven path (n + 1, 2), and the outage price for what is truly out of contact.
+
+    The path is straight between its places.
+    """
+
+    def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return true_serving_dbm(problem, truths, places) < problem.stations[0].threshold_dbm
+
+    spacing = JUDGED_CELLS * _cell_m(truths)
+    return float(_costs_m(problem, is_out, places_m[:-1], places_m[1:], spacing).sum())
 
 
 def clairvoyant_path(
@@ -86,7 +96,7 @@ def clairvoyant_path(
     index: ObstacleIndex,
     truths: Sequence[Truth],
 ) -> NDArray[np.float64]:
-    """Places (n + 1, 2) after each step of the cheapest path from the robot's start to its goal.
+    """Corners (k, 2) of the cheapest path from the robot's start to its goal.
 
     Parameters
     ----------
@@ -97,48 +107,54 @@ def clairvoyant_path(
     truths
         Each station's.
     """
-    start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
-    metre_cost = _metre_cost(problem, truths, road_map.nodes_m)
-    goal = node_at(road_map, np.asarray(problem.goal_m))
-    ways = shortest_ways(road_map, goal, metre_cost)
-    nodes, lengths = nodes_in_reach(road_map, index, problem, start)
-    here = float(_metre_cost(problem, truths, start[None])[0])
-    joining = 0.5 * lengths * (here + metre_cost[nodes])
-    first = int(nodes[np.argmin(joining + ways.cost_m[nodes])])
-    places = np.vstack([start, road_map.nodes_m[way_from(road_map, ways, first, np.inf)]])
-    # A move of the lattice is a step; straight stretches are shorter, but end steps elsewhere.
-    straight = _in_steps(problem, _straightened(problem, index, truths, places))
-    return min((places, straight), key=lambda path: _cost_of_steps_m(problem, truths, path))
-
-
-def _in_steps(problem: Problem, turns_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places (n + 1, 2) after each of the longest steps along a path of turns (k, 2)."""
-    legs = np.linalg.norm(np.diff(turns_m, axis=0), axis=1)
-    driven = np.concatenate([[0.0], legs.cumsum()])
-    stops = np.append(np.arange(0.0, driven[-1], problem.step_length_m), driven[-1])
-    return np.stack([np.interp(stops, driven, turns_m[:, axis]) for axis in (0, 1)], axis=1)
-
-
-def _cost_of_steps_m(
-    problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
-) -> float:
-    """Cost of steps (n + 1, 2) without fading, each charged by its end."""
-    lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
-    return float(lengths @ _metre_cost(problem, truths, places_m[1:]))
-
-
-def _metre_cost(
-    problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """What a metre truly costs at places (n, 2) without fading."""
-    powers = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
     thresholds = [radio.threshold_dbm for radio in problem.stations]
-    outside = serving_power_dbm(powers, thresholds) < thresholds[0]
-    return np.where(outside, 1.0 + problem.reach.outage_price, 1.0)
+
+    def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        powers = np.stack([mean_power_dbm(truth, places) for truth in truths])
+        return serving_power_dbm(powers, thresholds) < thresholds[0]
+
+    def cost_m(begins: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _costs_m(problem, is_out, begins, ends, SEARCHED_CELLS * _cell_m(truths))
+
+    nodes_m = road_map.nodes_m
+    moves = cost_m(nodes_m[road_map.edge_from], nodes_m[road_map.edge_to])
+    ways = cheapest_ways(road_map, node_at(road_map, np.asarray(problem.goal_m)), moves)
+    start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
+    nodes, _ = nodes_in_reach(road_map, index, problem, start)
+    joining = cost_m(np.broadcast_to(start, (len(nodes), 2)), nodes_m[nodes])
+    first = int(nodes[np.argmin(joining + ways.cost_m[nodes])])
+    places = np.vstack([start, nodes_m[way_from(road_map, ways, first, np.inf)]])
+    return _straightened(problem, index, places, cost_m)
+
+
+def _cell_m(truths: Sequence[Truth]) -> float:
+    """The smallest cell side of the true maps."""
+    return min(min(truth.raster.cell_m) for truth in truths)
+
+
+def _costs_m(
+    problem: Problem,
+    is_out: IsOut,
+    begins_m: NDArray[np.float64],
+    ends_m: NDArray[np.float64],
+    spacing_m: float,
+) -> NDArray[np.float64]:
+    """Cost of straight stretches (n, 2) to (n, 2), looked at in places `spacing_m` apart; (n,)."""
+    lengths = np.linalg.norm(ends_m - begins_m, axis=1)
+    counts = np.maximum(np.ceil(lengths / spacing_m), 1.0).astype(np.intp)
+    owner = np.repeat(np.arange(len(counts)), counts)
+    number = np.arange(len(owner)) - np.repeat(counts.cumsum() - counts, counts)
+    along = ((number + 0.5) / counts[owner])[:, None]
+    out = is_out(begins_m[owner] + along * (ends_m - begins_m)[owner])
+    share = np.bincount(owner, weights=out, minlength=len(counts)) / counts
+    return lengths * (1.0 + problem.reach.outage_price * share)
 
 
 def _straightened(
-    problem: Problem, index: ObstacleIndex, truths: Sequence[Truth], places_m: NDArray[np.float64]
+    problem: Problem,
+    index: ObstacleIndex,
+    places_m: NDArray[np.float64],
+    cost_m: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
     """The cheapest path over some of a path's places (n, 2), straight and clear between them."""
     count = len(places_m)
@@ -150,10 +166,7 @@ def _straightened(
     # The lattice's own moves are clear already.
     clear |= second == first + 1
     first, second = first[clear], second[clear]
-    share = (np.arange(SAMPLES) + 0.5)[:, None, None] / SAMPLES
-    samples = places_m[first] + share * (places_m[second] - places_m[first])
-    each = _metre_cost(problem, truths, samples.reshape(-1, 2)).reshape(SAMPLES, -1)
-    cost = np.linalg.norm(places_m[second] - places_m[first], axis=1) * each.mean(axis=0)
+    cost = cost_m(places_m[first], places_m[second])
     best, came = np.full(count, np.inf), np.zeros(count, dtype=np.intp)
     best[0] = 0.0
     for k in range(1, count):

@@ -31,6 +31,7 @@ from planopt.planning.stepping import Stepper, plan_step
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.overrides import with_overrides
+from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import sense
 
@@ -93,11 +94,16 @@ def simulate(
     if scenes is None:
         scenes = build_scenes(problem)
     seeds = team_seeds(problem, seed)
+    target, foreseen = watch_target(problem, seeds.target), None
+    kind = planner_kind(problem.planner.name)
+    if kind.foresees:
+        true_m = np.zeros((0, 2)) if target is None else target.true_m
+        foreseen = kind.maker()(problem, truths[0], true_m)
     robots = Stepper(
         problem,
         prepared.belief,
-        plan_step(problem, scenes if reaches else None, seeds),
-        watch_target(problem, seeds.target),
+        plan_step(problem, scenes if reaches else None, seeds, foreseen),
+        target,
     )
     # The error over the whole workspace is dear, and tells little of a way to a goal.
     known_at = None if reaches else workspace_region(problem).grid_m

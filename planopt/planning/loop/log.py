@@ -83,6 +83,8 @@ class Metrics:
         Mean relative gain of the polish over the lattice start.
     measured_steps
         How many steps brought a measurement.
+
+    What tells of steps is NaN where none was driven.
     """
 
     goal_time_s: float
@@ -121,9 +123,10 @@ class RobotRun:
 
     @property
     def verified_rate(self) -> float:
-        """Share of released steps whose plan was verified (1 if none was released)."""
+        """Share of released steps whose plan was verified (NaN if none was released)."""
         released = self.log.verdict[1:]
-        return sum(v is Verdict.VERIFIED for v in released) / len(released) if released else 1.0
+        verified = sum(v is Verdict.VERIFIED for v in released)
+        return verified / len(released) if released else float("nan")
 
     @property
     def rungs(self) -> dict[str, int]:
@@ -144,6 +147,13 @@ class TargetLog:
         ``(steps + 1, 2)`` where it was, and where the station thought that it was.
     station_variance_m2
         ``(steps + 1,)`` trace of the station's covariance of its position.
+    station_determinant_m4
+        ``(steps + 1,)`` determinant of that covariance.
+    nees
+        ``(steps + 1,)`` e' P^-1 e of the station's estimate of its position, with the error e.
+    nis
+        ``(steps, robots)`` nu' S^-1 nu of each robot's filter, with the innovation nu of its
+        measurement and the covariance S that the filter expects of it; NaN without measurement.
     delivered
         ``(steps, robots)`` whose packets arrived.
     """
@@ -151,6 +161,9 @@ class TargetLog:
     true_m: NDArray[np.float64]
     station_mean_m: NDArray[np.float64]
     station_variance_m2: NDArray[np.float64]
+    station_determinant_m4: NDArray[np.float64]
+    nees: NDArray[np.float64]
+    nis: NDArray[np.float64]
     delivered: NDArray[np.bool_]
 
     __repr__ = short_repr

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
 from planopt.planning.holes import Hole, holes_along
@@ -35,6 +36,11 @@ POSSIBLE = {
     "predicted_min_connectivity": (0.0, 1.0),
     "time_averaged_trace_p": (0.0, np.inf),
     "final_trace_p": (0.0, np.inf),
+    "time_averaged_det_p": (0.0, np.inf),
+    "nees": (0.0, np.inf),
+    "nis": (0.0, np.inf),
+    "nis_low": (0.0, np.inf),
+    "nis_high": (0.0, np.inf),
     "delivered": (0.0, 1.0),
     "rms_db": (0.0, np.inf),
     "rms_without_multipath_db": (0.0, np.inf),
@@ -63,19 +69,20 @@ def metrics_of(
     """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
     A robot that reached its goal arrived after step number `arrival`. Shares are over the steps
-    driven, the start not counted; a run of no step counts as wholly connected.
-    The polish gain is the mean over the steps.
+    driven, the start not counted; the polish gain is the mean over the steps. After no step what
+    tells of steps is NaN.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
     gains = [plan.polish_gain for plan in plans]
+    nothing = float("nan")
     return Metrics(
-        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else float("nan"),
+        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else nothing,
         path_m=float(lengths.sum()),
-        true_connected_share=float(connected.mean()) if connected.size else 1.0,
-        longest_outage_m=longest_outage_m(lengths, connected),
-        predicted_min_connectivity=float(np.min(log.connectivity[1:], initial=1.0)),
-        polish_gain=float(np.mean(gains)) if gains else 0.0,
+        true_connected_share=float(connected.mean()) if connected.size else nothing,
+        longest_outage_m=longest_outage_m(lengths, connected) if connected.size else nothing,
+        predicted_min_connectivity=float(log.connectivity[1:].min()) if connected.size else nothing,
+        polish_gain=float(np.mean(gains)) if gains else nothing,
         measured_steps=sum(learnt),
     )
 
@@ -106,6 +113,12 @@ def run_metrics(
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
         found["final_trace_p"] = float(target.station_variance_m2[-1])
         found["delivered"] = float(target.delivered.mean())
+        found["time_averaged_det_p"] = float(target.station_determinant_m4[1:].mean())
+        found["nees"] = float(target.nees[1:].mean())
+        measured = target.nis[np.isfinite(target.nis)]
+        if measured.size:
+            low, high = nis_interval(measured.size)
+            found |= {"nis": float(measured.mean()), "nis_low": low, "nis_high": high}
     if channel is not None:
         found["rms_db"] = float(channel.rms_db[-1])
         found["anmse_db"] = float(channel.anmse_db[-1])
@@ -130,12 +143,21 @@ def run_metrics(
     return found | dict(costs)
 
 
+def nis_interval(count: int) -> tuple[float, float]:
+    """Return the least and largest mean of `count` values of NIS in 95 % of filters that are right.
+
+    Innovations of a filter that is right are independent, and each value has the law chi-square
+    with the two degrees of freedom of a measured position (equation 4.23).
+    """
+    return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
+
+
 def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
     """The metric of the problem's rule by name, of the worst robot; empty where it has none.
 
-    ``stated_times_connected``: share of the stated times driven through that were connected (one
-    where there are none). ``least_connected_share``: of the steps, for the average.
-    ``longest_outage_s``. ``data_mbit``: delivered by the deadline.
+    ``stated_times_connected``: share of the stated times driven through that were connected.
+    ``least_connected_share``: of the steps, for the average. ``longest_outage_s``. ``data_mbit``:
+    delivered by the deadline. NaN where no step, or no stated time, was driven through.
     """
     connected = [log.connected[1:] for log in logs]
     return proven_rule(problem.constraints.rule).run_metrics(problem, connected)

@@ -172,7 +172,11 @@ class StartSearch:
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
         self._move_values = move_values(problem, ground.road_map.lengths_m)
-        self._coupled = CoupledStarts(problem, ground) if bends_starts(problem) else None
+        # One step ahead the directions of the fan are all there is to compare, and few.
+        self._bends = bends_starts(problem) or problem.planner.horizon == 1
+        self._may_bend = bends_starts(problem, steered=False)
+        # Built where it is first needed: its raster of distances is dear.
+        self._coupled: CoupledStarts | None = None
 
     def find_starts(
         self,
@@ -202,7 +206,10 @@ class StartSearch:
         if situation.steering is not None:
             longest = problem.step_length_m - STEP_PAD_M
             paths.append(situation.steering.path_m(problem.planner.horizon, longest))
-        if self._coupled is not None:
+        bends = self._may_bend and (self._bends or situation.steering is None)
+        if bends:
+            if self._coupled is None:
+                self._coupled = CoupledStarts(problem, self._ground)
             paths += self._coupled.find_ways(situation, paths, budget)
         if self._ends > 1 and not budget.searched:
             # Besides what is found otherwise, so that being thorough loses no start.
@@ -211,7 +218,7 @@ class StartSearch:
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), rule_missing(situation, path)) for path in paths]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
-        count = self._starts if self._coupled is None else max(self._starts, COUPLED_STARTS)
+        count = max(self._starts, COUPLED_STARTS) if bends else self._starts
         kept: list[Start] = []
         for start in starts:
             if len(kept) < count and all(

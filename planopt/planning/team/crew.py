@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.objectives.mapping import Region
+from planopt.planning.baselines.foresight import FollowingPlanner
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.judge import Judge
@@ -155,8 +156,12 @@ def _valued_alone(plan: Plan, situation: Situation) -> Plan:
     return replace(plan, objective=worth, lattice_objective=start)
 
 
-def build_crew(problem: Problem, seeds: TeamSeeds) -> tuple[Member, ...]:
+def build_crew(
+    problem: Problem, seeds: TeamSeeds, foreseen_m: Sequence[NDArray[np.float64]] | None = None
+) -> tuple[Member, ...]:
     """Every robot of `problem`, in its order; planners that draw use the streams of `seeds`.
+
+    With `foreseen_m`, a path (T, 2) for each, they follow these.
 
     Raises
     ------
@@ -165,18 +170,25 @@ def build_crew(problem: Problem, seeds: TeamSeeds) -> tuple[Member, ...]:
     """
     region = workspace_region(problem)
     return tuple(
-        _member(problem, number, region, generator)
+        _member(problem, number, region, generator, foreseen_m)
         for number, generator in enumerate(seeds.planners)
     )
 
 
 def _member(
-    problem: Problem, number: int, region: Region, generator: np.random.Generator
+    problem: Problem,
+    number: int,
+    region: Region,
+    generator: np.random.Generator,
+    foreseen_m: Sequence[NDArray[np.float64]] | None,
 ) -> Member:
     own = problem_of_robot(problem, number)
     start = own.robots[0].start_state
     ground = build_ground(own, start[:2])
-    planner = planner_for(own, ground, generator)
+    if foreseen_m is None:
+        planner = planner_for(own, ground, generator)
+    else:
+        planner = FollowingPlanner(foreseen_m[number])
     return Member(own, start, ground, planner, _steer(own, ground), region)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from planopt.planning.certificate import Certificate
+from planopt.planning.certificate import Certificate, dearest
 from planopt.planning.rule_result import worst_result
 
 
@@ -37,6 +37,7 @@ def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
         relaxed_steps=tuple(sorted(relaxation)),
         relaxation_db=tuple(relaxation[step] for step in sorted(relaxation)),
         best_margin_db=tuple(best[step] for step in sorted(best)),
+        **dearest(all_of_them),
         reasons=tuple(
             f"{robot}: {reason}" for robot, c in certificates.items() for reason in c.reasons
         ),

@@ -1,6 +1,6 @@
 """Where a robot out of contact is steered to: the place that makes for the shortest search.
 
-A search by tries like the one at the place z is expected to take R(z) metres
+A search that begins with a try at the place z is expected to take R(z) metres
 (:func:`planopt.objectives.until_connected.search_length_m`), which is short where z is near and
 where it is likely to be connected. The robot is steered to the place of the shortest search, of
 those that are tries (:attr:`planopt.planning.worth.situation.Situation.tries`).

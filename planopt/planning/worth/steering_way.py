@@ -63,21 +63,26 @@ class SteeringWay:
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Number of the turn that each place (n, 2) goes straight to: the last one in sight.
+        """Number of the turn that each place (n, 2) goes straight to.
 
-        From places that see none of them the way leads back to its start.
+        The last one in sight of the first that follow each other. Turns beyond one that is out of
+        sight are not looked for: they are far, and long lines of sight are dear. From places that
+        see none of them the way leads back to its start.
         """
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
         last = self._ends_of_legs(places_m) if self.in_order else None
-        for turn in range(len(self.turns_m) - 1, 0, -1):
-            asked = left if last is None else left[last[left] >= turn]
-            there = np.broadcast_to(self.turns_m[turn], (len(asked), 2))
+        for turn in range(1, len(self.turns_m)):
+            if last is not None:
+                left = left[last[left] >= turn]
+            there = np.broadcast_to(self.turns_m[turn], (len(left), 2))
             seen = segments_clear(
-                self.index, places_m[asked], there, self.clearance_m, CLEARANCE_TOLERANCE_M
+                self.index, places_m[left], there, self.clearance_m, CLEARANCE_TOLERANCE_M
             )
-            found[asked[seen]] = turn
-            left = left[found[left] == 0]
+            found[left[seen]] = turn
+            left = left[seen | (found[left] == 0)]
+            if not len(left):
+                break
         return found
 
     def _ends_of_legs(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:

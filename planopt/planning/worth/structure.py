@@ -17,9 +17,14 @@ def structure_of(problem: Problem) -> Structure:
     return "chain" if "chain" in found else "stagewise"
 
 
-def bends_starts(problem: Problem) -> bool:
+def bends_starts(problem: Problem, *, steered: bool = True) -> bool:
     """Whether the places of a path are coupled by a term that no lattice search stands in for.
 
-    Then paths in all directions are tried besides those of the lattice, and more are followed.
+    Then paths in all directions are tried besides those of the lattice, and more are followed. A
+    term that steers the robot may do without them, but not where it is steered nowhere.
     """
-    return any(term.structure == "full" and term.bends_starts for term in problem.terms)
+    return any(
+        term.structure == "full"
+        and (term.bends_starts or (not steered and term.steers is not None))
+        for term in problem.terms
+    )

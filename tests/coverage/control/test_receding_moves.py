@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cvxpy as cp
 import numpy as np
@@ -10,12 +11,19 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
+from planopt.coverage.control.interior_point import Programmes, solve_programmes
 from planopt.coverage.control.laws import Gains, law_moves
-from planopt.coverage.control.programme import Inertia, saturated_paths, solve_programme
+from planopt.coverage.control.programme import (
+    Inertia,
+    saturated_paths,
+    solve_by_clarabel,
+    solve_programme,
+)
 from planopt.coverage.control.receding import MoveLimits, plan_moves
 from planopt.coverage.control.safe_sets import SafeSets, ground_sets, half_planes
 from planopt.coverage.ground import ConvexGround, GeodesicGround, geodesic_ground
 from planopt.coverage.region import ConvexRegion
+from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from tests.coverage.scattered import scattered
 
@@ -92,6 +100,65 @@ def test_programme_agrees_with_reference(share: float) -> None:
         one = sets.of(np.array([which]))
         path = reference_path(starts[which], aims[which], share, most, one, horizon)
         np.testing.assert_allclose(found[0][which], path, atol=2e-4)
+
+
+def test_batch_agrees_with_clarabel() -> None:
+    """The batched interior-point method finds Clarabel's optima, whatever limits bind."""
+    rng = np.random.default_rng(11)
+    count, steps, ways = 40, 5, 7
+    root = rng.normal(size=(count, steps, steps))
+    turn = 2.0 * np.pi * rng.random((count, 4))
+    given = Programmes(
+        root @ root.transpose(0, 2, 1) + 0.1 * np.eye(steps),
+        3.0 * rng.normal(size=(count, steps, 2)),
+        rng.normal(size=(count, steps, steps)),
+        0.1 * rng.normal(size=(count, steps, 2)),
+        np.stack((np.cos(turn), np.sin(turn)), axis=2),
+        0.3 + rng.random((count, 4)),
+        0.1 * rng.normal(size=(count, 2, 2)),
+        1.0 + rng.random((count, 2)),
+        rng.normal(size=(ways, steps)),
+        np.zeros((count, ways, 2)),
+        0.5 + rng.random((count, ways)),
+    )
+    found, solved = solve_programmes(given)
+    reference = solve_by_clarabel(given)
+    assert solved.all() and reference is not None
+    np.testing.assert_allclose(found, reference, atol=2e-5)
+    lengths = np.linalg.norm(given.way_map @ found, axis=2)
+    assert (lengths <= given.longest + 1e-7).all()
+    bound = (lengths > given.longest - 1e-6).any(axis=1)
+    assert bound.sum() > 20
+    # An impossible programme is left, and nobody else suffers from it.
+    rooms = given.rooms.copy()
+    rooms[3] = -99.0
+    again, solved = solve_programmes(replace(given, rooms=rooms))
+    assert np.flatnonzero(~solved).tolist() == [3]
+    np.testing.assert_allclose(np.delete(again, 3, 0), np.delete(found, 3, 0), atol=1e-7)
+
+
+@pytest.mark.parametrize("horizon", [1, 4, 12])
+def test_drifting_targets_are_led(square: ConvexRegion, horizon: int) -> None:
+    """Without a binding limit the first move is the law's in the frame of the target."""
+    rng = np.random.default_rng(6)
+    agents = scattered(square, 20, rng)
+    aims, drifts = agents + 6.0 * rng.normal(size=(20, 2)), rng.normal(size=(20, 2))
+    limits = MoveLimits(time_step_s=0.5, speed_m_s=1e3)
+    moves = plan_moves(
+        ConvexGround(square), agents, aims, limits, 0.8, horizon, target_velocities_m_s=drifts
+    )
+    law = agents + 0.4 * (aims - agents) + 0.5 * drifts
+    inside = np.asarray(square.contains(law) & square.contains(aims + 0.5 * horizon * drifts))
+    assert inside.sum() > 10
+    np.testing.assert_allclose(moves.next_m[inside], law[inside], atol=1e-6)
+    # Along a straight line at its greatest speed, a double integrator keeps up with the target.
+    here, speed = np.array([[20.0, 50.0]]), np.array([[2.0, 0.0]])
+    inert = MoveLimits(speed_m_s=2.0, acceleration_m_s2=0.5)
+    moves = plan_moves(
+        ConvexGround(square), here, here, inert, 0.5, horizon,
+        velocities_m_s=speed, target_velocities_m_s=speed,
+    )  # fmt: skip
+    np.testing.assert_allclose(moves.next_m, [[22.0, 50.0]], atol=1e-4)
 
 
 def test_free_way_needs_no_programme() -> None:
@@ -193,6 +260,17 @@ def test_agents_pass_obstacles(blocks: GeodesicGround, kind: str) -> None:
         agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
         headings = headings if moves.headings_rad is None else moves.headings_rad
     assert np.linalg.norm(agents - aims, axis=1).max() < 0.1
+
+
+def test_round_clearance_of_a_corner_is_kept() -> None:
+    """An agent between the mitred and the round clearance of a corner does not cut the corner."""
+    square, wall = shapely.box(0, 0, 30, 30), shapely.box(12, 10, 20, 20)
+    ground = geodesic_ground(square, [wall], 2.0, clearance_m=1.0)
+    agents = np.array([[11.2, 9.36]])
+    assert 1.0 < float(wall.distance(shapely.Point(agents[0]))) < 1.03
+    limits = MoveLimits(speed_m_s=2.0, body_radius_m=0.8, clearance_m=1.0)
+    moves = plan_moves(ground, agents, np.array([[10.0, 28.0]]), limits, 0.5, 6)
+    assert not verify_moves(ground.free, agents, moves.next_m, limits)
 
 
 def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:

@@ -1,4 +1,4 @@
-"""The clairvoyant against holes that equal steps fall into, and against a closed form."""
+"""Realised costs against exact geometry, and the clairvoyant against closed forms."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapely.geometry import LineString, box
 
+from planopt.channel.fields.truth import power_truth
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
@@ -16,10 +18,16 @@ from planopt.problems.problem import Problem
 STEP_M = 6.0
 
 
+PRICE = 10.0
+
+
 def strip(folder: Path, gain_db: np.ndarray) -> Problem:
-    """A free strip of 60 m by 20 m whose power depends on x alone; 50 m from start to goal."""
+    """A free strip of 60 m by 20 m; 50 m from start to goal.
+
+    Its power is `gain_db` at every metre, (60,) along x alone or (20, 60).
+    """
     x, y = np.arange(0.5, 60.0), np.arange(0.5, 20.0)
-    rows = np.tile(gain_db, (len(y), 1))
+    rows = np.broadcast_to(gain_db, (len(y), len(x)))
     np.savez(folder / "strip.npz", path_gain_db=rows, x=x, y=y)
     tables = {
         "problem": {"schema": 1, "name": "strip", "task": "reach"},
@@ -55,17 +63,13 @@ def path_of(problem: Problem) -> tuple[np.ndarray, float]:
     return path, realised_cost_m(problem, prepared.truths, path)
 
 
-def test_it_steps_over_holes_shorter_than_a_step(tmp_path: Path) -> None:
-    """Two metres out of contact wherever equal steps of 6 m end: its own steps end beside them."""
+def test_holes_between_the_ends_of_steps_are_charged(tmp_path: Path) -> None:
+    """Two metres out of contact every 6 m, all across the strip: no steps lead over them."""
     x = np.arange(0.5, 60.0)
-    phase = (x - 5.0 + STEP_M / 2) % STEP_M - STEP_M / 2
-    gain = np.where((np.abs(phase) <= 1.0) & (x > 6.0), -100.0, -60.0) + 1e-3 * x
-    path, cost_m = path_of(strip(tmp_path, gain))
-    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    assert lengths.max() <= STEP_M
+    out = (x % STEP_M < 2.0) & (x > 6.0) & (x < 54.0)
+    path, cost_m = path_of(strip(tmp_path, np.where(out, -100.0, -60.0)))
     assert path[0] == pytest.approx((5.0, 10.0)) and path[-1] == pytest.approx((55.0, 10.0))
-    assert cost_m == pytest.approx(lengths.sum())
-    assert lengths.sum() < 1.1 * 50.0
+    assert cost_m == pytest.approx(50.0 + PRICE * out.sum(), abs=1.0)
 
 
 def test_cost_of_a_connected_straight_way(tmp_path: Path) -> None:
@@ -75,7 +79,48 @@ def test_cost_of_a_connected_straight_way(tmp_path: Path) -> None:
 
 
 def test_cost_of_one_wide_hole(tmp_path: Path) -> None:
-    """A hole of 20 m across the whole strip: 10 more for each of its metres, but for a step."""
+    """A hole of 20 m across the whole strip: 10 more for each of its metres."""
     x = np.arange(0.5, 60.0)
     _, cost_m = path_of(strip(tmp_path, np.where((x > 20.0) & (x < 40.0), -100.0, -60.0)))
-    assert 50.0 + 10.0 * (20.0 - 2 * STEP_M) <= cost_m <= 50.0 + 10.0 * (20.0 + STEP_M)
+    assert cost_m == pytest.approx(50.0 + PRICE * 20.0, abs=1.0)
+
+
+def test_it_goes_round_a_hole_if_that_is_cheaper(tmp_path: Path) -> None:
+    """A hole that leaves 5 m free at one side: the taut way round its corners, to a few percent."""
+    rows = np.full((20, 60), -60.0)
+    rows[:15, 20:40] = -100.0
+    _, cost_m = path_of(strip(tmp_path, rows))
+    taut_m = 20.0 + 2.0 * np.hypot(15.0, 5.0)
+    assert taut_m <= cost_m <= 1.04 * taut_m
+
+
+def test_realised_cost_against_exact_geometry(tmp_path: Path) -> None:
+    """A crooked path over a random map: shapely's lengths within the cells out of contact."""
+    generator = np.random.default_rng(3)
+    rows = np.where(generator.random((20, 60)) < 0.4, -100.0, -60.0)
+    problem = strip(tmp_path, rows)
+    truth = power_truth(np.arange(0.5, 60.0), np.arange(0.5, 20.0), rows)
+    places = generator.uniform((1.0, 1.0), (59.0, 19.0), (12, 2))
+    line = LineString(places)
+    cells = [box(x, y, x + 1, y + 1) for y, x in np.argwhere(rows < -80.0)]
+    outside_m = sum(line.intersection(cell).length for cell in cells)
+    exact_m = line.length + PRICE * outside_m
+    assert realised_cost_m(problem, [truth], places) == pytest.approx(exact_m, rel=5e-3)
+    # The same path driven in other steps costs the same.
+    corners = np.linalg.norm(np.diff(places, axis=0), axis=1).cumsum()
+    stops = np.sort(np.concatenate([np.linspace(0.0, line.length, 40), corners[:-1]]))
+    driven = np.array([line.interpolate(at).coords[0] for at in stops])
+    assert realised_cost_m(problem, [truth], driven) == pytest.approx(exact_m, rel=5e-3)
+
+
+def test_nobody_pays_less_than_the_clairvoyant(tmp_path: Path) -> None:
+    """Random drives to the goal cost at least as much, but for what the lattice misses."""
+    generator = np.random.default_rng(5)
+    rows = np.where(generator.random((20, 60)) < 0.3, -100.0, -60.0)
+    problem = strip(tmp_path, rows)
+    _, least_m = path_of(problem)
+    truths = prepare(problem, 0).truths
+    for _ in range(200):
+        y = 10.0 + np.concatenate([[0.0], generator.uniform(-8.0, 8.0, 7), [0.0]])
+        drive = np.column_stack([np.linspace(5.0, 55.0, 9), y])
+        assert realised_cost_m(problem, truths, drive) >= 0.97 * least_m

@@ -19,6 +19,7 @@ from scenes import (
 from planopt import load
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.errors import InputError
+from planopt.planning.files.run_json import run_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome, StepLog
 from planopt.planning.plan import Rung, Verdict
@@ -167,6 +168,12 @@ def test_start_within_the_goal_radius():
     assert done.run.log.positions_m.shape == (1, 2)
     assert done.run.metrics.goal_time_s == 0.0
     assert exit_code(done) == 0
+    # Nothing was verified and nobody connected: that is no success of 100 %.
+    told = run_json(done)
+    null = ("true_connected_share", "longest_outage_m", "predicted_min_connectivity", "polish_gain")
+    assert told["verified_rate"] is None and told["robots"][0]["verified_rate"] is None
+    assert [told["metrics"][name] for name in null] == [None] * len(null)
+    assert "no step was driven" in repr(done)
 
 
 def test_the_shortest_way_leads_across():
@@ -232,6 +239,14 @@ def test_gap_that_must_be_crossed(horizon):
     )
     assert (done.run.log.relaxation_db > 0.0).any()
     assert done.run.metrics.longest_outage_m <= 12.0
+    # The saved run says of each such step by how much it misses the bound, and what excuses it.
+    told = run_json(done)["robots"][0]["excused"]
+    below = np.flatnonzero(done.run.log.relaxation_db > 0.0)
+    assert [one["step"] for one in told] == below.tolist()
+    np.testing.assert_allclose(
+        [one["relaxation_db"] for one in told], done.run.log.relaxation_db[below]
+    )
+    assert {one["excuse"] for one in told} == {"price"}
 
 
 def test_simulation_needs_a_truth():

@@ -62,14 +62,12 @@ def test_no_time_to_a_goal_that_was_not_reached(outcome):
 
 
 def test_a_run_of_no_step():
-    """At the goal from the start: no time, no way, wholly connected, nothing gained."""
+    """At the goal from the start: no time, no way, and nothing to tell of steps."""
     metrics = metrics_of(log_of([[1, 2]], [False], [np.nan]), [], Outcome.REACHED, [])
     assert metrics.goal_time_s == 0.0
     assert metrics.path_m == 0.0
-    assert metrics.true_connected_share == 1.0
-    assert metrics.longest_outage_m == 0.0
-    assert metrics.predicted_min_connectivity == 1.0
-    assert metrics.polish_gain == 0.0
+    assert np.isnan(metrics.true_connected_share) and np.isnan(metrics.longest_outage_m)
+    assert np.isnan(metrics.predicted_min_connectivity) and np.isnan(metrics.polish_gain)
     assert metrics.measured_steps == 0
 
 

@@ -19,6 +19,7 @@ from planopt.channel.joint import joint_prediction
 from planopt.channel.semidefinite import semidefinite_factor
 from planopt.objectives.energy import expected_transmit_power_w
 from planopt.objectives.filter_gain import covariance_gain, sensing_of
+from planopt.objectives.until_connected import counted_legs_m
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.worth.path_worth import PathWorth
@@ -76,15 +77,14 @@ def test_distance_until_connected_is_that_of_drawn_channels(by_db: float) -> Non
     legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path]), axis=0), axis=1)
     lost = np.cumprod(~drawn_connected(situation, path), axis=1)
     before = np.hstack([np.ones((DRAWS, 1)), lost])
-    driven = before @ np.append(legs, 20.0)
-    error = 4.0 * driven.std() / np.sqrt(DRAWS)
-    assert -PathWorth(situation)(path) == pytest.approx(driven.mean(), abs=error + 0.02)
+    charged = before @ np.append(counted_legs_m(legs, situation.step_length_m), 20.0)
+    assert -PathWorth(situation)(path) == pytest.approx(charged.mean(), rel=0.03)
     each = [-PathWorth(alone(situation, station))(path) for station in (0, 1)]
     assert -PathWorth(situation)(path) < min(each)
 
 
 def test_search_looks_at_nearly_the_same_distance() -> None:
-    """Filtered, as for one station some hundredths off."""
+    """Filtered in the same way, from the measurements near the path."""
     situation, _ = situation_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
     situation = raised(situation, 5.0)
     path = a_path(situation)

@@ -127,7 +127,7 @@ class StatedTimes(EachStep):
     ) -> dict[str, float]:
         """Return the share of the stated times driven through that were connected.
 
-        One where there are none.
+        NaN where there are none.
         """
         stated = np.unique(_stated_steps(problem)).astype(np.intp)
         kept = [now[stated[stated <= len(now)] - 1] for now in connected]
@@ -189,7 +189,7 @@ class Outage(ProvenRule):
         """Return the longest outage in seconds."""
         step_s = problem.planner.step_s
         each = [longest_run(np.full(len(now), step_s), ~now, 0.0) for now in connected]
-        return {"longest_outage_s": max(each)}
+        return {"longest_outage_s": max(each) if len(connected[0]) else float("nan")}
 
 
 class Data(ProvenRule):
@@ -224,4 +224,4 @@ def _stated_steps(problem: Problem) -> NDArray[np.float64]:
 
 
 def _share(connected: NDArray[np.bool_]) -> float:
-    return float(connected.mean()) if connected.size else 1.0
+    return float(connected.mean()) if connected.size else float("nan")

@@ -1,0 +1,190 @@
+"""Bounds on tracking: paths for a whole run of robots that know what will come.
+
+The clairvoyant knows the power of every place, multipath included, and the target's whole path. The
+oracle knows path loss, shadowing and the target's path, but not the multipath, which no robot can
+know of places where it has not been: it is the fair ceiling. Each has two rewards of a step: the
+information that arrives, and the logarithm of one plus that information times the variance of the
+target's first estimate, which saturates. A dynamic programme over (step, node) of the robots'
+lattice maximises their sum over the whole run; several robots take turns until no path changes.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.fields.truth import Truth, mean_power_dbm, true_power_dbm
+from planopt.channel.prediction import score_probability
+from planopt.errors import InputError
+from planopt.planning.baselines.baseline import held, released
+from planopt.planning.ground import build_ground
+from planopt.planning.judge import Judge
+from planopt.planning.plan import Plan
+from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+from planopt.targets.sensor import sensing_information
+from planopt.world.road_map import RoadMap
+
+ROUNDS = 5
+"""Turns of several robots at most."""
+
+
+class FollowingPlanner:
+    """Follows a path that is given for the whole run.
+
+    Parameters
+    ----------
+    path_m
+        ``(T, 2)`` where each step of the run ends.
+    """
+
+    def __init__(self, path_m: NDArray[np.float64]) -> None:
+        self._path_m = path_m
+
+    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+        """Release the next steps; arguments as of the horizon planner, `warm` is not used."""
+        begun, first = perf_counter(), situation.circumstances.history.steps
+        ahead = self._path_m[first : first + situation.problem.planner.horizon]
+        return released(judge, held(situation, list(ahead)), begun)
+
+
+def oracle_paths(
+    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Return paths by the information that is expected to arrive, multipath unknown.
+
+    Parameters
+    ----------
+    problem
+        With all robots, which start where the run starts.
+    truth
+        The ground truth.
+    target_m
+        ``(T + 1, 2)`` where the target is at the start and after each step.
+
+    Returns
+    -------
+    list
+        ``(T, 2)`` for each robot.
+    """
+    return _paths(problem, truth, target_m, knows_multipath=False, saturates=False)
+
+
+def oracle_log_paths(
+    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Return the same by the logarithm of the information; as :func:`oracle_paths`."""
+    return _paths(problem, truth, target_m, knows_multipath=False, saturates=True)
+
+
+def clairvoyant_paths(
+    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Return paths by the information that will arrive; as :func:`oracle_paths`."""
+    return _paths(problem, truth, target_m, knows_multipath=True, saturates=False)
+
+
+def clairvoyant_log_paths(
+    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Return the same by the logarithm of the information; as :func:`oracle_paths`."""
+    return _paths(problem, truth, target_m, knows_multipath=True, saturates=True)
+
+
+def require_foreseeable(problem: Problem) -> None:
+    """Raise an InputError where bounds are not defined: no target, or robots that are not free."""
+    several = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
+    if (
+        not any(term.sensor for term in problem.terms)
+        or len(problem.stations) > 1
+        or several
+        or problem.workspace.moving
+        or any(robot.dynamics is not None for robot in problem.robots)
+    ):
+        raise InputError(
+            f"is {problem.planner.name}, a bound on tracking for one station, by single "
+            "integrators without separation_m and moving obstacles",
+            file=problem.file,
+            key="planner.name",
+            remedy="use auto",
+        )
+
+
+def _paths(
+    problem: Problem,
+    truth: Truth,
+    target_m: NDArray[np.float64],
+    *,
+    knows_multipath: bool,
+    saturates: bool,
+) -> list[NDArray[np.float64]]:
+    """Return the path (T, 2) of each robot."""
+    require_foreseeable(problem)
+    sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
+    threshold, ahead = problem.stations[0].threshold_dbm, target_m[1:]
+    unknown = float(np.std(truth.raster.values - truth.mean_dbm))
+
+    def arriving(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return P(packet arrives) at places (n, 2), by what is known."""
+        if knows_multipath or unknown == 0.0:
+            return (true_power_dbm(truth, places_m) >= threshold).astype(np.float64)
+        return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
+
+    def told(
+        places_m: NDArray[np.float64], chance: NDArray[np.float64], step: int
+    ) -> NDArray[np.float64]:
+        """Return the information from places (n, 2) at a step, in units of the first one."""
+        sensed = sensing_information(sensor, places_m, ahead[step])
+        # Of one coordinate, so that it adds to the inverse of the first variance.
+        return 0.5 * problem.targets[0].position_std_m ** 2 * chance * sensed
+
+    roads: list[tuple[RoadMap, int, NDArray[np.float64]]] = []
+    for number, robot in enumerate(problem.robots):
+        start = np.asarray(robot.start_m)
+        road_map = build_ground(problem_of_robot(problem, number), start).road_map
+        away = np.linalg.norm(road_map.nodes_m - start, axis=1)
+        roads.append((road_map, int(away.argmin()), arriving(road_map.nodes_m)))
+    paths = [np.repeat(road.nodes_m[[first]], len(ahead), axis=0) for road, first, _ in roads]
+    gained = np.zeros((len(roads), len(ahead)))
+    for _ in range(ROUNDS if saturates and len(roads) > 1 else 1):
+        before = [path.copy() for path in paths]
+        for number, (road_map, first, chance) in enumerate(roads):
+            others = gained.sum(axis=0) - gained[number]
+            rewards = np.array([told(road_map.nodes_m, chance, step) for step in range(len(ahead))])
+            worth = np.log1p(rewards / (1.0 + others[:, None])) if saturates else rewards
+            nodes = best_nodes(road_map, first, worth)
+            paths[number] = road_map.nodes_m[nodes]
+            gained[number] = rewards[np.arange(len(ahead)), nodes]
+        if all(np.array_equal(*each) for each in zip(before, paths, strict=True)):
+            break
+    return paths
+
+
+def best_nodes(road_map: RoadMap, first: int, rewards: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the nodes after each step of the walk of the largest sum of rewards; ``(T,)``.
+
+    Parameters
+    ----------
+    road_map
+        Nodes and moves of one step.
+    first
+        The node that the walk begins at.
+    rewards
+        ``(T, n)`` of being at each node after each step.
+    """
+    count = len(road_map.nodes_m)
+    value = np.full(count + 1, -np.inf)
+    value[first] = 0.0
+    came = np.empty(rewards.shape, dtype=np.intp)
+    every = np.arange(count)
+    for step, reward in enumerate(rewards):
+        came[step] = road_map.sources[every, value[road_map.sources].argmax(axis=1)]
+        value[:count] = value[came[step]] + reward
+    nodes = np.empty(len(rewards), dtype=np.intp)
+    nodes[-1] = int(value[:count].argmax())
+    for step in range(len(rewards) - 1, 0, -1):
+        nodes[step - 1] = came[step, nodes[step]]
+    return nodes

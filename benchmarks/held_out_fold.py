@@ -15,7 +15,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from planopt.channel import LogFormat, Station, fit_channel, read_log
+from planopt.channel import LogFormat, Station, read_log
+from planopt.channel.estimation.fit import fitted_parameters
 from planopt.channel.validation.held_out import (
     channel_predictor,
     learn_path_loss,
@@ -40,7 +41,7 @@ def main(log: str, station: str) -> None:
     timed("matrix product", lambda: matrix @ matrix)
     print(f"{len(known)} rows, {known.censored.mean():.0%} censored; {len(out)} held out")
     begun = process_time()
-    fit = timed("fit", lambda: fit_channel(known, site, intervals=False))
+    fit = timed("fit", lambda: fitted_parameters(known, site))
     for name, learn in (
         ("channel", lambda: channel_predictor(fit, known)),
         ("marginal", lambda: marginal_predictor(fit, known)),

@@ -170,7 +170,10 @@ def marginalise(
             multipath_std_db=math.sqrt(nugget),
             decorrelation_m=beta,
         )
-        components.append(condition(component, measurements, exact_limit=exact_limit))
+        similar = components[-1] if components else None
+        components.append(
+            condition(component, measurements, exact_limit=exact_limit, similar=similar)
+        )
     return MarginalPosterior(tuple(components), weights[kept] / weights[kept].sum())
 
 

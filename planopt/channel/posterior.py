@@ -194,6 +194,7 @@ def condition(
     *,
     theta: ThetaRule = "estimated",
     exact_limit: int = EXACT_LIMIT,
+    similar: ChannelPosterior | None = None,
 ) -> ChannelPosterior:
     """Condition the channel model on measurements (Lemma 2 of [GM11], equation 1.8).
 
@@ -215,6 +216,9 @@ def condition(
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
         (:data:`planopt.channel.nearest.windows.BESIDE` has the accuracies), and
         sites are matched by neighbours.
+    similar
+        The same measurements under similar parameters: sites that are matched by neighbours start
+        from its, and take fewer sweeps.
 
     Raises
     ------
@@ -224,7 +228,11 @@ def condition(
     measurements = as_measurements(measurements)
     exact = len(measurements) <= exact_limit
     joint = int(needs_site(measurements, parameters.multipath_std_db**2).sum()) <= MOST_JOINT_SITES
-    sites = (gaussian_sites if exact and joint else neighbour_sites)(parameters, measurements)
+    if exact and joint:
+        sites = gaussian_sites(parameters, measurements)
+    else:
+        start = None if similar is None else Sites(similar.values_db, similar.noise_variance_db2)
+        sites = neighbour_sites(parameters, measurements, start)
     nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
     empty = ChannelPosterior(
         parameters,

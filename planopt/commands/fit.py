@@ -123,7 +123,7 @@ def held_out(
     fold_of = deal(groups, min(count, MOST_FOLDS), np.random.default_rng(SEED))
     try:
         return held_out_report(
-            fitted.measurements, groups, fold_of, predictors_of(fitted.fit), threshold_dbm
+            fitted.measurements, groups, fold_of, predictors_of(fitted.learn), threshold_dbm
         )
     except InputError as error:
         # Its row, if any, is one of a part of the log.

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit, Loss
     from planopt.channel.logs.log_format import LogFormat
     from planopt.channel.measurements import Measurements
+    from planopt.channel.parameters import ChannelParameters
     from planopt.channel.station.station_position import StationMethod
 
 LogArgument = Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
@@ -136,8 +137,8 @@ class LogFit:
         Their fit.
     receivers
         Labels by the receivers' numbers; empty without ``--receiver``.
-    fit
-        Fits any measurements as these were fitted.
+    learn
+        Estimates the parameters from any measurements as from these.
     log_format
         How the log was read.
     """
@@ -145,7 +146,7 @@ class LogFit:
     measurements: Measurements
     found: ChannelFit
     receivers: tuple[str, ...]
-    fit: Callable[[Measurements], ChannelFit]
+    learn: Callable[[Measurements], ChannelParameters]
     log_format: LogFormat
 
 
@@ -165,7 +166,7 @@ def read_and_fit(
         An option or the log cannot be used; errors about a measurement name its line.
     """
     from planopt.channel.estimation.channel_fit import require_loss, require_method
-    from planopt.channel.estimation.fit import fit_channel
+    from planopt.channel.estimation.fit import fit_channel, fitted_parameters
     from planopt.channel.logs.log_file import at_file_line, parse_station, read_power_log
     from planopt.channel.station.station_search import fit_channel_and_station
 
@@ -178,18 +179,31 @@ def read_and_fit(
     log_format = _log_format(options)
     read = read_power_log(log, log_format)
 
+    def find(measurements: Measurements, intervals: bool) -> ChannelFit:
+        return fit_channel_and_station(
+            measurements,
+            chosen,
+            forgetting_s=forgetting_s,
+            station_method=way,
+            loss=rho,
+            intervals=intervals,
+        )
+
     def fit(measurements: Measurements) -> ChannelFit:
         if site is None:
-            return fit_channel_and_station(
-                measurements, chosen, forgetting_s=forgetting_s, station_method=way, loss=rho
-            )
+            return find(measurements, intervals=True)
         return fit_channel(measurements, site, chosen, forgetting_s, loss=rho)
+
+    def learn(measurements: Measurements) -> ChannelParameters:
+        if site is None:
+            return find(measurements, intervals=False).parameters
+        return fitted_parameters(measurements, site, chosen, forgetting_s, loss=rho)
 
     try:
         found = fit(read.measurements)
     except InputError as error:
         raise at_file_line(error, log, log_format) from None
-    return LogFit(read.measurements, found, read.receivers, fit, log_format)
+    return LogFit(read.measurements, found, read.receivers, learn, log_format)
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.coverage.region import positive
+from planopt.coverage.station_map import StationMap
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -155,7 +156,8 @@ class RadioLimits:
     stations_m
         ``(s, 2)`` places of base stations.
     station_link, agent_link
-        Laws of links to a station, and between agents.
+        Links to a station, by a law of their length or by a map of places, and the law of links
+        between agents.
     threshold_dbm
         Power that a link needs.
     p_min
@@ -168,7 +170,7 @@ class RadioLimits:
     """
 
     stations_m: NDArray[np.float64]
-    station_link: LinkLaw
+    station_link: LinkLaw | StationMap
     agent_link: LinkLaw
     threshold_dbm: float
     p_min: float
@@ -179,6 +181,9 @@ class RadioLimits:
             raise InputError(f"stations of shape {shape}", key="radio.stations")
         if not np.isfinite(self.stations_m).all():
             raise InputError("a station is not at a finite place", key="radio.stations")
+        link = self.station_link
+        if isinstance(link, StationMap) and len(link.posteriors) != len(self.stations_m):
+            raise InputError("a map for each station is needed", key="radio.stations")
         if not math.isfinite(self.threshold_dbm):
             raise InputError("it is not finite", key="radio.threshold_dbm")
         if not 0.0 < self.p_min < 1.0:

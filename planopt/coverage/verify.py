@@ -14,6 +14,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.special import erfc  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.channel.prediction import Prediction
 from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
 from planopt.errors import InputError
 
@@ -22,6 +23,9 @@ SLACK = 1e-6
 
 SAMPLES = 512
 """Lengths up to a link's own at which its probability to fail is looked at as well."""
+
+LOOKS = 9
+"""Places of a move at which learnt maps of links to stations are looked at."""
 
 SHORTEST_M = 0.01
 """A link counts at least as this long."""
@@ -208,8 +212,19 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
         for other in range(3):
             gap = np.linalg.norm(corners[:, corner, None] - corners[None, :, other], axis=2)
             length = np.maximum(length, gap)
-    step = _fails(radio.agent_link, length, radio.threshold_dbm)
-    best = _fails(radio.station_link, direct, radio.threshold_dbm).min(axis=1)
+    step, link = _fails(radio.agent_link, length, radio.threshold_dbm), radio.station_link
+    if isinstance(link, LinkLaw):
+        best = _fails(link, direct, radio.threshold_dbm).min(axis=1)
+    else:
+        # Learnt maps are asked along the move; to one station all the time.
+        t = np.linspace(0.0, 1.0, LOOKS)
+        bend = np.stack(((1.0 - t) ** 2, 2.0 * t * (1.0 - t), t**2), axis=1)
+        places = np.einsum("tk,nkx->tnx", bend, corners)
+        each = [
+            _below(one.predict(places.reshape(-1, 2)), radio.threshold_dbm)
+            for one in link.posteriors
+        ]
+        best = np.array(each).reshape(len(each), LOOKS, count).max(axis=1).min(axis=0)
     waiting = np.ones(count, dtype=np.bool_)
     for _ in range(count):
         agent = int(np.where(waiting, best, np.inf).argmin())
@@ -217,6 +232,12 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
         better = waiting & (best[agent] + step[agent] < best)
         best[better] = best[agent] + step[agent, better]
     return np.minimum(best, 1.0)
+
+
+def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
+    """Probabilities that predicted powers are below a threshold."""
+    score = (predicted.mean_db - threshold_dbm) / np.maximum(predicted.deviation_db, 1e-9)
+    return 0.5 * np.asarray(erfc(score / math.sqrt(2.0)), dtype=np.float64)
 
 
 def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:

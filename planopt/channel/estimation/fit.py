@@ -250,9 +250,40 @@ def fit_channel(
         See :func:`planopt.channel.estimation.identifiability.examine`; or `forgetting_s` is not
         positive; or there is no such method or loss, or the method has none to choose.
     """
-    measurements = as_measurements(measurements)
+    given = _given(measurements, station, forgetting_s)
+    chosen = _chosen(method, loss)
+    return _dressed(_estimate(given, chosen, loss, ends=intervals), given, chosen, intervals)
+
+
+@one_blas_thread()
+def fitted_parameters(
+    measurements: Measurements | Table,
+    station: Station,
+    method: GivenMethod = "reml",
+    forgetting_s: float = math.inf,
+    *,
+    loss: Loss = "squares",
+) -> ChannelParameters:
+    """Return the parameters of :func:`fit_channel` alone, in less time than it takes.
+
+    How well they are known is not looked at, nor whether they are plausible. Parameters and errors
+    as there.
+    """
+    given = _given(measurements, station, forgetting_s)
+    estimate = _estimate(given, _chosen(method, loss), loss, ends=False, errors=False)
+    return given.parameters(estimate.coefficients, estimate.covariance.values)
+
+
+def _chosen(method: GivenMethod, loss: Loss) -> FitMethod:
+    """Return the method that is meant, which must have the loss."""
     chosen = require_method(method, "method")
     require_loss(loss, chosen, "loss")
+    return chosen
+
+
+def _given(measurements: Measurements | Table, station: Station, forgetting_s: float) -> GivenToFit:
+    """Return what a fit starts from: measurements by place, and the model of their mean."""
+    measurements = as_measurements(measurements)
     if not forgetting_s > 0.0:
         raise InputError(
             f"{forgetting_s!r} s is no forgetting time",
@@ -264,16 +295,20 @@ def fit_channel(
     measurements = measurements.by_place()
     exact = ~measurements.censored
     model = mean_model(measurements.positions_m, exact, station, allows.n_pl_reason is None)
-    given = GivenToFit(model, measurements, station, allows, forgetting_s)
-    if not exact.any():
-        estimate = from_limits_alone(given)
-    elif allows.covariance_reason is not None:
-        estimate = by_assumption(given, allows.covariance_reason)
-    elif chosen == "reml":
-        estimate = by_likelihood(given, ends=intervals)
-    else:
-        estimate = by_correlation(given, chosen, loss)
-    return _dressed(estimate, given, chosen, intervals)
+    return GivenToFit(model, measurements, station, allows, forgetting_s)
+
+
+def _estimate(
+    given: GivenToFit, method: FitMethod, loss: Loss, *, ends: bool, errors: bool = True
+) -> Estimate:
+    """Estimate by the method, or by assumption; `ends` and `errors` are for ``reml``."""
+    if given.measurements.censored.all():
+        return from_limits_alone(given)
+    if given.allows.covariance_reason is not None:
+        return by_assumption(given, given.allows.covariance_reason)
+    if method == "reml":
+        return by_likelihood(given, ends=ends, errors=errors)
+    return by_correlation(given, method, loss)
 
 
 def _dressed(

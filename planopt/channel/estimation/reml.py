@@ -97,6 +97,7 @@ def reml_fit(
     known: ChannelParameters,
     *,
     ends: bool = True,
+    errors: bool = True,
 ) -> RemlFit:
     """Maximise the restricted likelihood within `bounds`.
 
@@ -115,6 +116,9 @@ def reml_fit(
         Whether to look for other maxima at the ends of `bounds`, for up to `MOST_DENSE`
         measurements. It takes about half as long as the rest, and is for who wants them all: in 60
         drawn channels none of them was the best.
+    errors
+        Whether to look how well xi, omega and beta are known, which takes a quarter of the rest by
+        blocks; without, their errors are infinite and nothing is said of them.
     """
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
     likelihood: Likelihood
@@ -145,8 +149,13 @@ def reml_fit(
         climb = LikelihoodClimb(likelihood, fine)
         modes = climb.modes([logs for logs, _ in modes], box)
     best, *others = (_mode(top) for top in modes)
+    covariance = (
+        _covariance_fit(likelihood, modes[0], box)
+        if errors
+        else CovarianceFit(*best.covariance, (math.inf, math.inf, math.inf), ())
+    )
     return RemlFit(
-        _covariance_fit(likelihood, modes[0], box),
+        covariance,
         best,
         tuple(others),
         Ridge(climb, tuple(modes), box),

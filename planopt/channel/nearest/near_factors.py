@@ -35,6 +35,7 @@ from planopt.channel.nearest.windows import (
     BLOCK,
     SITE_BESIDE,
     IntervalRows,
+    WindowSites,
     place_blocks,
     surrounding_windows,
     window_sites,
@@ -243,7 +244,9 @@ TOLERANCE = 1e-3
 the measurements left out change. It takes some ten sweeps."""
 
 
-def neighbour_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
+def neighbour_sites(
+    parameters: ChannelParameters, measurements: Measurements, start: Sites | None = None
+) -> Sites:
     """Replace censored and rounded measurements as `gaussian_sites` does, each by its neighbours.
 
     Parameters
@@ -252,6 +255,8 @@ def neighbour_sites(parameters: ChannelParameters, measurements: Measurements) -
         The channel; its theta is taken as exact.
     measurements
         n measurements, some of which may be censored or rounded.
+    start
+        Their sites under similar parameters.
 
     Returns
     -------
@@ -284,7 +289,9 @@ def neighbour_sites(parameters: ChannelParameters, measurements: Measurements) -
         ),
         regressors(measurements.positions_m, parameters.station)
         @ [parameters.k_pl_db, parameters.n_pl],
-        None,
+        None
+        if start is None
+        else WindowSites.like(start.values_db[rows], start.noise_variance_db2[rows]),
         TOLERANCE,
     )
     values[rows], variances[rows] = found.values_db, 1.0 / found.precision

@@ -18,6 +18,7 @@ the whole block.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -223,6 +224,11 @@ class WindowSites:
     shift: NDArray[np.float64]
     log_factor: float
     slope: float
+
+    @classmethod
+    def like(cls, values_db: NDArray[np.float64], noise_db2: NDArray[np.float64]) -> WindowSites:
+        """Sites as measurements (m,), to start from; their factors are not known."""
+        return cls(values_db, 1.0 / noise_db2, np.zeros_like(values_db), math.nan, math.nan)
 
     @property
     def values_db(self) -> NDArray[np.float64]:

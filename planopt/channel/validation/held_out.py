@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.fit import fitted_parameters
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.least_squares import least_squares
 from planopt.channel.mean_model import mean_model, regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import Station
+from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction
 from planopt.channel.readings import predict_readings
@@ -47,23 +47,30 @@ is then 6.53 dB instead of 6.48."""
 
 def learn_channel(measurements: Measurements, station: Station) -> Predictor:
     """Fit by restricted likelihood, then predict by the posterior (equation 1.8)."""
-    return channel_predictor(fit_channel(measurements, station, intervals=False), measurements)
+    return channel_predictor(fitted_parameters(measurements, station), measurements)
 
 
 def learn_marginal(measurements: Measurements, station: Station) -> Predictor:
     """The same with the uncertainty of xi, beta and omega counted."""
-    return marginal_predictor(fit_channel(measurements, station, intervals=False), measurements)
+    return marginal_predictor(fitted_parameters(measurements, station), measurements)
 
 
-def channel_predictor(fit: ChannelFit, measurements: Measurements) -> Predictor:
+def channel_predictor(fit: ChannelFit | ChannelParameters, measurements: Measurements) -> Predictor:
     """Predict from the measurements that were fitted (equation 1.8)."""
-    return partial(predict_readings, condition(fit.parameters, measurements))
+    return partial(predict_readings, condition(parameters_of(fit), measurements))
 
 
-def marginal_predictor(fit: ChannelFit, measurements: Measurements) -> Predictor:
+def marginal_predictor(
+    fit: ChannelFit | ChannelParameters, measurements: Measurements
+) -> Predictor:
     """The same with the uncertainty of xi, beta and omega counted."""
-    posterior = marginalise(fit.parameters, measurements, MARGINAL_EXACT_LIMIT)
+    posterior = marginalise(parameters_of(fit), measurements, MARGINAL_EXACT_LIMIT)
     return partial(predict_readings, posterior)
+
+
+def parameters_of(fit: ChannelFit | ChannelParameters) -> ChannelParameters:
+    """Return the parameters of a fit, or what is given if it is parameters."""
+    return fit if isinstance(fit, ChannelParameters) else fit.parameters
 
 
 def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:

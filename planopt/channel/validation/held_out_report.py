@@ -28,7 +28,7 @@ from planopt.channel.estimation.likelihood_starts import thinned
 from planopt.channel.kernel import pairwise_distance_m
 from planopt.channel.mean_model import mean_model, regressors
 from planopt.channel.measurements import Measurements, Table, as_measurements
-from planopt.channel.parameters import Station
+from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.channel.validation.calibration import (
     LEVELS,
@@ -45,6 +45,7 @@ from planopt.channel.validation.held_out import (
     held_out_predictions,
     learn_path_loss,
     marginal_predictor,
+    parameters_of,
 )
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
@@ -244,18 +245,19 @@ class HeldOutReport:
 
 
 def predictors_of(
-    fit: Callable[[Measurements], ChannelFit],
+    fit: Callable[[Measurements], ChannelFit | ChannelParameters],
 ) -> Callable[[Measurements], dict[str, Predictor]]:
     """What learns the channel, what it is compared with, and path loss alone.
 
     The channel with its covariance marginalised, and what knows no upper limits: a least-squares
     line and a Gaussian process (:mod:`planopt.channel.validation.held_out_report`). `fit` fits any
-    measurements; once for all.
+    measurements, once for all; its parameters are enough
+    (:func:`planopt.channel.estimation.fit.fitted_parameters`).
     """
 
     def learn(measurements: Measurements) -> dict[str, Predictor]:
         found = fit(measurements)
-        station = found.parameters.station
+        station = parameters_of(found).station
         return {
             "channel": channel_predictor(found, measurements),
             "marginal": marginal_predictor(found, measurements),

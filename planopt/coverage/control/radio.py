@@ -18,8 +18,9 @@ from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariab
 from scipy.spatial import KDTree
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.coverage.control.safe_sets import SafeSets
+from planopt.coverage.control.safe_sets import SPARE, SafeSets, half_planes, joined
 from planopt.coverage.limits import LinkLaw, RadioLimits
+from planopt.coverage.station_map import StationMap, line_distances_m
 
 LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
 """Lengths of links at which laws are evaluated; a link counts as long as the next one."""
@@ -79,15 +80,19 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
     """
     stops = places_m if stops_m is None else stops_m
     count, allowed = len(places_m), 1.0 - radio.p_min
-    between, direct = (_failures(law, radio) for law in (radio.agent_link, radio.station_link))
+    between, mapped = _failures(radio.agent_link, radio), radio.station_link
     pairs, centres, lengths = _links(places_m, stops, _longest(between, allowed))
-    ends = np.stack((places_m, stops), axis=1)[:, :, None] - radio.stations_m
-    away = np.linalg.norm(ends, axis=3).max(axis=1)
-    station = _at(direct, away).argmin(axis=1)
+    if isinstance(mapped, StationMap):
+        direct, alone = np.zeros(0), mapped.near(places_m, stops)
+    else:
+        ends = np.stack((places_m, stops), axis=1)[:, :, None] - radio.stations_m
+        direct = _failures(mapped, radio)
+        alone = _at(direct, np.linalg.norm(ends, axis=3).max(axis=1))
+    station = alone.argmin(axis=1)
     # Links to a station come last; all stations are node n.
     agents = np.arange(count)
     pairs = np.concatenate((pairs, np.stack((agents, np.full(count, count)), axis=1)))
-    fails = np.concatenate((_at(between, lengths), _at(direct, away[agents, station])))
+    fails = np.concatenate((_at(between, lengths), alone[agents, station]))
     for least in (HOP * allowed, np.finfo(np.float64).tiny):
         link, failure, order = _tree(pairs, np.maximum(fails, least), fails, count)
         if (failure <= allowed).all():
@@ -105,25 +110,53 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
             deepest[up[agent]] = max(deepest[up[agent]], deepest[agent])
     parent = agents.copy()
     discs: list[tuple[int, Floats, float]] = []
+    planes = [half_planes(agents[:0], np.zeros((0, 2)), np.zeros(0))]
     for agent in linked:
         may_fail = fails[link[agent]] + (allowed - most[agent]) / deepest[agent]
         if up[agent] == count:
             parent[agent] = -1 - station[agent]
+            if isinstance(mapped, StationMap):
+                bad = mapped.nodes_m[mapped.failures[station[agent]] > may_fail]
+                planes.append(_clear_of(bad, mapped.radius_m, agent, places_m[agent], stops[agent]))
+                continue
             middle = radio.stations_m[station[agent]]
             discs.append((agent, middle, _longest(direct, may_fail)))
         else:
             parent[agent] = up[agent]
             half = 0.5 * _longest(between, may_fail)
             discs += [(end, centres[link[agent]], half) for end in (agent, up[agent])]
-    kept = SafeSets(
-        np.zeros(0, dtype=np.intp),
+    balls = SafeSets(
+        agents[:0],
         np.zeros((0, 2)),
         np.zeros(0),
         np.array([one[0] for one in discs], dtype=np.intp),
         np.array([one[1] for one in discs]).reshape(-1, 2),
         np.array([one[2] for one in discs]),
     )
+    kept = joined(balls, *planes)
     return RadioTree(parent, np.where(failure <= allowed, failure, 1.0)[:count], kept)
+
+
+def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: Floats) -> SafeSets:
+    """Half-planes of an agent that hold its reserve and none of the discs about nodes (m, 2).
+
+    The nearest disc gives one; those beyond are done with, and the nearest of the rest follows.
+    """
+    radius = (1.0 + SPARE) * radius_m
+    normals, offsets = list[Floats](), list[float]()
+    foot, away = line_distances_m(nodes, place, stop)
+    while len(nodes):
+        first = int(away.argmin())
+        normal = (nodes[first] - foot[first]) / away[first]
+        base = float(normal @ nodes[first])
+        normals.append(normal)
+        offsets.append(max(base - radius, float(normal @ place), float(normal @ stop)))
+        left = nodes @ normal < base
+        left[first] = False
+        nodes, foot, away = nodes[left], foot[left], away[left]
+    return half_planes(
+        np.full(len(offsets), agent), np.array(normals).reshape(-1, 2), np.array(offsets)
+    )
 
 
 def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:

@@ -22,12 +22,13 @@ from planopt.coverage.density import Density, checked_mass
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.geodesic import MAX_NODES
 from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
-from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
+from planopt.coverage.limits import MoveLimits, RadioLimits
 from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
 from planopt.coverage.network import LinkModel
 from planopt.coverage.raster_density import RasterDensity
 from planopt.coverage.region import checked_polygon, convex_region
 from planopt.coverage.simulation import Scene
+from planopt.coverage.station_map import StationMap
 from planopt.errors import InputError
 from planopt.problems.build import obstacles_of
 from planopt.systems.coverage.tables import (
@@ -67,6 +68,8 @@ class CoverageProblem:
         What appears, how many agents it asks for, and how they measure it.
     joins_s, leaves_s
         ``(n,)`` when agents take part.
+    station_map
+        Learnt links to stations; None where they follow the law.
     """
 
     given: CoverageFile
@@ -78,6 +81,7 @@ class CoverageProblem:
     sensing: Sensing | None
     joins_s: NDArray[np.float64]
     leaves_s: NDArray[np.float64]
+    station_map: StationMap | None = None
 
     @property
     def settled_m(self) -> float:
@@ -180,11 +184,7 @@ class CoverageProblem:
     def radio(self) -> RadioLimits | None:
         """The links that agents keep; None for none."""
         table = self.given.radio
-        if table is None:
-            return None
-        spread = np.diag([table.k_pl_std_db**2, table.n_pl_std**2])
-        law = LinkLaw(np.array([table.k_pl_db, table.n_pl]), table.deviation_db, spread)
-        return RadioLimits(np.array(table.stations_m), law, law, table.threshold_dbm, table.p_min)
+        return None if table is None else table.limits(self.station_map)
 
     def mover(self, planner: PlannerTable) -> Mover:
         """Return how agents move.
@@ -268,8 +268,9 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
         demands.append(demand)
     _require_agents(events, joins, leaves)
     _require_pair(given, agents)
+    mapped = None if given.radio is None else given.radio.station_map(ground, folder)
     problem = CoverageProblem(
-        given, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves
+        given, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves, mapped
     )
     problem.scene(np.random.default_rng(0))
     _keyed(lambda: problem.mover(given.planner), {"limits": "agents"})

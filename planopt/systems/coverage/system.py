@@ -129,6 +129,13 @@ def tables(problem: SystemProblem) -> dict[str, Any]:
     found = content.given.model_dump(mode="json", by_alias=True, exclude_none=True)
     found["world"]["obstacles"] = [obstacle_table(each) for each in content.obstacles]
     found["density"] = density_table(content)
+    posteriors = () if content.station_map is None else content.station_map.posteriors
+    for number, posterior in enumerate(posteriors):
+        survey = found["radio"]["survey"][number]
+        if survey.pop("file", None) is not None:
+            measured = posterior.measurements
+            survey["places_m"] = measured.positions_m.tolist()
+            survey["power_dbm"] = measured.power_dbm.tolist()
     return found
 
 

@@ -29,6 +29,7 @@ from planopt.errors import InputError
 from planopt.problems.schema_world import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
+from planopt.systems.coverage.radio import RadioTable
 from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
 
@@ -447,23 +448,6 @@ class LinksTable(Table):
     n_pl: float = Field(ge=0.1, le=10, description="Path loss exponent.")
     fading_std_db: float = Field(ge=SMALLEST, le=100, description="Standard deviation in dB.")
     threshold_dbm: float = Field(ge=-500, le=300, description="Weaker messages are lost.")
-
-
-class RadioTable(Table):
-    """``[radio]``: links to base stations that agents keep, directly or over other agents."""
-
-    stations_m: list[Pair] = Field(min_length=1, max_length=100, description="Base stations.")
-    p_min: float = Field(
-        gt=0, lt=1, description="Each agent keeps its way to a station with this probability."
-    )
-    k_pl_db: float = Field(ge=-300, le=300, description="Received power at 1 m in dBm.")
-    n_pl: float = Field(ge=0.1, le=10, description="Path loss exponent.")
-    deviation_db: float = Field(
-        ge=0, le=100, description="Standard deviation of shadowing and multipath together."
-    )
-    k_pl_std_db: float = Field(default=0.0, ge=0, le=100, description="How uncertain k_pl_db is.")
-    n_pl_std: float = Field(default=0.0, ge=0, le=10, description="How uncertain n_pl is.")
-    threshold_dbm: float = Field(ge=-500, le=300, description="Power that a link needs.")
 
 
 class ControlTable(Table):

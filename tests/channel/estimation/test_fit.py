@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.fit import fit_channel, fitted_parameters
 from planopt.channel.estimation.least_squares import least_squares
 from planopt.channel.estimation.profile import CUT_95
 from planopt.channel.estimation.profile_likelihood import profile_likelihood
@@ -40,6 +40,15 @@ def assert_usable(fit):
     eigenvalues = np.linalg.eigvalsh(fit.theta_covariance)
     assert eigenvalues[0] >= -1e-9 * eigenvalues[1]
     assert fit.status == "ok" or fit.warnings
+
+
+@pytest.mark.parametrize("count", [7, 120, 900])
+@pytest.mark.parametrize("method", ["capped", "reml"])
+def test_parameters_alone_are_those_of_the_fit(method: str, count: int):
+    """Few that allow an assumption alone, one factor, and blocks."""
+    data = simulated(CHANNEL, 3, count, 300.0)
+    whole = fit_channel(data, CHANNEL.station, method, intervals=False)
+    assert fitted_parameters(data, CHANNEL.station, method) == whole.parameters
 
 
 @pytest.mark.parametrize("method", METHODS)

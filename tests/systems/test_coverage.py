@@ -196,7 +196,7 @@ def test_false_folders_are_rejected(change, words, saved, tmp_path, capsys):
         ((("ends_s = 40", "ends_s = 7"),), "", "events[0].ends_s", "not after"),
         ((("agents = 3 }", "agents = 3 }\nvelocity_m_s = [1, 0]"),), "", "velocity_m_s", "outside"),
         (
-            (('kind = "random", count = 12', 'kind = "list", places_m = [[1, 1], [50, 1], [2, 2]]'),),
+            (('kind = "random", count = 12', 'kind = "list", places_m = [[1,1], [50,1], [2,2]]'),),
             "",
             "agents.start.places_m[1]",
             "outside",

@@ -107,7 +107,7 @@ def run_metrics(
     """
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
-    if problem.task == "reach":
+    if problem.robots[0].goal_m is not None:
         found["goal_time_s"] = float(max(m.goal_time_s for m in each))
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())

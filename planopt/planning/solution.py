@@ -17,6 +17,8 @@ from planopt.problems.problem import Problem
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from planopt.planning.explain.crossing import Crossing
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -33,8 +35,8 @@ class Solution:
     plans, aims
         By robot: its plan, and the external inputs of its objective.
     explanation
-        Changes that would give each robot a verified plan, where :func:`planopt.explain` was asked
-        for them and a robot has none.
+        Changes that would give each robot a verified plan, and why verified plans cross coverage
+        holes, where :func:`planopt.explain` was asked.
 
     Examples
     --------
@@ -49,7 +51,7 @@ class Solution:
     belief: Belief
     plans: tuple[Plan, ...]
     aims: tuple[Aim, ...]
-    explanation: tuple[Relaxation, ...] = ()
+    explanation: tuple[Relaxation | Crossing, ...] = ()
 
     def __repr__(self) -> str:
         """Return what was solved, the verdict, and a line for each plan."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from reach_costs import line_of, main, reach_problems, read_log
+from reach_costs import line_of, main, paired_line_of, reach_problems, read_log
 
 
 def test_problems_have_a_free_path() -> None:
@@ -27,6 +27,8 @@ def test_study_prints_and_remembers(
     (record,) = read_log(log)
     assert record.outcome == "reached" and 0.9 < record.cost_ratio < 2.0
     assert line_of("harbour_reach", [record]) in first
+    assert paired_line_of("harbour_reach", [record]) in first
+    assert 0.9 < record.plain_cost_ratio < 2.0 and 0.9 < record.knowing_cost_ratio < 1.2
     monkeypatch.setattr("reach_costs.drive", drive_nothing)
     main()
     assert capsys.readouterr().out == first

@@ -3,6 +3,8 @@
 ``python benchmarks/reach_costs.py --first-seed 100 --seeds 10 --log FILE`` drives each problem of
 the library that has a goal and a free path, appends a line a run to the log, and prints the table.
 The log is a cache: runs that it has are not driven again. ``--problems A B`` names some of them.
+Beside each run the plain courier (``plain_courier.py``) drives the same seed, once on its belief
+and once knowing the mean power: a second table tells what planning and what knowledge cost.
 """
 
 from __future__ import annotations
@@ -14,10 +16,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from plain_courier import drive_plain
 
 from planopt import load
 from planopt.errors import NoPlanError
-from planopt.planning.loop.clairvoyant import clairvoyant_path
+from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
@@ -27,6 +31,12 @@ from planopt.studies.compare import mean_interval
 HEADER = (
     "| problem | arrived | driven / clairvoyant length | cost ratio, mean | worst | verified [%] "
     "| below p_min [%] | step p50, max [ms] |\n|---|---|---|---|---|---|---|---|"
+)
+
+
+PAIRED_HEADER = (
+    "| problem | runs | cost ratio | plain courier | difference | worst of both | plain length "
+    "| plain knowing the mean power |\n|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -46,6 +56,10 @@ class Record:
         Steps, those whose plan was verified, those predicted below `p_min` by their plan.
     step_p50_s, step_max_s
         Wall time of the steps.
+    plain_m, plain_cost_ratio
+        Of the plain courier with the same seed.
+    knowing_cost_ratio
+        Of the plain courier that knows the mean power.
     """
 
     problem: str
@@ -59,6 +73,9 @@ class Record:
     below_steps: int
     step_p50_s: float
     step_max_s: float
+    plain_m: float
+    plain_cost_ratio: float
+    knowing_cost_ratio: float
 
 
 def reach_problems() -> list[str]:
@@ -83,20 +100,31 @@ def drive(name: str, seed: int, horizon: int) -> Record:
     simulation = simulate(problem, horizon=horizon, seed=seed, scenes=[scene], prepared=prepared)
     run = simulation.run
     known = clairvoyant_path(problem, scene.road_map, scene.index, prepared.truths)
+    least_m = realised_cost_m(problem, prepared.truths, known)
+    plain, knowing = (
+        drive_plain(problem, scene, prepared, knows_mean=knows) for knows in (False, True)
+    )
     below = run.log.connectivity[1:] < problem.constraints.p_min
     return Record(
         problem=name,
         seed=seed,
         outcome=run.outcome.value,
         driven_m=run.metrics.path_m,
-        clairvoyant_m=float(np.linalg.norm(np.diff(known, axis=0), axis=1).sum()),
+        clairvoyant_m=_length_m(known),
         cost_ratio=simulation.costs["cost_ratio"],
         steps=len(below),
         verified_steps=round(run.verified_rate * len(below)),
         below_steps=int(below.sum()),
         step_p50_s=float(np.median(run.log.step_s[1:])),
         step_max_s=float(run.log.step_s[1:].max()),
+        plain_m=_length_m(plain),
+        plain_cost_ratio=realised_cost_m(problem, prepared.truths, plain) / least_m,
+        knowing_cost_ratio=realised_cost_m(problem, prepared.truths, knowing) / least_m,
     )
+
+
+def _length_m(places_m: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(np.diff(places_m, axis=0), axis=1).sum())
 
 
 def read_log(log: Path) -> list[Record]:
@@ -117,12 +145,8 @@ def line_of(label: str, records: Sequence[Record]) -> str:
     steps = sum(each.steps for each in records)
     mean = worst = length = "-"
     if len(arrived):
-        seeds = np.array([each.seed for each in arrived])
-        low, high = mean_interval(
-            np.array([ratios[seeds == seed].mean() for seed in np.unique(seeds)])
-        )
-        within = "" if low is None or high is None else f" ({low:.3f} to {high:.3f})"
-        mean, worst = f"{ratios.mean():.3f}{within}", f"{ratios.max():.3f}"
+        mean = _mean_over_seeds(ratios, [each.seed for each in arrived])
+        worst = f"{ratios.max():.3f}"
         length = f"{lengths.mean():.3f}"
     p50 = float(np.median([each.step_p50_s for each in records]))
     return (
@@ -133,11 +157,41 @@ def line_of(label: str, records: Sequence[Record]) -> str:
     )
 
 
+def paired_line_of(label: str, records: Sequence[Record]) -> str:
+    """A line of the table that compares with the plain courier, over runs that arrived."""
+    arrived = [each for each in records if each.outcome == "reached"]
+    if not arrived:
+        return f"| {label} | 0 | - | - | - | - | - | - |"
+    seeds = [each.seed for each in arrived]
+    ours, plain = (
+        np.array([getattr(each, key) for each in arrived])
+        for key in ("cost_ratio", "plain_cost_ratio")
+    )
+    lengths = np.array([each.plain_m / each.clairvoyant_m for each in arrived])
+    knowing = np.array([each.knowing_cost_ratio for each in arrived])
+    return (
+        f"| {label} | {len(arrived)} | {ours.mean():.3f} | {plain.mean():.3f} "
+        f"| {_mean_over_seeds(ours - plain, seeds)} | {ours.max():.3f}, {plain.max():.3f} "
+        f"| {lengths.mean():.3f} | {knowing.mean():.3f} |"
+    )
+
+
+def _mean_over_seeds(values: NDArray[np.float64], seeds: Sequence[int]) -> str:
+    """The mean, with the interval over seeds where there are five."""
+    each = np.array(seeds)
+    low, high = mean_interval(np.array([values[each == seed].mean() for seed in np.unique(each)]))
+    within = "" if low is None or high is None else f" ({low:.3f} to {high:.3f})"
+    return f"{values.mean():.3f}{within}"
+
+
 def table(records: Sequence[Record]) -> str:
-    """A line a problem in order of name, and one over all."""
+    """A line a problem in order of name, and one over all; of both tables."""
     names = sorted({each.problem for each in records})
-    lines = [line_of(name, [each for each in records if each.problem == name]) for name in names]
-    return "\n".join([HEADER, *lines, line_of("all", records)])
+    parts = [(name, [each for each in records if each.problem == name]) for name in names]
+    parts.append(("all", list(records)))
+    costs = [HEADER, *(line_of(label, part) for label, part in parts)]
+    paired = [PAIRED_HEADER, *(paired_line_of(label, part) for label, part in parts)]
+    return "\n".join([*costs, "", *paired])
 
 
 def main() -> None:

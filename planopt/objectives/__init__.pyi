@@ -4,6 +4,7 @@ from planopt.objectives.terms.own import OwnTerm as OwnTerm
 from planopt.objectives.terms.term import Term as Term
 from planopt.problems.casadi_term import casadi_term as casadi_term
 from planopt.problems.objective import CasadiTerm as CasadiTerm
+from planopt.problems.objective import GoalTerm as GoalTerm
 from planopt.problems.objective import LearningTerm as LearningTerm
 from planopt.problems.objective import MappingTerm as MappingTerm
 from planopt.problems.objective import MotionEnergyTerm as MotionEnergyTerm

@@ -28,6 +28,9 @@ from planopt.targets.information_filter import (
 )
 from planopt.targets.target_model import TargetModel, require_covariance
 
+Criterion = Literal["trace", "determinant", "norm"]
+"""Of the covariance of the target's position: m^2, m^4, and its largest eigenvalue in m^2."""
+
 
 @dataclass(frozen=True, eq=False)
 class FilteredTracking:
@@ -44,6 +47,8 @@ class FilteredTracking:
     others
         ``(2, h, m)`` probability that each packet of m other robots arrives, and its
         tr Lambda^-1 per m^2, as their plans have it; None without any.
+    criterion
+        What is measured of the covariance, by :mod:`planopt.objectives.tracking_scenarios` alone.
 
     Raises
     ------
@@ -55,6 +60,7 @@ class FilteredTracking:
     model: TargetModel
     information: NDArray[np.float64]
     others: NDArray[np.float64] | None = None
+    criterion: Criterion = "trace"
 
     def __post_init__(self) -> None:
         require_covariance(self.information, 4, "information")

@@ -28,7 +28,7 @@ from planopt.channel.semidefinite import semidefinite_factor
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.near_posterior import factored_near
 from planopt.objectives.stage_chain import chained
-from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.objectives.tracking_filter import Criterion, FilteredTracking
 from planopt.targets.information_filter import covariance_of
 from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import sensing_derivatives, sensing_information
@@ -67,7 +67,9 @@ def scenario_gain(
     paths_m: Sequence[NDArray[np.float64]],
     settings: FilteredTracking,
 ) -> float:
-    """Return sum_k w_k (tr P_k without packets - E tr P_k) of the position, m^2 (equation 4.22).
+    """Return sum_k w_k (f(P_k) without packets - E f(P_k)) of the position (equation 4.22).
+
+    f is the criterion of `settings`: the trace in m^2 unless that says otherwise.
 
     A function of the set of paths: their order does not matter.
 
@@ -224,16 +226,16 @@ def scenario_derivatives(
 
 
 def removed(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
-    """sum_k w_k (tr P_k without packets - mean tr P_k) of the position in m^2; ``(...)``.
+    """sum_k w_k (f(P_k) without packets - mean f(P_k)) of the position; ``(...)``.
 
     Parameters
     ----------
     received
         ``(..., draws, k)`` information per axis that arrives in each draw, per m^2.
     settings
-        The target and what is known of it.
+        The target and what is known of it; f is its criterion.
     """
-    weight = 2.0 * settings.tracking.weight
+    weight = settings.tracking.weight
     steps = _Axis.of(settings)
     total = np.zeros(received.shape[:-1])
     variance = np.broadcast_to(steps.start.reshape(3, *[1] * total.ndim), (3, *total.shape))
@@ -241,9 +243,16 @@ def removed(received: NDArray[np.float64], settings: FilteredTracking) -> NDArra
     for k in range(len(weight)):
         variance, alone = steps.predicted(variance), steps.predicted(alone)
         variance = steps.updated(variance, received[..., k])
-        total += weight[k] * variance[0]
-        idle += weight[k] * float(alone[0])
+        total += weight[k] * criterion_of(variance[0], settings.criterion)
+        idle += weight[k] * float(criterion_of(alone[0], settings.criterion))
     return idle - total.mean(axis=-1)
+
+
+def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDArray[np.float64]:
+    """Return the trace, determinant or norm of a I_2, a the variance of a coordinate; ``(...)``."""
+    if criterion == "determinant":
+        return np.square(variance_m2)
+    return variance_m2 if criterion == "norm" else 2.0 * variance_m2
 
 
 def removed_derivatives(
@@ -254,24 +263,28 @@ def removed_derivatives(
     The value, ``(draws, k)`` and ``(draws, k, k)``; derivatives are not averaged yet.
     """
     draws, count = received.shape
-    weight = 2.0 * settings.tracking.weight
+    weight, criterion = settings.tracking.weight, settings.criterion
     steps = _Axis.of(settings)
     predicted = np.empty((count, 3, draws))
+    known = np.empty((count, draws))
     variance = np.broadcast_to(steps.start[:, None], (3, draws))
     total, idle, alone = np.zeros(draws), 0.0, steps.start
     for k in range(count):
         alone = steps.predicted(alone)
         predicted[k] = steps.predicted(variance)
         variance = steps.updated(predicted[k], received[:, k])
-        total += weight[k] * variance[0]
-        idle += weight[k] * float(alone[0])
+        known[k] = variance[0]
+        total += weight[k] * criterion_of(variance[0], criterion)
+        idle += weight[k] * float(criterion_of(alone[0], criterion))
     slope = _slopes(predicted, received.T)
     # Adjoints of (a, b, c) after each update, backwards.
+    squares = criterion == "determinant"
+    slope_of_criterion = 1.0 if criterion == "norm" else 2.0
     after, ahead = np.empty((count, draws, 3)), np.zeros((draws, 3))
     by = np.empty((draws, count))
     for k in range(count - 1, -1, -1):
         after[k] = ahead
-        after[k, :, 0] += weight[k]
+        after[k, :, 0] += weight[k] * (2.0 * known[k] if squares else slope_of_criterion)
         pulled = (after[k, :, None] @ slope[k])[:, 0]
         by[:, k] = pulled[:, 3]
         ahead = pulled[:, :3] @ steps.transition.T
@@ -287,6 +300,9 @@ def removed_derivatives(
         hessian[:, k, k] = bent[k, :, 2, 2]
         tangent[:, :k] = now @ slope[k, :, :, :3].transpose(0, 2, 1)
         tangent[:, k] = slope[k, :, :, 3]
+        if squares:
+            moved = tangent[:, : k + 1, 0]
+            hessian[:, : k + 1, : k + 1] += 2.0 * weight[k] * moved[:, :, None] * moved[:, None]
     return idle - float(total.mean()), -by, -hessian
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.arrival import stops_at_goal
+from planopt.planning.arrival import stands, stops_at_goal
 from planopt.planning.budget import Budget
 from planopt.planning.candidate import Candidate
 from planopt.planning.driven import (
@@ -35,7 +35,8 @@ from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.retime import retime
 from planopt.planning.search.start_search import Start
-from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.shifted import shifted_drive
+from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
@@ -96,6 +97,8 @@ class DrivenReach:
         judge = _charging(judge, ReachCost(self._problem, judge.position_m, situation.power))
         if start is None:
             return without_start(judge, warm), None
+        if start.is_direct and (direct := self._direct(judge, start, warm)) is not None:
+            return direct, None
         starts = self._starts(situation, judge, start, warm)
         # Of ways that come too near to obstacles, nobody knows where they would end.
         ends = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
@@ -114,6 +117,32 @@ class DrivenReach:
         if start.is_direct:
             found = _named_direct(found, replace(cost, ahead=_always(pivot), priced=True))
         return found, pivot
+
+    def _direct(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> Candidate | None:
+        """Drive the shortest path from rest to rest, node by node; None where nobody knows how.
+
+        A robot that moves first comes to rest where its last plan ends.
+        """
+        problem, settings = self._problem, self._problem.planner
+        dynamics = dynamics_of(problem)
+        if not stands(problem, judge.state):
+            drive = shifted_drive(problem, warm)
+        else:
+            away = np.linalg.norm(start.path_m - judge.position_m, axis=1) > STANDSTILL_M
+            end = start.path_m[int(np.argmax(away))]
+            inputs = dynamics.straight(judge.state, end, settings.step_s)
+            if inputs is None:
+                return None
+            rest = np.zeros((settings.horizon, inputs.shape[1]))
+            inputs = np.vstack([inputs, rest])[: settings.horizon]
+            drive = rolled_out(dynamics, judge.state, inputs, settings.step_s)
+        if drive is not None and len(drive.inputs) == settings.horizon:
+            found = judge.judged(
+                drive_candidate(judge, drive, Rung.DIRECT, Termination.LATTICE_ONLY)
+            )
+            if found.sound:
+                return found
+        return without_start(judge, warm)
 
     def _starts(
         self, situation: Situation, judge: Judge, start: GlobalStart, warm: Plan | None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from planopt.objectives.terms.expression import CasadiTerm
+from planopt.objectives.terms.goal import GoalTerm
 from planopt.objectives.terms.learning import LearningCriterion, LearningTerm
 from planopt.objectives.terms.mapping import MappingForm, MappingTerm
 from planopt.objectives.terms.motion_energy import MotionEnergyTerm
@@ -15,6 +16,7 @@ from planopt.problems.objective_forms import CostToGo, ReachObjective, TermsObje
 __all__ = [
     "CasadiTerm",
     "CostToGo",
+    "GoalTerm",
     "LearningCriterion",
     "LearningTerm",
     "MappingForm",

@@ -105,7 +105,7 @@ def _term(term: Term) -> dict[str, Any]:
 
 def _constraints(problem: Problem) -> dict[str, Any]:
     table = constraints_table(problem.constraints)
-    if problem.task != "reach":
+    if not any(robot.goal_m is not None for robot in problem.robots):
         del table["goal_radius_m"]
     return table
 

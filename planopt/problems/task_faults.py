@@ -52,17 +52,21 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     if not terms or terms[0].task != task:
         kinds = [each.kind for each in registered_terms() if each.task == task]
         return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
-    if any(robot.goal_m is not None for robot in tables.robots):
-        return f"task {task} has no robots.goal_m"
+    leads = any(term.steers == "goal" for term in terms)
+    for number, robot in enumerate(tables.robots):
+        if leads and robot.goal_m is None:
+            return f"a term of kind goal needs robots[{number}].goal_m"
+        if not leads and robot.goal_m is not None:
+            return f"task {task} has no robots.goal_m without a term of kind goal"
     for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price"):
         if key in tables.objective.model_fields_set:
             return f"objective.{key} is for task reach, not for {task}"
-    if "goal_radius_m" in tables.constraints.model_fields_set:
-        return f"constraints.goal_radius_m is for task reach, not for {task}"
+    if not leads and "goal_radius_m" in tables.constraints.model_fields_set:
+        return f"constraints.goal_radius_m is for task reach and terms of kind goal, not for {task}"
     if sum(term.steers is not None for term in terms) > 1:
         return (
-            "two of objective.terms steer: only one may have the form two_layer or the kind "
-            "until_connected"
+            "two of objective.terms steer: only one may have the form two_layer or one of the "
+            "kinds until_connected and goal"
         )
     tracked = any(term.sensor is not None for term in terms)
     if tracked != bool(tables.targets):

@@ -1,8 +1,15 @@
-"""Where a pursuit takes place: open space, a rectangle, or among obstacles with shortest paths."""
+"""Where a pursuit takes place: open space, a rectangle, or among obstacles with shortest paths.
+
+Everybody keeps to what is left of the bounds without the obstacles, grown by the clearance. The
+detour factor says how much longer shortest paths there are than straight lines at most.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -12,13 +19,24 @@ from planopt.errors import InputError
 from planopt.pursuit.service import require_number
 from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, segment_lines
 from planopt.world.shortest_ways import (
+    MAX_CORNERS,
     ROUND_SHARE,
     ShortestWays,
+    corners_m,
+    grown,
     shortest_ways,
     turns_m,
     way_lengths_m,
 )
 from planopt.world.workspace import Workspace
+
+GOAL_SHARE, EVADER_SHARE = 1.03, 1.06
+"""Of the margin of paths: how far goals in obstacles are moved away, and how far evaders keep away.
+The nearest free place is so never farther from a report than the evader, buffers of GEOS included.
+"""
+
+GOLDEN, NARROWINGS = 0.5 * (math.sqrt(5.0) - 1.0), 34
+"""Golden sections narrow an interval to less than 1e-7 of its length."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +55,8 @@ class Arena:
     Raises
     ------
     InputError
-        There are obstacles without bounds or without a positive clearance.
+        There are obstacles without bounds or without a positive clearance, or more corners than
+        shortest paths are looked for among.
     """
 
     bounds_m: tuple[float, float, float, float] | None = None
@@ -49,6 +68,37 @@ class Arena:
             raise InputError("an arena with obstacles needs bounds", key="bounds_m")
         if self.obstacles is not None:
             require_number(self.clearance_m, "clearance_m", above=0.0)
+            if self.corners > MAX_CORNERS:
+                raise InputError(
+                    f"obstacles have {self.corners} corners once grown, more than {MAX_CORNERS}",
+                    key="obstacles",
+                    remedy="simplify them, or leave some out",
+                )
+
+    @property
+    def corners(self) -> int:
+        """How many corners shortest paths may turn at."""
+        return 0 if self.obstacles is None else len(corners_m(self._closed))
+
+    @cached_property
+    def detour(self) -> float:
+        """Return a bound on the length of shortest paths over that of straight lines.
+
+        A straight line between two places leaves free space at one place of a ring of its
+        boundary and comes back at another one of the same ring. Along the shorter part of the ring
+        it is as many times as long as the factor; no path through free space need be longer. It is
+        exact for convex obstacles that stand alone. Parts of free space that are not joined are
+        looked at each on its own.
+        """
+        if self.obstacles is None or self.bounds_m is None:
+            return 1.0
+        free = shapely.box(*self.bounds_m).difference(shapely.union_all(self._closed))
+        rings = [
+            shapely.get_coordinates(ring)[:-1]
+            for part in shapely.get_parts(shapely.orient_polygons(free))
+            for ring in shapely.get_rings(part)
+        ]
+        return max((_ring_detour(ring) for ring in rings), default=1.0)
 
     def moved(
         self, place_m: NDArray[np.float64], moves_m: NDArray[np.float64]
@@ -62,7 +112,7 @@ class Arena:
             lines = segment_lines(np.broadcast_to(place_m, ends_m.shape), ends_m)
             blocked = np.zeros(len(ends_m), dtype=np.bool_)
             hit = self.obstacles.tree.query(
-                lines, predicate="dwithin", distance=0.999 * self.clearance_m
+                lines, predicate="dwithin", distance=EVADER_SHARE * self._margin_m
             )[0]
             blocked[hit] = True
             ends_m = np.where(blocked[:, None], place_m, ends_m)
@@ -103,10 +153,10 @@ class Arena:
     def free_m(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the nearest place that shortest paths lead to."""
         place_m = self.within(place_m)
-        if self.obstacles is None or self.bounds_m is None or self._is_free(place_m):
+        if self.obstacles is None or self.bounds_m is None or self.is_free(place_m):
             return place_m
-        grown = shapely.union_all(shapely.buffer(self.obstacles.polygons, 1.01 * self._margin_m))
-        free = shapely.box(*self.bounds_m).difference(grown)
+        wide = shapely.buffer(self.obstacles.polygons, GOAL_SHARE * self._margin_m)
+        free = shapely.box(*self.bounds_m).difference(shapely.union_all(wide))
         # Shapely types the keyword arguments of this one as unknown.
         nearest = shapely.shortest_line(  # pyright: ignore[reportUnknownMemberType]
             shapely.Point(*place_m), free
@@ -118,9 +168,20 @@ class Arena:
         """Paths round corners on polygons, which are a little farther from them than asked."""
         return ROUND_SHARE * self.clearance_m
 
-    def _is_free(self, place_m: NDArray[np.float64]) -> bool:
+    def is_free(self, place_m: NDArray[np.float64], share: float = 1.0) -> bool:
+        """Return whether shortest paths lead to a place, so many times their margin away."""
+        if not np.array_equal(self.within(place_m), place_m):
+            return False
+        away_m = math.inf
+        if self.obstacles is not None:
+            away_m = float(clearance_m(self.obstacles, place_m[None])[0])
+        return away_m > share * self._margin_m
+
+    @property
+    def _closed(self) -> NDArray[np.object_]:
+        """Obstacles as shortest paths go round them."""
         assert self.obstacles is not None
-        return float(clearance_m(self.obstacles, place_m[None])[0]) > self._margin_m
+        return grown(self.obstacles.polygons, self._margin_m, inner=False)
 
     def _ways(self, place_m: NDArray[np.float64]) -> ShortestWays:
         """Shortest paths from a place, also from one in the margin."""
@@ -137,6 +198,78 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
     """Return the arena of a workspace, whose moving obstacles are left out."""
     obstacles = index_obstacles(workspace) if workspace.obstacles else None
     return Arena(workspace.bounds_m, obstacles, clearance_m)
+
+
+def _ring_detour(ring_m: NDArray[np.float64]) -> float:
+    """The largest ratio of the shorter part of a ring (n, 2) to a chord on its right side.
+
+    For places at s and t on two edges the part is a concave function of both and the chord a convex
+    one, so that each largest ratio is found by golden sections within golden sections. Chords begin
+    and end on the right of both edges where t and s lie in intervals.
+    """
+    ahead = np.roll(ring_m, -1, axis=0) - ring_m
+    length = np.linalg.norm(ahead, axis=1)
+    ring_m, ahead, length = ring_m[length > 0.0], ahead[length > 0.0], length[length > 0.0]
+    along = ahead / length[:, None]
+    begins = np.append(0.0, np.cumsum(length))
+    first, second = np.triu_indices(len(ring_m), 1)
+    right = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    apart = ring_m[second] - ring_m[first]
+    s_range = _positive(
+        -_dots(apart, right[second]), _dots(along[first], right[second]), length[first]
+    )
+    t_range = _positive(
+        _dots(apart, right[first]), _dots(along[second], right[first]), length[second]
+    )
+    kept = (s_range[0] < s_range[1]) & (t_range[0] < t_range[1])
+    first, second, apart = first[kept], second[kept], apart[kept]
+    if not len(first):
+        return 1.0
+
+    def ratio(s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+        chord = np.linalg.norm(
+            apart + t[:, None] * along[second] - s[:, None] * along[first], axis=1
+        )
+        part = begins[second] + t - begins[first] - s
+        return np.minimum(part, begins[-1] - part) / np.maximum(chord, 1e-300)
+
+    def best(s: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _largest(lambda t: ratio(s, t), *t_range[:, kept])
+
+    return max(1.0, float(_largest(best, *s_range[:, kept]).max()))
+
+
+def _dots(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    return (first * second).sum(axis=1)
+
+
+def _positive(
+    at_zero: NDArray[np.float64], slope: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Where on [0, end] ``at_zero + slope s`` is positive: ``(2, k)``, empty ones upside down."""
+    steep = np.abs(slope) > 1e-12
+    root = np.clip(-at_zero / np.where(steep, slope, 1.0), 0.0, end)
+    low = np.where(steep & (slope > 0.0), root, np.where(~steep & (at_zero <= 0.0), end, 0.0))
+    return np.stack([low, np.where(steep & (slope < 0.0), root, end)])
+
+
+def _largest(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The largest values (k,) of quasi-concave functions on intervals, by golden sections."""
+    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    at_left, at_right = function(left), function(right)
+    for _ in range(NARROWINGS):
+        upper = at_left < at_right
+        low, high = np.where(upper, left, low), np.where(upper, high, right)
+        kept, at_kept = np.where(upper, right, left), np.where(upper, at_right, at_left)
+        tried = np.where(upper, low + GOLDEN * (high - low), high - GOLDEN * (high - low))
+        at_tried = function(tried)
+        left, right = np.where(upper, kept, tried), np.where(upper, tried, kept)
+        at_left, at_right = np.where(upper, at_kept, at_tried), np.where(upper, at_tried, at_kept)
+    return np.maximum(at_left, at_right)
 
 
 def _words(place_m: NDArray[np.float64]) -> str:

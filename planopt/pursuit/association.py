@@ -2,7 +2,7 @@
 
 An evader explains a chain of reports, each within reach of the one before. A link is worth the
 logarithm of how much likelier the report is from the evader than from a false alarm (equation
-8.16). Chains that share no report and are worth most together are a flow of least cost, whose
+8.17). Chains that share no report and are worth most together are a flow of least cost, whose
 linear programme has whole solutions.
 """
 

@@ -1,9 +1,8 @@
 """Co-design of pursuit and network: slot width, rate and compression of least power or energy.
 
-Rounds as slow and reports as coarse as the guarantee of capture allows cost least (equations 8.10
-to 8.13). For a number c
-of bits all limits on the slot are linear, so that the best slot is known; c is scanned. The same
-problems as convex programmes stand in :mod:`planopt.pursuit.programmes`.
+Rounds as slow and reports as coarse as the guarantee of capture allows cost least (equations 8.11
+to 8.14). For a number c of bits all limits on the slot are linear, so that the best slot is known;
+c is scanned. The same problems as convex programmes stand in :mod:`planopt.pursuit.programmes`.
 """
 
 from __future__ import annotations

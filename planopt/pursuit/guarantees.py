@@ -13,13 +13,16 @@ stage by this one's, from what the service promises (docs/theory/pursuit.md deri
   older than the last one is there whenever the pursuer arrives: a faster pursuer can always follow
   the trail;
 * `snapshots` holds for the rounds of a snapshot service, waiting for records included.
+
+Among obstacles all four hold with lengths of shortest paths for errors that are wider, or with
+straight distances for a pursuer that is slower, by how much longer paths are than straight lines.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -39,6 +42,18 @@ INTEGRATION_STEPS = 1000
 
 FLOOR_PLACES, FLOOR_ROUNDS = 65, 11
 """Places among which the floor is looked for, and how often between two of them: to round-off."""
+
+
+REPORT_SHARE = 2.0
+"""A report inside an obstacle stands for the nearest free place, which is at most so many times as
+far from where the evader was."""
+
+
+class Distances(Enum):
+    """What a guarantee means by distance."""
+
+    STRAIGHT = "straight"
+    PATHS = "paths"
 
 
 class Theorem(Enum):
@@ -145,6 +160,8 @@ class Guarantee:
         Largest W of a stage over that of the stage before, far from the floor.
     floor_m
         Below which W need not fall; infinite unless all inequalities hold.
+    distances
+        Those that W counts.
     """
 
     theorem: Theorem
@@ -154,6 +171,7 @@ class Guarantee:
     ratio: float
     floor_m: float
     stages: tuple[Stage, ...]
+    distances: Distances = Distances.STRAIGHT
 
     @property
     def holds(self) -> bool:
@@ -245,6 +263,59 @@ def guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Guarantee]:
     if bounds.period_s_m is not None:
         found.append(_snapshots(chase, bounds, bounds.period_s_m))
     return {each.theorem: each for each in found}
+
+
+def guarantees_among_obstacles(
+    chase: Chase, bounds: ServiceBounds, detour: float
+) -> dict[Distances, dict[Theorem, Guarantee]]:
+    """Return what each theorem says where shortest paths are longer than straight lines.
+
+    A service bounds age and error by straight distances. With lengths of paths its ages hold as
+    they are, and its errors times the detour factor. With straight distances its errors hold, and
+    the pursuer comes nearer as slowly as its speed over the factor. Either will do; the second one
+    is missing if the evader is as fast as that.
+
+    Parameters
+    ----------
+    chase, bounds
+        As in open space; stages take time at every corner as well.
+    detour
+        The largest length of a shortest path over that of the straight line.
+
+    Raises
+    ------
+    InputError
+        The factor is below 1.
+
+    Examples
+    --------
+    >>> chase = Chase(evader_speed_m_s=1.0, pursuer_speed_m_s=3.0)
+    >>> bounds = ServiceBounds(age_s_m=0.4, relative_error=0.05)
+    >>> found = guarantees_among_obstacles(chase, bounds, detour=2.0)
+    >>> for distances, each in found.items():
+    ...     print(distances.value, *each[Theorem.SAMPLED_DISTANCE].inequalities)
+    paths a below 1: 0.6 < 1 holds by 0.4
+    straight a below 1: 0.833333 < 1 holds by 0.1667
+    """
+    require_number(detour, "detour", least=1.0)
+    found: dict[Distances, dict[Theorem, Guarantee]] = {}
+    ways = {
+        Distances.PATHS: (chase.pursuer_speed_m_s, REPORT_SHARE * detour),
+        Distances.STRAIGHT: (chase.pursuer_speed_m_s / detour, REPORT_SHARE),
+    }
+    for distances, (speed_m_s, share) in ways.items():
+        if speed_m_s <= chase.evader_speed_m_s:
+            continue
+        wider = replace(
+            bounds,
+            relative_error=share * bounds.relative_error,
+            error_floor_m=share * bounds.error_floor_m,
+        )
+        each = guarantees(replace(chase, pursuer_speed_m_s=speed_m_s), wider)
+        found[distances] = {
+            theorem: replace(guarantee, distances=distances) for theorem, guarantee in each.items()
+        }
+    return found
 
 
 def contraction(speed_ratio: float, relative_error: float) -> float:

@@ -1,7 +1,7 @@
 """A pursuer that predicts: a filter of delayed reports, and a plan of N steps to meet the evader.
 
 An evader's velocity is taken to forget itself within a time (an Ornstein-Uhlenbeck process,
-equations 8.14 and 8.15), so that old velocities are not carried far ahead. Reports enter the filter
+equations 8.15 and 8.16), so that old velocities are not carried far ahead. Reports enter the filter
 at the times at which they were sampled; rule R keeps these in order, so that a delayed report needs
 no second pass.
 """

@@ -15,6 +15,7 @@ from scipy.optimize import (
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.evaders import Behaviour, Decide, EvaderView
+from planopt.pursuit.guarantees import Distances
 from planopt.pursuit.knowledge import Track
 from planopt.pursuit.motion import Motion, StraightMotion
 from planopt.pursuit.pursuers import Driver, Policy, PursuerView, Quest
@@ -179,16 +180,24 @@ class Pursuit:
         """``captured`` if all evaders were, else ``step_limit``."""
         return "captured" if np.isfinite(self.capture_s).all() else "step_limit"
 
-    def bounds_m(self, pursuer: int, evader: int) -> NDArray[np.float64]:
+    def bounds_m(
+        self, pursuer: int, evader: int, distances: Distances = Distances.STRAIGHT
+    ) -> NDArray[np.float64]:
         """Return W at the start of each stage of a pursuer after an evader, ``(k,)``."""
         speed = self.scene.evaders[evader].speed_max_m_s
         return np.array(
             [
-                use.distance_m + speed * use.age_s
+                self.away_m(use, distances) + speed * use.age_s
                 for use in self.uses
                 if (use.pursuer, use.evader) == (pursuer, evader)
             ]
         )
+
+    def away_m(self, use: Use, distances: Distances) -> float:
+        """Return d: straight, or the length of the shortest path, to where the evader was."""
+        if distances is Distances.STRAIGHT:
+            return use.distance_m
+        return float(self.scene.arena.distances_m(use.place_m, use.sampled_m[None])[0])
 
     @property
     def capture_time_s(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -136,6 +137,42 @@ def draw_network(picture: NetworkPicture) -> Figure:
         _shade(panel, picture)
     legend_below(figure, entries.values(), len(entries))
     head(figure, f"{spaced(picture.name)}: H {run.costs[0]:.4g} to {run.costs[-1]:.4g}")
+    return figure
+
+
+def draw_costs(runs: Mapping[str, NetworkRun]) -> Figure:
+    """Draw the coverage cost of runs over time, one line for each name."""
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(7.0, 4.4)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    for number, (name, run) in enumerate(runs.items()):
+        # A line that lies on another shows through its dashes.
+        style = "-" if number % 2 == 0 else "--"
+        colour = SERIES[number % len(SERIES)]
+        panel.plot(
+            run.times_s[:-1], run.costs, color=colour, linewidth=1.9, linestyle=style, label=name
+        )
+    panel.set_yscale("log")
+    dress(panel, "coverage cost H", "time [s]", "H [m$^4$ x density]")
+    legend_inside(panel, "upper right")
+    return figure
+
+
+def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]]) -> Figure:
+    """Draw the processor times of a step by the number of agents, one line for each name."""
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(7.0, 4.4)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    sizes = np.array(agents, dtype=np.float64)
+    for number, (name, times) in enumerate(times_s.items()):
+        colour = SERIES[number % len(SERIES)]
+        panel.plot(sizes, times, color=colour, linewidth=1.6, marker="o", markersize=4, label=name)
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    dress(panel, "a step of the network", "agents", "processor time [s]")
+    legend_inside(panel, "upper left")
     return figure
 
 

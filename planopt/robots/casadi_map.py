@@ -170,6 +170,11 @@ class CasadiMap:
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
+    def straight(
+        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
+    ) -> None:
+        """None: nothing is known of how it moves."""
+
     def may_reach(
         self,
         state: NDArray[np.float64],

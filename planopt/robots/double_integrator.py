@@ -181,6 +181,18 @@ class DoubleIntegrator:
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
+    def straight(
+        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Accelerate evenly for n steps, decelerate evenly for as many: a (n h)^2 metres."""
+        offset = end_m - state[:2]
+        length = float(np.hypot(*offset))
+        by_speed = length / (self.speed_max_m_s * step_s)
+        by_acceleration = math.sqrt(length / self.acceleration_max_m_s2) / step_s
+        half = max(1, math.ceil(max(by_speed, by_acceleration) - 1e-9))
+        control = offset / (half * step_s) ** 2
+        return np.repeat([control, -control], half, axis=0)
+
     def may_reach(
         self,
         state: NDArray[np.float64],

@@ -132,6 +132,15 @@ class Dynamics(Protocol):
         """Inputs (N, m) that lead about along a path (N, 2) of straight steps."""
         ...
 
+    def straight(
+        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64] | None:
+        """Inputs (k, m) from rest to rest at a place (2,), straight there; None if none are known.
+
+        Braking after any of them ends short of the place, on the way to it.
+        """
+        ...
+
     def may_reach(
         self,
         state: NDArray[np.float64],

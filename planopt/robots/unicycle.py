@@ -227,6 +227,21 @@ class Unicycle:
             speed = self.turn_rate_max_rad_s / abs(curvature)
         return speed, speed * curvature
 
+    def straight(
+        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Turn where it stands, then drive ahead."""
+        offset = end_m - state[:2]
+        away = math.atan2(offset[1], offset[0]) - float(state[2])
+        angle = math.remainder(away, 2.0 * math.pi)
+        turns = math.ceil(abs(angle) / (self.turn_rate_max_rad_s * step_s) - 1e-9)
+        length = float(np.hypot(*offset))
+        ahead = max(1, math.ceil(length / (self.speed_max_m_s * step_s) - 1e-9))
+        inputs = np.zeros((turns + ahead, 2))
+        inputs[:turns, 1] = angle / (max(turns, 1) * step_s)
+        inputs[turns:, 0] = length / (ahead * step_s)
+        return inputs
+
     def may_reach(
         self,
         state: NDArray[np.float64],

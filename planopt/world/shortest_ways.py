@@ -85,9 +85,9 @@ def shortest_ways(
         return nothing
     # A robot that stands nearer than the clearance may do so elsewhere: its ways are not closed.
     by = min(clearance, own) * INNER_SHARE if inner else min(clearance * ROUND_SHARE, own)
-    closed = _grown(index.polygons[near], by, inner)
+    closed = grown(index.polygons[near], by, inner)
     low, high = np.array(bounds_m[:2]), np.array(bounds_m[2:])
-    corners = np.unique(_corners_m(closed), axis=0)
+    corners = np.unique(corners_m(closed), axis=0)
     corners = corners[((corners >= low) & (corners <= high)).all(axis=1)]
     corners = corners[_away(corners, start_m) <= radius_m]
     if len(corners) > MAX_CORNERS:
@@ -157,8 +157,8 @@ def _last_turns(
     return length, last
 
 
-def _grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np.object_]:
-    """Polygons (n,) grown; inner ones nowhere by more than that."""
+def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np.object_]:
+    """Return polygons (n,) grown by so many metres; `inner` ones nowhere by more than that."""
     if by_m <= 0.0:
         return polygons
     if inner:
@@ -168,8 +168,8 @@ def _grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[n
     return np.asarray(grown, dtype=np.object_)
 
 
-def _corners_m(polygons: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Corners (n, 2) of polygons that stand out into what is free: ways turn at no others."""
+def corners_m(polygons: NDArray[np.object_]) -> NDArray[np.float64]:
+    """Return the corners (n, 2) that stand out into what is free: ways turn at no others."""
     found = [np.zeros((0, 2))]
     for part in shapely.get_parts(polygons):
         for number, ring in enumerate(shapely.get_rings(part)):

@@ -36,8 +36,15 @@ SETTINGS = FilteredTracking(
 BESIDE = [PATH + [1.0, -0.5], PATH[::-1] + 0.4]
 
 
+MEASURES = {
+    "trace": np.trace,
+    "determinant": np.linalg.det,
+    "norm": lambda matrix: np.linalg.norm(matrix, 2),
+}
+
+
 def dense_cost(received, settings=SETTINGS):
-    """sum_k w_k tr P_k of the position in one draw, with 4 by 4 matrices."""
+    """sum_k w_k f(P_k) of the position in one draw, with 4 by 4 matrices."""
     a, q = settings.model.transition, settings.model.process_covariance
     spread, total = np.linalg.inv(settings.information), 0.0
     for information, weight in zip(received, settings.tracking.weight, strict=True):
@@ -45,32 +52,37 @@ def dense_cost(received, settings=SETTINGS):
         matrix = np.linalg.inv(spread)
         matrix[:2, :2] += information * np.eye(2)
         spread = np.linalg.inv(matrix)
-        total += weight * np.trace(spread[:2, :2])
+        total += weight * MEASURES[settings.criterion](spread[:2, :2])
     return total
 
 
-def test_one_axis_is_the_whole_filter():
+@pytest.mark.parametrize("criterion", list(MEASURES))
+def test_one_axis_is_the_whole_filter(criterion):
     """The mean over draws of what the dense filter removes; nothing for nothing."""
+    settings = replace(SETTINGS, criterion=criterion)
     received = np.random.default_rng(0).exponential(2.0, (7, 5))
-    dense = dense_cost(np.zeros(5)) - np.mean([dense_cost(each) for each in received])
-    assert removed(received, SETTINGS) == pytest.approx(dense, rel=1e-9)
-    assert removed(np.zeros((7, 5)), SETTINGS) == pytest.approx(0.0, abs=1e-12)
+    kept = np.mean([dense_cost(each, settings) for each in received])
+    dense = dense_cost(np.zeros(5), settings) - kept
+    assert removed(received, settings) == pytest.approx(dense, rel=1e-9)
+    assert removed(np.zeros((7, 5)), settings) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_derivatives_of_the_filter_are_differences():
+@pytest.mark.parametrize("criterion", list(MEASURES))
+def test_derivatives_of_the_filter_are_differences(criterion):
     """Of every draw by the information of every step, to second order."""
+    settings = replace(SETTINGS, criterion=criterion)
     received, h = np.random.default_rng(1).exponential(2.0, (4, 5)), 1e-5
-    value, slope, bend = removed_derivatives(received, SETTINGS)
-    assert value == pytest.approx(removed(received, SETTINGS), rel=1e-12)
+    value, slope, bend = removed_derivatives(received, settings)
+    assert value == pytest.approx(removed(received, settings), rel=1e-12)
     for k in range(5):
         step = h * np.eye(5)[k]
         up, down = received + step, received - step
         each = [
-            (removed(a[None], SETTINGS) - removed(b[None], SETTINGS)) / (2.0 * h)
+            (removed(a[None], settings) - removed(b[None], settings)) / (2.0 * h)
             for a, b in zip(up, down, strict=True)
         ]
         np.testing.assert_allclose(slope[:, k], each, rtol=1e-6, atol=1e-8)
-        turned = removed_derivatives(up, SETTINGS)[1] - removed_derivatives(down, SETTINGS)[1]
+        turned = removed_derivatives(up, settings)[1] - removed_derivatives(down, settings)[1]
         np.testing.assert_allclose(bend[:, :, k], turned / (2.0 * h), rtol=1e-5, atol=1e-7)
 
 

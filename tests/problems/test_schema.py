@@ -374,7 +374,11 @@ def other(tables: Tables, task: str, terms: list[Tables]) -> None:
 @pytest.mark.parametrize(
     ("task", "term", "words"),
     [
-        ("custom", {"kind": "mapping"}, "begin with one of kind casadi or transmission_energy"),
+        (
+            "custom",
+            {"kind": "mapping"},
+            "begin with one of kind casadi or goal or transmission_energy",
+        ),
         ("connect", SENDING, "begin with one of kind until_connected"),
         (
             "custom",

@@ -62,6 +62,9 @@ def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) ->
         true_m=way,
         station_mean_m=way + 0.3,
         station_variance_m2=2.0 / (1.0 + np.arange(count)),
+        station_determinant_m4=1.0 / (1.0 + np.arange(count)) ** 2,
+        nees=np.full(count, 2.0),
+        nis=np.full((count - 1, robots), 2.0),
         delivered=np.stack([log.connected[1:]] * robots, axis=1),
     )
     return Run(

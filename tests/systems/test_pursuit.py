@@ -239,6 +239,36 @@ def test_radius_under_the_floor(written, capsys):
     assert not free.simulate().data["guarantee"]["theorems"]["snapshots"]["capture"]["holds"]
 
 
+WALLS = tuple(
+    (line + "\n", "")
+    for line in (library_folder() / "pursuit_obstacles.toml").read_text().splitlines()
+    if any(f'"{name}"' in line for name in ("hall", "wall", "corner"))
+)
+
+
+def test_guarantees_round_obstacles(written, tmp_path, capsys):
+    """Long walls allow none, and the inequality says so; a tower and fine motes allow one."""
+    asked = ("clearance_m = 2.0", 'clearance_m = 2.0\nguarantee = "snapshots"')
+    code, found = run(capsys, "simulate", written("pursuit_obstacles", asked))
+    assert code == 4 and "a of the error over 1 - y below 1: 1.8" in found["reason"]
+    fine = (
+        ("levels = 5", "levels = 9"),
+        ("mote_spacing_m = 10.0", "mote_spacing_m = 1.0"),
+        ("frame_s = 0.1", "frame_s = 0.01"),
+        ("bits_per_axis = 5", "bits_per_axis = 7"),
+        ("step_s = 0.2", "step_s = 0.1"),
+        ("start_m = [250, 120]", "start_m = [270, 300]"),
+    )
+    file = written("pursuit_obstacles", asked, *WALLS, *fine)
+    code, found = run(capsys, "simulate", file, "--seed", 2, "--out", tmp_path / "out")
+    assert code == 0 and found["outcome"] == "captured" and found["verified_rate"] == 1.0
+    assert 1.5 < found["guarantee"]["detour"] < 2.5
+    each = found["guarantee"]["theorems"]["snapshots"]
+    assert each["distances"] in ("paths", "straight") and each["capture"]["holds"]
+    assert found["capture_time_s"] <= each["capture_time_s"]
+    assert run(capsys, "check", tmp_path / "out")[0] == 0
+
+
 def test_who_escapes(written, capsys):
     """Given up: exit code 4, and how near it came."""
     code, found = run(

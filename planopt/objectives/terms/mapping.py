@@ -23,6 +23,13 @@ from planopt.objectives.mapping import (
     path_uncertainty,
 )
 from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
+from planopt.objectives.steered import (
+    gained_derivatives,
+    gained_m,
+    gained_reward,
+    gained_slope,
+    gains_m,
+)
 from planopt.objectives.terms.context import (
     NearPath,
     NearStation,
@@ -36,15 +43,12 @@ from planopt.objectives.terms.context import (
 from planopt.objectives.terms.measured import added, added_derivatives, measured_reward
 from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
 from planopt.objectives.told_batch import ToldBatch
-from planopt.objectives.way_batch import WayBatch
 from planopt.objectives.way_slopes import (
-    TINY_M,
     Pull,
     kernel_slopes,
     pull_of_legs,
     trend_of_universal,
 )
-from planopt.targets.rounding import Derivatives, rounded_length
 
 MappingForm = Literal["two_layer", "path", "information", "average"]
 
@@ -157,7 +161,7 @@ class MappingTerm(Term):
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
         """Return what the measurements along one path tell of the map, or the metres gained."""
         if self.form == "two_layer":
-            return 0.0 if at.steering is None else float(at.steering.gained_m(path_m))
+            return gained_m(at, path_m)
         taken = at.measuring.takes(path_m)
         if not taken.any():
             return 0.0
@@ -176,9 +180,7 @@ class MappingTerm(Term):
         """Return the same of many paths."""
         if self.form != "two_layer":
             return added(self._told(paths.at, told) for told in paths.told)
-        if paths.at.steering is None:
-            return np.zeros(paths.shape[0])
-        return paths.at.steering.gained_m(paths.ways_m)
+        return gains_m(paths)
 
     def _told(self, at: StepContext, told: ToldBatch) -> NDArray[np.float64]:
         """What the measurements of one station tell."""
@@ -205,7 +207,7 @@ class MappingTerm(Term):
     def derivatives(self, path: NearPath) -> Part:
         """Return the value of one path near the channel of its start."""
         if self.form == "two_layer":
-            return self._steered(path)
+            return gained_derivatives(path)
         return added_derivatives(self._informed(path, near) for near in path.told)
 
     def _informed(self, path: NearPath, near: NearStation) -> PathDerivatives:
@@ -216,15 +218,6 @@ class MappingTerm(Term):
             return path_information_derivatives(channel, places, gates=gates)
         return average_reduction_derivatives(channel, near.required_grid, places, gates=gates)
 
-    def _steered(self, path: NearPath) -> Derivatives:
-        """Minus the distance of every place to the next turn of the path that is steered along."""
-        steering, places = path.at.steering, path.places_m
-        if path.ahead is None or steering is None:
-            count = len(places)
-            return Derivatives(np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
-        distance = rounded_length(places - steering.turns_m[path.ahead], path.rounding_m)
-        return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
-
     @property
     def has_slope(self) -> bool:
         """All forms have one."""
@@ -233,7 +226,7 @@ class MappingTerm(Term):
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
         """Return derivatives of :meth:`values` by what one station's measurements tell."""
         if self.form == "two_layer":
-            return _steering_slope(at, told.batch)
+            return gained_slope(at, told.batch)
         if self.form == "path":
             return self._path_slope(at, told)
         return _information_slope(told) if self.form == "information" else _average_slope(told)
@@ -259,12 +252,7 @@ class MappingTerm(Term):
         """Return what measuring at each node alone would tell, or minus the distance to go."""
         if self.form != "two_layer":
             return measured_reward(at, nodes, self._node_told)
-        shape, steering = nodes.grid_m.shape[:2], at.steering
-        if steering is None:
-            return np.zeros(shape)
-        if steering.lattice_m is not None:
-            return -steering.lattice_m
-        return -steering.distance_m(nodes.grid_m.reshape(-1, 2)).reshape(shape)
+        return gained_reward(at, nodes)
 
     def _node_told(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
         variance = station.deviation_db**2
@@ -276,14 +264,6 @@ class MappingTerm(Term):
                 return np.log(station.deviation_db / floor)
             case _:
                 return variance
-
-
-def _steering_slope(at: StepContext, batch: WayBatch) -> Pull:
-    if at.steering is None:
-        return Pull()
-    turns = at.steering.next_turns(batch.ways_m.reshape(-1, 2))
-    offset = at.steering.turns_m[turns].reshape(batch.ways_m.shape) - batch.ways_m
-    return Pull(by_place=offset / np.maximum(np.linalg.norm(offset, axis=2), TINY_M)[:, :, None])
 
 
 def _by_universal(told: ToldBatch, by_universal: NDArray[np.float64]) -> Pull:

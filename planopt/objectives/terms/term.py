@@ -36,8 +36,9 @@ Structure = Literal["stagewise", "chain", "full"]
 """What the Hessian of a value is made of: a 2 x 2 block of each stage; these and one between each
 stage and the next; or everything."""
 
-Steers = Literal["variance", "connection"]
-"""What a robot is steered to: the place of largest variance, or a place to try for connection."""
+Steers = Literal["variance", "connection", "goal"]
+"""What a robot is steered to: the place of largest variance, a place to try for connection, or its
+goal."""
 
 
 @dataclass(frozen=True)

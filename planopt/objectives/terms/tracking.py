@@ -7,9 +7,10 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, Strict
 
 from planopt.channel.prediction import connection_probability
+from planopt.errors import InputError
 from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
     information_gain_derivatives,
@@ -22,17 +23,18 @@ from planopt.objectives.filter_gain import (
     unobserved_covariances,
 )
 from planopt.objectives.terms.context import NearPath, Part, Paths, StepContext
-from planopt.objectives.terms.term import Structure, Term
+from planopt.objectives.terms.term import Structure, Term, TermSetting
 from planopt.objectives.tracking import Tracking, tracking_reward
 from planopt.objectives.tracking_derivatives import (
     connectivity_derivatives,
     score_derivatives,
     tracking_reward_derivatives,
 )
-from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.objectives.tracking_filter import Criterion, FilteredTracking
 from planopt.objectives.tracking_scenarios import (
     SOLVER_DRAWS,
     Stations,
+    criterion_of,
     drawn_errors,
     extended,
     received_from,
@@ -41,6 +43,7 @@ from planopt.objectives.tracking_scenarios import (
     scenario_gain,
     scenario_gains,
 )
+from planopt.plain_values import make_plain
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 TrackingForm = Literal["additive", "information", "covariance", "sampled"]
@@ -64,6 +67,13 @@ class TrackingTerm(Term):
         filter: ``information`` bounds the expected gain of information from above, ``covariance``
         removes covariance as if losses were independent in time, ``sampled`` averages over joint
         losses.
+    beyond_steps, criterion
+        Of the form ``sampled``: steps beyond the horizon, and what counts of the covariance of the
+        target's position.
+    step_weights, terminal_weight
+        Weights of the steps ahead, the last one for all further steps, and a factor of the last
+        step of a plan.
+
     """
 
     noise_curvature: Annotated[
@@ -98,10 +108,33 @@ class TrackingTerm(Term):
             "standing at the end of its path while the target moves on (a number).",
         ),
     ] = 0
+    criterion: Annotated[
+        Criterion,
+        Field(
+            description="With form sampled: trace, determinant or norm (largest eigenvalue) of the "
+            "covariance of the target's position."
+        ),
+    ] = "trace"
+    step_weights: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=1e9)], ...],
+        Strict(False),
+        Field(
+            max_length=500,
+            description="Weights of the steps ahead (numbers); the last one holds for all further "
+            "steps. Empty: all one.",
+        ),
+    ] = ()
+    terminal_weight: Annotated[
+        float,
+        Field(gt=0, le=1e9, description="Factor of the last step of a plan, a terminal reward."),
+    ] = 1.0
 
     kind: ClassVar[str] = "tracking"
     summary: ClassVar[str] = "Track a target over a lossy link."
     task: ClassVar[str | None] = "track"
+
+    def __post_init__(self) -> None:
+        make_plain(self)
 
     @property
     def structure(self) -> Structure:
@@ -140,6 +173,19 @@ class TrackingTerm(Term):
             return 'tracking of the form "sampled" draws from the normal law of a whole path'
         return None
 
+    def check(self, setting: TermSetting) -> None:
+        """The criterion is one of the form, and some step counts."""
+        if self.criterion != "trace" and self.form != "sampled":
+            raise InputError(
+                f"{self.criterion} is no criterion of the form {self.form}",
+                key="criterion",
+                remedy='use form = "sampled", or criterion = "trace"',
+            )
+        if self.step_weights and not any(self.step_weights):
+            raise InputError(
+                "no step counts", key="step_weights", remedy="give a step a weight above 0"
+            )
+
     def settings(self, at: StepContext) -> Tracking:
         """Return the target and the sensor of one step."""
         target = at.target_m
@@ -147,8 +193,17 @@ class TrackingTerm(Term):
             raise AssertionError("a tracking term needs a target")
         return at.once(
             (TrackingTerm, self),
-            lambda: Tracking(at.thresholds_dbm[0], self.sensor, target),
+            lambda: Tracking(
+                at.thresholds_dbm[0], self.sensor, target, self.weights_of(len(target))
+            ),
         )
+
+    def weights_of(self, steps: int) -> NDArray[np.float64]:
+        """Return the weights of a plan of so many steps; ``(steps,)``."""
+        given = np.array(self.step_weights or (1.0,))
+        found = given[np.minimum(np.arange(steps), len(given) - 1)]
+        found[-1] *= self.terminal_weight
+        return found
 
     def filtered(self, at: StepContext) -> FilteredTracking:
         """Return the same with the station's filter, for the forms that follow it."""
@@ -157,7 +212,9 @@ class TrackingTerm(Term):
         others = None
         if at.others_m:
             others = at.once((TrackingTerm, "others", self), lambda: self._others(at))
-        return FilteredTracking(self.settings(at), at.target_motion, at.information, others)
+        return FilteredTracking(
+            self.settings(at), at.target_motion, at.information, others, self.criterion
+        )
 
     def _others(self, at: StepContext) -> NDArray[np.float64]:
         """Chance and information of the packets that the other robots plan to send; (2, N, m)."""
@@ -267,7 +324,7 @@ class TrackingTerm(Term):
     ) -> NDArray[np.float64]:
         """Return the expected information of one packet, in the additive form.
 
-        In the form ``sampled`` the covariance that it removes from what the station knows at that
+        In the form ``sampled`` how much it lessens the criterion of what the station knows at that
         step without packets of the robot.
         """
         settings = self.settings(at)
@@ -275,9 +332,9 @@ class TrackingTerm(Term):
             variance = at.once((TrackingTerm, "variance", self), lambda: self._unobserved_m2(at))
             told = sensing_information(settings.sensor, places_m, settings.target_m[stage])
             told *= 0.5 * variance[stage]
-            told /= 1.0 + told
-            told *= chance
-            return told * (2.0 * settings.weight[stage] * variance[stage])
+            left = criterion_of(variance[stage] / (1.0 + told), self.criterion)
+            removed_here = criterion_of(variance[stage], self.criterion) - left
+            return removed_here * (settings.weight[stage] * chance)
         reward = sensing_information(settings.sensor, places_m, settings.target_m[stage])
         reward *= chance
         reward *= settings.weight[stage]
@@ -287,12 +344,15 @@ class TrackingTerm(Term):
         """Variance of a coordinate after each step without packets of the robot; ``(N,)``."""
         covariances = unobserved_covariances(self.filtered(at))
         variance = 0.5 * np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
-        return np.minimum(variance, 0.5 * self.most_stage_reward)
+        return np.minimum(variance, 0.5 / self.noise_floor_m2)
 
     @property
     def most_stage_reward(self) -> float:
-        """The information of a packet from the best distance."""
-        return 1.0 / self.noise_floor_m2
+        """The information of a packet from the best distance, at the step that counts most."""
+        most = 1.0 / self.noise_floor_m2
+        if self.criterion == "determinant":
+            most = max(most, 0.25 * most**2)
+        return most * max(self.step_weights, default=1.0) * max(self.terminal_weight, 1.0)
 
 
 def _stations(at: StepContext) -> Stations:

@@ -23,7 +23,7 @@ from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.steering_way import SteeringWay
+from planopt.planning.worth.steering_way import steering_way
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles
@@ -193,7 +193,7 @@ def _worth(asked: Asked, path_m: NDArray[np.float64]) -> float:
         raise AssertionError("terms have a region")
     steering = None
     if turns is not None:
-        steering = SteeringWay(turns, asked.place.index, problem.constraints.clearance_m)
+        steering = steering_way(problem, asked.place.index, turns)
     at = Situation(
         problem,
         asked.posteriors[0],

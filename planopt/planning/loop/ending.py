@@ -202,9 +202,9 @@ def terms_ending(
 ) -> tuple[Outcome, str] | None:
     """How a run ends after its last step so far, and why in words; None if it goes on.
 
-    It ends once all robots are connected, if that is asked; once no robot will ever do anything
-    again, which is a failure unless nothing is left to learn; and after `planner.max_steps`. A run
-    whose robots do not all go on by then has stalled too.
+    It ends once all robots are connected, or at their goals, if that is asked; once no robot will
+    ever do anything again, which is a failure unless nothing is left to learn; and after
+    `planner.max_steps`. A run whose robots do not all go on by then has stalled too.
 
     Parameters
     ----------
@@ -218,6 +218,9 @@ def terms_ending(
     steps, asked = len(connected), problem.terms[0]
     if asked.ends_connected and bool(connected[-1].all()):
         return Outcome.COMPLETED, f"connected after step {steps}"
+    leads = any(term.steers == "goal" for term in problem.terms)
+    if leads and all(_has_arrived(robot) for robot in robots):
+        return Outcome.REACHED, f"within goal_radius_m of the goal after step {steps}"
     last = steps >= problem.planner.max_steps
     stuck = [
         (robot, why)
@@ -237,9 +240,17 @@ def terms_ending(
             return Outcome.COMPLETED, f"nothing left to learn after step {steps}"
     if not last:
         return None
+    if leads:
+        return Outcome.STEP_LIMIT, f"not arrived after planner.max_steps {steps}"
     if asked.ends_connected:
         return Outcome.STEP_LIMIT, f"not connected after planner.max_steps {steps}"
     return Outcome.COMPLETED, f"all {steps} steps driven"
+
+
+def _has_arrived(robot: Progress) -> bool:
+    """Whether a robot stands at its goal."""
+    here = robot.states[-1]
+    return is_at_goal(robot.problem, here[:2]) and stands(robot.problem, here)
 
 
 def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:

@@ -147,6 +147,13 @@ class TargetLog:
         ``(steps + 1, 2)`` where it was, and where the station thought that it was.
     station_variance_m2
         ``(steps + 1,)`` trace of the station's covariance of its position.
+    station_determinant_m4
+        ``(steps + 1,)`` determinant of that covariance.
+    nees
+        ``(steps + 1,)`` e' P^-1 e of the station's estimate of its position, with the error e.
+    nis
+        ``(steps, robots)`` nu' S^-1 nu of each robot's filter, with the innovation nu of its
+        measurement and the covariance S that the filter expects of it; NaN without measurement.
     delivered
         ``(steps, robots)`` whose packets arrived.
     """
@@ -154,6 +161,9 @@ class TargetLog:
     true_m: NDArray[np.float64]
     station_mean_m: NDArray[np.float64]
     station_variance_m2: NDArray[np.float64]
+    station_determinant_m4: NDArray[np.float64]
+    nees: NDArray[np.float64]
+    nis: NDArray[np.float64]
     delivered: NDArray[np.bool_]
 
     __repr__ = short_repr

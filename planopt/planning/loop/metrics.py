@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
 from planopt.planning.holes import Hole, holes_along
@@ -35,6 +36,11 @@ POSSIBLE = {
     "predicted_min_connectivity": (0.0, 1.0),
     "time_averaged_trace_p": (0.0, np.inf),
     "final_trace_p": (0.0, np.inf),
+    "time_averaged_det_p": (0.0, np.inf),
+    "nees": (0.0, np.inf),
+    "nis": (0.0, np.inf),
+    "nis_low": (0.0, np.inf),
+    "nis_high": (0.0, np.inf),
     "delivered": (0.0, 1.0),
     "rms_db": (0.0, np.inf),
     "rms_without_multipath_db": (0.0, np.inf),
@@ -101,12 +107,18 @@ def run_metrics(
     """
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
-    if problem.task == "reach":
+    if problem.robots[0].goal_m is not None:
         found["goal_time_s"] = float(max(m.goal_time_s for m in each))
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
         found["final_trace_p"] = float(target.station_variance_m2[-1])
         found["delivered"] = float(target.delivered.mean())
+        found["time_averaged_det_p"] = float(target.station_determinant_m4[1:].mean())
+        found["nees"] = float(target.nees[1:].mean())
+        measured = target.nis[np.isfinite(target.nis)]
+        if measured.size:
+            low, high = nis_interval(measured.size)
+            found |= {"nis": float(measured.mean()), "nis_low": low, "nis_high": high}
     if channel is not None:
         found["rms_db"] = float(channel.rms_db[-1])
         found["anmse_db"] = float(channel.anmse_db[-1])
@@ -129,6 +141,15 @@ def run_metrics(
         clearances = least_moving_clearances_m(problem, motions)
         found["min_moving_clearance_m"] = float(clearances.min())
     return found | dict(costs)
+
+
+def nis_interval(count: int) -> tuple[float, float]:
+    """Return the least and largest mean of `count` values of NIS in 95 % of filters that are right.
+
+    Innovations of a filter that is right are independent, and each value has the law chi-square
+    with the two degrees of freedom of a measured position (equation 4.23).
+    """
+    return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 
 
 def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:

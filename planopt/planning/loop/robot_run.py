@@ -106,7 +106,7 @@ def robot_run(
     """
     log = step_log(problem, track_m, true_dbm, plans)
     drive = driven(problem.robots[0], plans)
-    reached = problem.task == "reach" and ended[0] is Outcome.REACHED
+    reached = ended[0] is Outcome.REACHED
     arrival = _arrival(problem, track_m if drive is None else drive.states) if reached else -1
     return RobotRun(
         robot=problem.robots[0].name,

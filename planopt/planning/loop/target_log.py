@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.loop.log import TargetLog
 from planopt.planning.loop.target_watch import TargetWatch, observed
+from planopt.targets.information_filter import predict
+from planopt.targets.sensor import noise_covariance_m2
 
 
 def target_log(
@@ -30,8 +33,37 @@ def target_log(
         true_m=known[0].true_m[: len(known)],
         station_mean_m=np.array([watch.station_mean_m for watch in known]),
         station_variance_m2=np.array([watch.station_variance_m2 for watch in known]),
+        station_determinant_m4=np.array(
+            [np.linalg.det(watch.station.covariance[:2, :2]) for watch in known]
+        ),
+        nees=np.array(
+            [
+                _squared(watch.station_mean_m - true_m, watch.station.covariance[:2, :2])
+                for watch, true_m in zip(known, known[0].true_m, strict=False)
+            ]
+        ),
+        nis=np.array([_innovations(*pair) for pair in pairwise(known)]).reshape(delivered.shape),
         delivered=delivered,
     )
+
+
+def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
+    """Return nu' S^-1 nu of each robot's filter for the measurements of one step."""
+    sent, found = after.sent[-1], list[float]()
+    for state, measured, place, seen in zip(
+        before.robots, sent.measured_m, sent.positions_m, sent.seen, strict=True
+    ):
+        ahead = predict(before.model, state)
+        mean = ahead.mean[:2]
+        noise = noise_covariance_m2(before.sensor, place[None], mean)[0]
+        expected = ahead.covariance[:2, :2] + noise
+        found.append(_squared(measured - mean, expected) if seen else float("nan"))
+    return found
+
+
+def _squared(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
+    """Return e' P^-1 e."""
+    return float(error @ np.linalg.solve(covariance, error))
 
 
 def watched(

@@ -30,7 +30,7 @@ from planopt.planning.search.timed_search import (
     search_timed,
     timed_places,
 )
-from planopt.planning.tolerances import MARGIN_PAD_DB, STEP_PAD_M
+from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule, step_rows
 from planopt.planning.worth.situation import Situation
@@ -134,7 +134,7 @@ class GlobalSearch:
         self.margins.refresh(situation.posterior, situation.circumstances.broad)
         ways = scene.ways
         if self._has_wandered(situation.circumstances.history):
-            nodes = self._cheapest(situation, ways, None, priced=False, effort_s2_m2=0.0)
+            nodes = self._shortest(situation, ways)
             return None if nodes is None else self._start(situation, ways, nodes, direct=True)
         if problem.reach.cost_to_go == "connected":
             ways = shortest_ways(scene.road_map, scene.goal_node, self._metre_cost())
@@ -299,6 +299,24 @@ class GlobalSearch:
         lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
         charged = problem.reach.outage_price * charged_length_m(lengths, share)
         return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
+
+    def _shortest(self, situation: Situation, ways: Ways) -> NDArray[np.intp] | None:
+        """Nodes (N,) of a shortest path: of the fastest one, if no path is shorter than it."""
+        places, position = self._scene.road_map.nodes_m, situation.position_m
+        fastest = self._cheapest(situation, ways, None, priced=False, effort_s2_m2=0.0)
+        if fastest is None:
+            return None
+        joined, lengths = first_moves(self._scene.ground, self._problem, position)
+        ahead = lengths + ways.cost_m[joined]
+        legs = np.linalg.norm(np.diff(np.vstack([position, places[fastest]]), axis=0), axis=1)
+        if float(legs.sum() + ways.cost_m[fastest[-1]]) <= float(ahead.min()) + STANDSTILL_M:
+            return fastest
+        first = int(np.argmin(ahead))
+        nodes = way_from(self._scene.road_map, ways, int(joined[first]), np.inf)
+        if lengths[first] <= STANDSTILL_M and len(nodes) > 1:
+            nodes = nodes[1:]
+        horizon = self._problem.planner.horizon
+        return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
     def _gets_nowhere(self, situation: Situation, nodes: NDArray[np.intp]) -> bool:
         """Whether a path stays where the robot is, short of the goal."""

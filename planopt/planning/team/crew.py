@@ -22,13 +22,14 @@ from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.team.team_seeds import TeamSeeds
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.connection_steering import ConnectionSteering
+from planopt.planning.worth.goal_steering import GoalSteering
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.pending import NOTHING_PENDING, Pending
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import Steering
-from planopt.planning.worth.steering_way import SteeringWay
-from planopt.problems.objective import MappingTerm, UntilConnectedTerm
+from planopt.planning.worth.steering_way import SteeringWay, steering_way
+from planopt.problems.objective import GoalTerm, MappingTerm, UntilConnectedTerm
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
@@ -126,8 +127,7 @@ class Member:
         """Return what the path of a plan is worth for an aim, on what this robot believes."""
         steering = None
         if aim.steering_turns_m is not None:
-            clearance = self.problem.constraints.clearance_m
-            steering = SteeringWay(aim.steering_turns_m, self.ground.index, clearance)
+            steering = steering_way(self.problem, self.ground.index, aim.steering_turns_m)
         situation = Situation(
             self.problem,
             belief.posterior,
@@ -199,4 +199,6 @@ def _steer(problem: Problem, ground: Ground) -> Steer | None:
             return Steering(problem, ground, term).find_way
         if isinstance(term, UntilConnectedTerm):
             return ConnectionSteering(problem, ground, term).find_way
+        if isinstance(term, GoalTerm):
+            return GoalSteering(problem, ground, term).find_way
     return None

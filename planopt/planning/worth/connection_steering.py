@@ -20,7 +20,7 @@ from planopt.planning.ground import Ground
 from planopt.planning.search.lattice_map import LatticeMap
 from planopt.planning.search.taut_way import WaysFrom
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.steering_way import SteeringWay
+from planopt.planning.worth.steering_way import SteeringWay, steering_way
 from planopt.problems.objective import UntilConnectedTerm
 from planopt.problems.problem import Problem
 
@@ -72,11 +72,8 @@ class ConnectionSteering:
                 best = int(length.argmin())
                 if last or length[best] <= radius:
                     node = int(near[best])
-                    return SteeringWay(
-                        ways.turns_m(node, road_map.nodes_m[node]),
-                        self._ground.index,
-                        self._problem.constraints.clearance_m,
-                    )
+                    turns = ways.turns_m(node, road_map.nodes_m[node])
+                    return steering_way(self._problem, self._ground.index, turns)
             elif last:
                 return None
             self._radius_m *= WIDER

@@ -18,7 +18,7 @@ from planopt.planning.search.taut_way import WaysFrom
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.steering_way import SteeringWay
+from planopt.planning.worth.steering_way import SteeringWay, steering_way
 from planopt.problems.objective import MappingTerm
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
@@ -104,9 +104,5 @@ class Steering:
         farthest = float(lengths[np.isfinite(lengths)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
         lattice[road_map.rows, road_map.columns] = np.minimum(lengths, farthest)
-        return SteeringWay(
-            ways.turns_m(node, self._places_m[best]),
-            self._ground.index,
-            self._problem.constraints.clearance_m,
-            lattice,
-        )
+        turns = ways.turns_m(node, self._places_m[best])
+        return steering_way(self._problem, self._ground.index, turns, lattice)

@@ -1,4 +1,4 @@
-"""The inner layer of the two-layer form: how far it still is to the target, round obstacles.
+"""Ways that robots are steered along: how far it still is to their end, round obstacles.
 
 The distance is that of the shortest way: straight to the next turn in sight, and on along the way
 from there. Its slope leads round obstacles, where that of the straight distance leads a robot into
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
+from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, segments_clear
 
 if TYPE_CHECKING:
@@ -39,12 +40,16 @@ class SteeringWay:
     lattice_m
         ``(ny, nx)`` length of the shortest way to the end from each node of the lattice; None
         where no lattice is at hand.
+    in_order
+        Whether places go at most to the end of the leg that they are nearest to: the way turns
+        round coverage holes as well, across which its later turns may be in sight.
     """
 
     turns_m: NDArray[np.float64]
     index: ObstacleIndex
     clearance_m: float
     lattice_m: NDArray[np.float64] | None = None
+    in_order: bool = False
 
     @property
     def end_m(self) -> NDArray[np.float64]:
@@ -66,7 +71,10 @@ class SteeringWay:
         """
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
+        last = self._ends_of_legs(places_m) if self.in_order else None
         for turn in range(1, len(self.turns_m)):
+            if last is not None:
+                left = left[last[left] >= turn]
             there = np.broadcast_to(self.turns_m[turn], (len(left), 2))
             seen = segments_clear(
                 self.index, places_m[left], there, self.clearance_m, CLEARANCE_TOLERANCE_M
@@ -76,6 +84,18 @@ class SteeringWay:
             if not len(left):
                 break
         return found
+
+    def _ends_of_legs(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Number of the turn at the end of the leg that each place (n, 2) is nearest to.
+
+        Of legs as near the last one counts.
+        """
+        starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
+        offset = places_m[:, None] - starts
+        length2 = np.maximum((legs**2).sum(axis=1), np.finfo(float).tiny)
+        along = np.clip((offset * legs).sum(axis=2) / length2, 0.0, 1.0)
+        away = np.linalg.norm(offset - along[:, :, None] * legs, axis=2)
+        return len(legs) - away[:, ::-1].argmin(axis=1)
 
     def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """How far it is from each place (n, 2) to the end of the way; (n,)."""
@@ -99,3 +119,24 @@ class SteeringWay:
         """By how much the places of ways (..., N, 2) are nearer than the start, summed; (...)."""
         distance = self.distance_m(ways_m.reshape(-1, 2)).reshape(ways_m.shape[:-1])
         return (self.rest_m[0] - distance).sum(axis=-1)
+
+
+def steering_way(
+    problem: Problem,
+    index: ObstacleIndex,
+    turns_m: NDArray[np.float64],
+    lattice_m: NDArray[np.float64] | None = None,
+) -> SteeringWay:
+    """Return the way through `turns_m` (m, 2) that the terms of a problem steer along.
+
+    Parameters
+    ----------
+    problem
+        Its terms and its clearance.
+    index
+        Its obstacles.
+    turns_m, lattice_m
+        As of :class:`SteeringWay`.
+    """
+    in_order = any(term.steers == "goal" for term in problem.terms)
+    return SteeringWay(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)

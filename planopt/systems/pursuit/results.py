@@ -70,13 +70,13 @@ def stages(driven: Driven) -> Iterator[Stages]:
         return
     for pursuer in range(len(driven.pursuit.scene.pursuers)):
         for evader in range(len(driven.pursuit.scene.evaders)):
-            bounds_m = driven.pursuit.bounds_m(pursuer, evader)
-            if len(bounds_m) == 0:
-                continue
             found = driven.problem.guarantees(pursuer, evader)
             for theorem in THEOREMS:
                 if found[theorem].holds:
-                    yield Stages(pursuer, evader, found[theorem], bounds_m)
+                    distances = found[theorem].distances
+                    bounds_m = driven.pursuit.bounds_m(pursuer, evader, distances)
+                    if len(bounds_m):
+                        yield Stages(pursuer, evader, found[theorem], bounds_m)
 
 
 def run_json(driven: Driven) -> dict[str, Any]:
@@ -136,8 +136,12 @@ def guarantee_json(driven: Driven) -> dict[str, Any]:
             for chase in stages(driven)
             if chase.guarantee.theorem is theorem and len(chase.bounds_m) > 1
         ]
-        lasts_s = math.inf if first is None else each.capture_time_s(first.distance_m, radius_m)
+        lasts_s = math.inf
+        if first is not None and each.holds:
+            first_m = pursuit.away_m(first, each.distances)
+            lasts_s = each.capture_time_s(first_m, radius_m)
         theorems[theorem.value] = {
+            "distances": each.distances.value,
             "holds": bool(each.holds),
             "inequalities": [_inequality(one) for one in each.inequalities],
             "capture": _inequality(each.captures(radius_m)),
@@ -146,7 +150,11 @@ def guarantee_json(driven: Driven) -> dict[str, Any]:
             "capture_time_s": finite(lasts_s),
             "largest_share_of_bound": max(shares, default=None),
         }
-    return {"applies": driven.in_stages, "theorems": theorems}
+    return {
+        "applies": driven.in_stages,
+        "detour": problem.arena.detour,
+        "theorems": theorems,
+    }
 
 
 def faults(driven: Driven) -> list[str]:
@@ -163,7 +171,8 @@ def faults(driven: Driven) -> list[str]:
     if driven.in_stages and driven.alone and pursuit.uses:
         for theorem in THEOREMS:
             promised = driven.problem.guarantees(0, 0)[theorem]
-            lasts_s = promised.capture_time_s(pursuit.uses[0].distance_m, radius_m)
+            first_m = pursuit.away_m(pursuit.uses[0], promised.distances)
+            lasts_s = promised.capture_time_s(first_m, radius_m)
             # Before the first record nobody drives.
             spent_s = min(pursuit.capture_time_s, float(pursuit.times_s[-1]))
             if spent_s - pursuit.uses[0].time_s > lasts_s * (1.0 + RATIO_ROUNDING):
@@ -192,9 +201,13 @@ def in_words(name: str, data: Mapping[str, Any]) -> tuple[str, ...]:
             f"and {metrics['mean_error_m']:.2f} m off"
         )
     guarantee = data["guarantee"]
+    if guarantee["detour"] > 1.0:
+        lines.append(
+            f"  paths are at most {guarantee['detour']:.4g} times as long as straight lines"
+        )
     for theorem, each in guarantee["theorems"].items():
         if not guarantee["applies"]:
-            lines.append(f"  {theorem}: speaks of straight driving in stages in open space alone")
+            lines.append(f"  {theorem}: speaks of driving in stages (planner drive) alone")
             continue
         failing = [one for one in (*each["inequalities"], each["capture"]) if not one["holds"]]
         if failing:

@@ -16,10 +16,17 @@ from planopt.problems.build import obstacles_of
 from planopt.problems.schema_world import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import SMALLEST, Metres, Name, Pair, Quad, Table
-from planopt.pursuit.arena import Arena, arena_of
+from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import Chase, Guarantee, Theorem, guarantees
+from planopt.pursuit.guarantees import (
+    Chase,
+    Distances,
+    Guarantee,
+    Theorem,
+    guarantees,
+    guarantees_among_obstacles,
+)
 from planopt.pursuit.motion import Motion, StraightMotion, UnicycleMotion
 from planopt.pursuit.pursuers import DriveToReport, Policy
 from planopt.pursuit.receding import RecedingHorizon
@@ -27,7 +34,6 @@ from planopt.pursuit.records import SnapshotRecords, draw_lost_rounds
 from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.robots.unicycle import Unicycle
-from planopt.world.clearance import clearance_m
 from planopt.world.workspace import Obstacle, Workspace
 
 LOST_ROUNDS = 4096
@@ -316,7 +322,7 @@ class PursuitProblem:
             away_m = table.start_radius_m * math.sqrt(generator.uniform())
             turn = generator.uniform(0.0, 2.0 * math.pi)
             place = np.array(table.start_m) + away_m * np.array([math.cos(turn), math.sin(turn)])
-            if self._is_free(place):
+            if self.arena.is_free(place, EVADER_SHARE):
                 return place
         raise InputError(
             f"{table.name} has no free place to start at",
@@ -324,23 +330,24 @@ class PursuitProblem:
             remedy="keep it within world.bounds_m and pursuit.clearance_m away from obstacles",
         )
 
-    def _is_free(self, place_m: NDArray[np.float64]) -> bool:
-        if not np.array_equal(self.arena.within(place_m), place_m):
-            return False
-        obstacles = self.arena.obstacles
-        return obstacles is None or bool(
-            clearance_m(obstacles, place_m[None])[0] > 1.01 * self.arena.clearance_m
-        )
-
     def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:
-        """Return what each theorem says of one pursuer after one evader, in open space.
+        """Return what each theorem says of one pursuer after one evader.
 
-        A stage takes a step longer than driving straight, and a unicycle's the turn.
+        A stage takes a step longer than driving straight, and a unicycle's the turn; so does every
+        corner that a path may turn at. Among obstacles each theorem is that of the distances for
+        which its floor is lower.
         """
         motion = self.given.pursuers[pursuer].motion
         speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
-        delay_s = self.given.pursuit.step_s + motion.turning_s
-        return guarantees(Chase(speed, motion.speed_max_m_s, delay_s), self.service.bounds)
+        delay_s = (1 + self.arena.corners) * (self.given.pursuit.step_s + motion.turning_s)
+        chase, bounds = Chase(speed, motion.speed_max_m_s, delay_s), self.service.bounds
+        if self.arena.obstacles is None:
+            return guarantees(chase, bounds)
+        ways = guarantees_among_obstacles(chase, bounds, self.arena.detour)
+        return {
+            theorem: min((each[theorem] for each in ways.values()), key=lambda found: found.floor_m)
+            for theorem in ways[Distances.PATHS]
+        }
 
 
 LEAST_SPEED_M_S = 1e-9

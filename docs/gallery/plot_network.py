@@ -1,0 +1,121 @@
+"""
+Networks that cover a region and answer events
+==============================================
+
+Agents spread over a region, answer events and keep their links. Five pictures: rooms covered by
+shortest paths; a leak and its end; plans against the laws, with and without limits of acceleration;
+coverage that stays connected against coverage that does not; and what a step costs.
+"""
+
+# %%
+# Rooms. Cells are those of shortest paths, so that nobody covers what is behind a wall; agents come
+# from one corner and keep a clearance.
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import shapely
+
+from planopt import load_system
+from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
+from planopt.coverage.control.receding import MoveLimits, plan_moves
+from planopt.coverage.ground import ConvexGround
+from planopt.coverage.region import convex_region
+from planopt.report.coverage_figure import (
+    NetworkPicture,
+    animate_network,
+    draw_costs,
+    draw_network,
+    draw_step_times,
+)
+from planopt.systems.coverage.system import drive
+
+
+def picture(name, driven):
+    """The picture of a run."""
+    content = driven.problem
+    shapes = tuple(each.polygon for each in content.obstacles)
+    return NetworkPicture(name, driven.run, content.ground, shapes, content.events, content.radio)
+
+
+rooms = load_system("coverage_obstacles").simulate(seed=1)
+rooms_figure = draw_network(picture("coverage_obstacles", rooms.result))
+
+# %%
+# A leak appears after 60 s and ends after 180 s. Six agents of forty answer: they count themselves
+# over lossy links, agree on the nearest by passing flags, locate the leak on their way, and return.
+leak = load_system("event_response").simulate(seed=1)
+print("\n".join(leak.words))
+leak_figure = draw_network(picture("event_response", leak.result))
+moving = Path(tempfile.mkdtemp()) / "leak.gif"
+animate_network(picture("event_response", leak.result), moving)
+
+# %%
+# Plans against the laws: 20 agents spread from a corner. Without limits of acceleration plans over
+# any horizon are the laws with the speed clipped, one curve. With 0.25 m/s^2 agents are slower, and
+# a plan that sees its braking ahead is ahead of one that sees the next step alone.
+content = load_system("coverage_plain").content
+agents = content.given.agents
+limit = {"speed_max_m_s": 2.0}
+runs = {}
+for word, more, planner, horizon in (
+    ("law, speed limit", {}, "law", 1),
+    ("10 steps, speed limit", {}, "receding", 10),
+    ("1 step, acceleration limit", {"acceleration_max_m_s2": 0.25}, "receding", 1),
+    ("10 steps, acceleration limit", {"acceleration_max_m_s2": 0.25}, "receding", 10),
+):
+    control = content.given.control.model_copy(
+        update={"duration_s": 60.0, "stop_when_settled": False}
+    )
+    given = content.given.model_copy(
+        update={"agents": agents.model_copy(update=limit | more), "control": control}
+    )
+    settings = content.given.planner.model_copy(update={"name": planner, "horizon": horizon})
+    driven = drive(replace(content, given=given), settings, 3)
+    runs[word] = driven.run
+    print(f"{word}: mean H {driven.run.costs.mean():.5g}, last {driven.run.costs[-1]:.5g}")
+costs_figure = draw_costs(runs)
+
+# %%
+# Radio. Every agent keeps its way to the base station with probability 0.95, over links of a tree.
+# The laws cover better, and lose the links: crosses mark agents that no way connects well enough.
+radio = load_system("coverage_radio").content
+kept = drive(radio, radio.given.planner, 0)
+by_law = drive(radio, radio.given.planner.model_copy(update={"name": "law"}), 0)
+print(f"H at the end: {kept.run.costs[-1]:.4g} connected, {by_law.run.costs[-1]:.4g} not")
+kept_figure = draw_network(picture("stays connected", kept))
+lost_figure = draw_network(picture("does not", by_law))
+
+# %%
+# What a step costs: processor time of the laws, and of plans ten steps ahead for single and double
+# integrators with bodies, on their way to their centroids and all on their way to one place.
+times_s, sizes = {}, (30, 100, 300, 1000)
+for number in sizes:
+    side = 10.0 * np.ceil(np.sqrt(number))
+    ground = ConvexGround(convex_region(shapely.box(0, 0, side, side)))
+    at = np.arange(5.0, side, 10.0)
+    places = np.stack(np.meshgrid(at, at), axis=2).reshape(-1, 2)[:number]
+    places = places + 3.0 * np.random.default_rng(0).random(places.shape)
+    nobody = np.zeros(number, dtype=bool)
+    inert = {"acceleration_m_s2": 1.0}
+    jobs = {
+        "law": lambda p=places, g=ground, n=nobody: law_moves(
+            p, coverage_aims(g, p, n).targets_m, n, Gains(0.5, 0.5), 1.0, 3.0
+        )
+    }
+    centroids, middle = ground.cover(places).targets_m, np.full_like(places, 0.5 * side)
+    for word, aims, more in (
+        ("single integrators, spreading", centroids, {}),
+        ("double integrators, spreading", centroids, inert),
+        ("single integrators, to one place", middle, {}),
+        ("double integrators, to one place", middle, inert),
+    ):
+        limits = MoveLimits(speed_m_s=3.0, body_radius_m=1.0, **more)
+        jobs[word] = lambda p=places, g=ground, a=aims, m=limits: plan_moves(g, p, a, m, 0.5, 10)
+    for word, job in jobs.items():
+        begun = process_time()
+        job()
+        times_s.setdefault(word, []).append(process_time() - begun)
+times_figure = draw_step_times(sizes, times_s)

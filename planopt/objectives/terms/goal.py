@@ -1,0 +1,104 @@
+"""The term ``goal``: distance gained towards the robot's goal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.steered import (
+    gained_derivatives,
+    gained_m,
+    gained_reward,
+    gained_slope,
+    gains_m,
+)
+from planopt.objectives.terms.context import NearPath, Nodes, Paths, StepContext
+from planopt.objectives.terms.term import Steers, Structure, Term
+from planopt.objectives.told_batch import ToldBatch
+from planopt.objectives.way_slopes import Pull
+from planopt.targets.rounding import Derivatives
+
+
+@dataclass(frozen=True)
+class GoalTerm(Term):
+    """Metres by which the end of each step is nearer to the robot's goal (equation 4.23).
+
+    The distance is that of the cheapest way to the goal, where a metre at a place with a
+    probability of connection P < p_min counts ``1 + outage_price (1 - P)`` metres: the robot is led
+    round coverage holes. The run ends once every robot stands within ``goal_radius_m`` of its goal.
+
+    Attributes
+    ----------
+    weight
+        Factor in the sum of terms, per metre and step.
+    outage_price
+        What a metre that is certainly out of contact counts besides, when the way is chosen.
+
+    Examples
+    --------
+    >>> GoalTerm(weight=0.02).outage_price
+    10.0
+    """
+
+    outage_price: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1e6,
+            description="Metres that a metre certainly out of contact counts besides, when the way "
+            "to the goal is chosen.",
+        ),
+    ] = 10.0
+
+    kind: ClassVar[str] = "goal"
+    summary: ClassVar[str] = "Come to a goal, while other terms count as well."
+
+    @property
+    def structure(self) -> Structure:
+        """Distances add up over the steps."""
+        return "stagewise"
+
+    @property
+    def steers(self) -> Steers | None:
+        """The robot is steered to its goal."""
+        return "goal"
+
+    @property
+    def may_stand(self) -> bool:
+        """A robot that stands short of its goal has failed."""
+        return False
+
+    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+        """Return the metres gained by the places of one path, summed."""
+        return gained_m(at, path_m)
+
+    def values(self, paths: Paths) -> NDArray[np.float64]:
+        """Return the same of many paths."""
+        return gains_m(paths)
+
+    def derivatives(self, path: NearPath) -> Derivatives:
+        """Return minus the distance that is left at every place."""
+        return gained_derivatives(path)
+
+    @property
+    def has_slope(self) -> bool:
+        """There is one."""
+        return True
+
+    @property
+    def adds_stations(self) -> bool:
+        """No station counts."""
+        return False
+
+    def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
+        """Return derivatives of :meth:`values` by the places of paths."""
+        return gained_slope(at, told.batch)
+
+    def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64]:
+        """Return minus the way that is left from each node."""
+        return gained_reward(at, nodes)

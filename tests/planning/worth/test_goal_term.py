@@ -1,0 +1,175 @@
+"""A goal among other terms: the way there, its worth, arrival, and what keeps it from arriving."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from terms_scene import ENERGY, LEARNING, judge_of, situation_of, terms_problem
+
+from planopt import InputError, check, load, load_result, simulate, solve
+from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.worth.goal_steering import GoalSteering
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.steering_way import SteeringWay
+from planopt.problems.load import problem_from_tables
+from planopt.problems.save import problem_to_dict
+from planopt.world.clearance import index_obstacles
+from planopt.world.lattice import nearest_node
+
+GOAL = {"kind": "goal"}
+
+
+def to_goal(*terms, goal=(30.0, 15.0), p_min=0.0, **planner):
+    """The small problem with a goal on the other side of its block."""
+    tables = problem_to_dict(terms_problem(LEARNING, p_min=p_min, **planner))
+    tables["problem"]["task"] = "custom" if terms[0]["kind"] == "goal" else "learn"
+    tables["objective"] = {"terms": [dict(term) for term in terms]}
+    tables["robots"][0]["goal_m"] = list(goal)
+    return problem_from_tables(tables, folder=Path(), file=None)
+
+
+def with_obstacles(problem, *shapes):
+    """The same with no other obstacles."""
+    return replace(problem, workspace=replace(problem.workspace, obstacles=shapes))
+
+
+def scene(problem):
+    """What is known at the start, and what steers."""
+    situation, belief = situation_of(problem)
+    ground = judge_of(situation, belief)[1]
+    return situation, ground, GoalSteering(problem, ground, problem.terms[0])
+
+
+def test_without_obstacles_the_worth_is_the_distance_gained():
+    """Summed over the steps; the straight way has no turns."""
+    problem = with_obstacles(to_goal(GOAL))
+    situation, _, steering = scene(problem)
+    way = steering.find_way(situation)
+    np.testing.assert_allclose(way.turns_m, [problem.robots[0].start_m, problem.goal_m])
+    path = situation.position_m + np.random.default_rng(0).normal(size=(5, 2)).cumsum(axis=0)
+    left = np.linalg.norm(path - problem.goal_m, axis=1)
+    worth = PathWorth(replace(situation, steering=way))(path)
+    assert worth == pytest.approx((20.0 - left).sum())
+
+
+def test_the_way_round_an_obstacle_is_the_shortest():
+    """By two corners, 0.5 m away; the lattice costs 4 % at most."""
+    problem = to_goal(GOAL)
+    situation, ground, steering = scene(problem)
+    way = steering.find_way(situation)
+    # Below the block: its corners, and the start and the goal 3 m above them.
+    shortest = 2 * np.hypot(8.0, 3.5) + 4.0
+    assert shortest <= way.rest_m[0] <= 1.04 * shortest
+    assert way.lattice_m is not None and way.lattice_m.shape == ground.road_map.lattice.shape
+
+
+def metre_cost(situation, places_m, p_min, price=10.0):
+    """What a metre counts, from all measurements."""
+    power = search_prediction(situation.posterior, places_m)
+    margin = power.mean_db - situation.problem.stations[0].threshold_dbm
+    chance = norm.cdf(margin / power.deviation_db)
+    return 1.0 + price * np.where(chance < p_min, 1.0 - chance, 0.0)
+
+
+def test_the_way_goes_round_a_hole():
+    """At the price it costs less than the geodesic way, and no taut leg cuts through."""
+    problem = load("open_field")
+    tables = problem_to_dict(problem)
+    tables["problem"]["task"] = "custom"
+    tables["objective"] = {"terms": [GOAL]}
+    tables["robots"][0] |= {"start_m": [50.0, 60.0], "goal_m": [70.0, 60.0]}
+    problem = problem_from_tables(tables, folder=Path(), file=None)
+    situation, _, steering = scene(problem)
+
+    def cost(turns_m):
+        total = 0.0
+        for start, end in pairwise(turns_m):
+            share = (np.arange(200) + 0.5)[:, None] / 200
+            places = start + share * (end - start)
+            total += metre_cost(situation, places, 0.8).mean() * np.linalg.norm(end - start)
+        return total
+
+    found = steering.find_way(situation)
+    unpriced = replace(problem.terms[0], outage_price=0.0)
+    ground = judge_of(*situation_of(problem))[1]
+    short = GoalSteering(problem, ground, unpriced).find_way(situation)
+    assert short.rest_m[0] < found.rest_m[0]
+    assert cost(found.turns_m) < 0.8 * cost(short.turns_m)
+    at_start = nearest_node(ground.road_map.lattice, situation.position_m)
+    assert cost(found.turns_m) <= 1.1 * found.lattice_m[at_start]
+
+
+def test_places_go_on_in_the_order_of_the_turns():
+    """The last turn is in sight from everywhere, and across the hole."""
+    index = index_obstacles(with_obstacles(to_goal(GOAL)).workspace)
+    turns = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
+    way = SteeringWay(turns, index, 0.5, in_order=True)
+    places = np.array([[0.0, 0.0], [1.0, 4.0], [5.0, 9.0], [9.5, 3.0]])
+    np.testing.assert_array_equal(way.next_turns(places), [1, 1, 2, 3])
+    np.testing.assert_array_equal(replace(way, in_order=False).next_turns(places), [3] * 4)
+    assert way.distance_m(places[:1])[0] == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("horizon", [1, 5])
+def test_a_robot_arrives(horizon):
+    """Along about the shortest way, and the run says when."""
+    run = simulate(to_goal(GOAL, max_steps=40), horizon=horizon, seed=1)
+    shortest = 2 * np.hypot(8.0, 3.5) + 4.0
+    assert run.outcome.value == "reached"
+    assert run.metrics["path_m"] <= 1.15 * shortest
+    assert run.metrics["goal_time_s"] == len(run.runs[0].log.t_s) - 1
+
+
+def test_it_learns_on_the_way(tmp_path):
+    """More than one that only drives, with the same measurements before; the files say it all."""
+    both = []
+    for weight in (1.0, 0.005):
+        problem = to_goal({**GOAL, "weight": weight}, LEARNING, max_steps=60)
+        both.append(simulate(problem, horizon=5, seed=2))
+    plain, learnt = both
+    assert {run.outcome.value for run in both} == {"reached"}
+    assert learnt.metrics["log_det_m"] < plain.metrics["log_det_m"]
+    assert learnt.metrics["path_m"] >= plain.metrics["path_m"]
+    learnt.save(tmp_path)
+    assert check(tmp_path).verdict.value == "verified"
+    assert load_result(tmp_path).outcome.value == "reached"
+
+
+def test_each_robot_has_a_goal_of_its_own():
+    """The run ends when both are there, apart all the way."""
+    tables = problem_to_dict(to_goal(GOAL, max_steps=40))
+    second = {**tables["robots"][0], "name": "second", "start_m": [30.0, 17.0]}
+    tables["robots"].append(second | {"goal_m": [10.0, 17.5]})
+    tables["constraints"]["separation_m"] = 1.5
+    run = simulate(problem_from_tables(tables, folder=Path(), file=None), horizon=4, seed=0)
+    assert run.outcome.value == "reached" and run.metrics["min_separation_m"] >= 1.5
+
+
+def test_who_does_not_move_has_failed():
+    """Energy that outweighs the goal: standing is best, and no success."""
+    dear = {**ENERGY, "per_metre_j_m": 1e3}
+    run = simulate(to_goal({**GOAL, "weight": 1e-3}, dear, max_steps=5), horizon=2, seed=0)
+    assert run.outcome.value == "stalled"
+
+
+def test_what_is_wrong_is_said():
+    """The goal and its term go together; one thing steers."""
+    with pytest.raises(InputError, match=r"a term of kind goal needs robots\[0\]\.goal_m"):
+        terms_problem(GOAL)
+    with pytest.raises(InputError, match=r"has no robots\.goal_m without a term of kind goal"):
+        to_goal(LEARNING)
+    steering = {"kind": "mapping", "form": "two_layer"}
+    with pytest.raises(InputError, match=r"two of objective\.terms steer"):
+        to_goal(GOAL, steering)
+
+
+def test_a_plan_has_what_it_was_steered_along():
+    """Turns from the start to the goal."""
+    solution = solve(to_goal(GOAL), horizon=3, seed=0)
+    (aim,) = solution.aims
+    np.testing.assert_allclose(aim.steering_turns_m[[0, -1]], [(10.0, 15.0), (30.0, 15.0)])

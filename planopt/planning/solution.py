@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planopt.channel.belief import Belief
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.short_results import only, short_solution
 from planopt.planning.worth.aim import Aim
@@ -16,8 +16,6 @@ from planopt.problems.problem import Problem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from planopt.planning.explain.crossing import Crossing
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
+from planopt.planning.explain.explanation import Crossing
 from planopt.planning.ground import first_moves
-from planopt.planning.holes import SHORTEST_IN_WORDS_M, Hole
 from planopt.planning.plan import Plan
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.scene import Scene, build_scene
@@ -20,57 +19,6 @@ from planopt.world.road_map import shortest_ways, way_from
 
 BY_ALL_MEANS = 1e4
 """Price at which contact counts first and length second."""
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """The coverage holes that a way to a goal crosses, and the way with the best contact beside it.
-
-    Attributes
-    ----------
-    robot
-        Whose way it is.
-    holes
-        In the order of the way.
-    cost_m
-        What the cheapest way over the lattice costs, in metres at `outage_price`.
-    outage_price
-        ``objective.outage_price``.
-    kept_m
-        Length of the way that is out of contact for the fewest metres.
-    outside_m
-        How many those are: zero where a way keeps the bound all along.
-    p_min
-        The bound.
-    """
-
-    robot: str
-    holes: tuple[Hole, ...]
-    cost_m: float
-    outage_price: float
-    kept_m: float
-    outside_m: float
-    p_min: float
-
-    @property
-    def at_goal(self) -> bool:
-        """Whether the goal itself is below the bound."""
-        return bool(self.holes) and self.holes[-1].to_end
-
-    def __str__(self) -> str:
-        """Where the holes are, how long, and why they are crossed."""
-        where = "; ".join(hole.words for hole in self.holes)
-        goal = "; the goal is itself below it" if self.at_goal else ""
-        instead = (
-            f"the way that keeps it all along is {self.kept_m:.0f} m long"
-            if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal
-            else f"no way keeps it: the best is out of contact for {self.outside_m:.1f} of its "
-            f"{self.kept_m:.0f} m"
-        )
-        return (
-            f"crosses {where}: below constraints.p_min {self.p_min:g}{goal}; the way costs "
-            f"{self.cost_m:.0f} m at objective.outage_price {self.outage_price:g}, and {instead}"
-        )
 
 
 def explain_crossing(

@@ -21,8 +21,8 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.explain.case import Case
-from planopt.planning.explain.crossing import Crossing, explain_crossing
-from planopt.planning.explain.explanation import Relaxation, towards
+from planopt.planning.explain.crossing import explain_crossing
+from planopt.planning.explain.explanation import Crossing, Relaxation, towards
 from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
 from planopt.planning.free_space import is_joined, widest_clearance_m

@@ -1,4 +1,4 @@
-"""A thousand steps of a pursuit over 256 x 256 motes, and what every mote knows at each of them."""
+"""A thousand steps of a pursuit on 256 x 256 motes, and small versions of ``pursuit_study.py``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 from conftest import Table
+from pursuit_study import captures, varied
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from planopt.pursuit.arena import Arena
@@ -18,6 +19,7 @@ from planopt.pursuit.receding import RecedingHorizon
 from planopt.pursuit.records import SnapshotRecords
 from planopt.pursuit.service import SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Pursuit, Scene, simulate_pursuit
+from planopt.studies.compare import compare
 
 STEPS = 1000
 SERVICE = SnapshotService(levels=8, mote_spacing_m=1.0, frame_s=0.05, bits_per_axis=5)
@@ -42,6 +44,21 @@ def test_thousand_steps(benchmark: BenchmarkFixture, table: Table, name: str) ->
     table.add(f"1,000 steps, {name}", SERVICE.motes_per_side**2, durations_s)
     assert len(pursuit.times_s) == STEPS + 1
     assert min(durations_s) < 10.0
+
+
+def test_captures(benchmark: BenchmarkFixture, capsys: pytest.CaptureFixture[str]) -> None:
+    """Six drawn pursuits, one of each kind of evader, all end in time."""
+    benchmark.pedantic(lambda: captures(0, 6), rounds=1)
+    assert "6 pursuits: 0 not captured, 0 later than promised" in capsys.readouterr().out
+
+
+def test_planners(benchmark: BenchmarkFixture) -> None:
+    """A unicycle that loses reports catches a zigzagging evader by both planners."""
+    problem = varied("pursuit_fleeing", {"kind": "zigzag", "period_s": 15.0}, 0.5, 0.3)
+    found = benchmark.pedantic(
+        lambda: compare(problem, (2,), planners=("drive", "receding"), seeds=1), rounds=1
+    )
+    assert [run.outcome for run in found.runs] == ["captured"] * 2
 
 
 def _scene(policy: Policy) -> Scene:

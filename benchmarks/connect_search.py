@@ -104,10 +104,17 @@ def seeded_starts(problem: Problem, count: int, seed: int) -> list[NDArray[np.fl
 
 
 def searches(
-    problem: Problem, horizons: Iterable[int], count: int, seed: int, *, plain: bool = False
+    problem: Problem,
+    horizons: Iterable[int],
+    count: int,
+    seed: int,
+    *,
+    plain: bool = False,
+    first: int = 0,
 ) -> Iterable[Search]:
-    """Drive from `count` seeded starts at every horizon, or by the plain search."""
-    for number, (start, *away) in enumerate(zip(*seeded_starts(problem, count, seed), strict=True)):
+    """Drive from the seeded starts `first` to `count` at every horizon, or by the plain search."""
+    found = zip(*seeded_starts(problem, count, seed), strict=True)
+    for number, (start, *away) in list(enumerate(found))[first:]:
         robot = replace(problem.robots[0], start_m=(float(start[0]), float(start[1])))
         placed = replace(problem, robots=(robot,))
         if plain:
@@ -188,6 +195,7 @@ def main() -> None:
     parser.add_argument("problems", nargs="+", help="names of the library, or files")
     parser.add_argument("--horizons", default="1,5,10,20")
     parser.add_argument("--starts", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="number of the first start")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--plain", action="store_true", help="the plain search, without horizon")
     parser.add_argument("--each", action="store_true", help="print every run")
@@ -196,7 +204,9 @@ def main() -> None:
     for name in args.problems:
         problem = load(name)
         found: list[Search] = []
-        for search in searches(problem, horizons, args.starts, args.seed, plain=args.plain):
+        for search in searches(
+            problem, horizons, args.starts, args.seed, plain=args.plain, first=args.first
+        ):
             found.append(search)
             if args.each:
                 print(

@@ -3,17 +3,19 @@
 ``python benchmarks/pursuit_study.py captures --runs 500`` draws networks, speeds and evaders with
 a below 1 and a capture radius above the floor, and counts who is not caught in time.
 ``python benchmarks/pursuit_study.py horizons --seeds 40`` compares planners on the library's
-pursuit_fleeing with every kind of evader.
+pursuit_fleeing with every kind of evader; ``--problem pursuit_obstacles`` among obstacles,
+``--turn-rate 0.5`` for a unicycle, ``--loss 0.3`` with lost reports, ``--evaders zigzag`` for one.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 
 import numpy as np
 
 from planopt import load_system
-from planopt.problems.systems import Request, SystemProblem, system_from_tables
+from planopt.problems.systems import SystemProblem, system_from_tables
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, Theorem, contraction, guarantees
 from planopt.pursuit.motion import StraightMotion
@@ -21,6 +23,7 @@ from planopt.pursuit.pursuers import DriveToReport
 from planopt.pursuit.records import SnapshotRecords
 from planopt.pursuit.service import SnapshotService, relative_error
 from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
+from planopt.studies.compare import compare
 
 EVADERS = {
     "static": {"kind": "static"},
@@ -33,27 +36,48 @@ EVADERS = {
 }
 
 
-def horizons(first_seed: int, seeds: int) -> None:
+def horizons(given: argparse.Namespace) -> None:
     """Print the time to capture of each planner against each kind of evader."""
-    tables = load_system("pursuit_fleeing").tables()
-    request = Request(
-        first_seed,
-        (1, 5, 10),
-        ("drive", "retarget", "receding"),
-        range(first_seed, first_seed + seeds),
-    )
-    for name, behaviour in EVADERS.items():
+    for name in given.evaders or EVADERS:
+        found = compare(
+            varied(given.problem, EVADERS[name], given.turn_rate, given.loss),
+            (1, 5, 10),
+            planners=("drive", "retarget", "receding"),
+            seeds=range(given.first_seed, given.first_seed + given.seeds),
+        )
         print(name)
-        for line in varied(tables, behaviour).answer("compare", request).words[1:]:
-            print(line, flush=True)
+        for row in found.rows:
+            if row.metric == "capture_time_s" and row.mean is not None:
+                ratio = f"{row.paired_ratio:.3f} ({row.ratio_low:.3f} to {row.ratio_high:.3f})"
+                caught = f"{row.count} of {row.seeds} caught"
+                print(f"  {row.planner} {row.horizon}: {row.mean:.2f} s, {ratio}, {caught}")
+        sys.stdout.flush()
 
 
-def varied(tables: dict, behaviour: dict) -> SystemProblem:
-    """Return the problem with another evader."""
+def varied(
+    problem: str, behaviour: dict, turn_rate_rad_s: float | None = None, loss: float = 0.0
+) -> SystemProblem:
+    """Return a library problem with another evader, and with another pursuer or network."""
+    library = load_system(problem)
+    tables = library.tables()
     evader = {**tables["evaders"][0], "behaviour": behaviour}
+    pursuer = dict(tables["pursuers"][0])
+    rules = dict(tables["pursuit"])
+    if turn_rate_rad_s is not None:
+        pursuer["turn_rate_max_rad_s"] = turn_rate_rad_s
+    if turn_rate_rad_s is not None or loss:
+        # Neither a turn on the spot a stage nor lost rounds leave the guarantee that it asks for.
+        rules.pop("guarantee", None)
     found = system_from_tables(
-        {**tables, "evaders": [evader], "report": {"figures": False}},
-        folder=load_system("pursuit_fleeing").file.parent,
+        {
+            **tables,
+            "evaders": [evader],
+            "pursuers": [pursuer],
+            "pursuit": rules,
+            "network": {**tables["network"], "loss_probability": loss},
+            "report": {"figures": False},
+        },
+        folder=library.file.parent,
         file=None,
     )
     assert found is not None
@@ -132,11 +156,15 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=500)
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--problem", default="pursuit_fleeing")
+    parser.add_argument("--turn-rate", type=float)
+    parser.add_argument("--loss", type=float, default=0.0)
+    parser.add_argument("--evaders", nargs="+", choices=EVADERS)
     given = parser.parse_args()
     if given.study == "captures":
         captures(given.first_seed, given.runs)
     else:
-        horizons(given.first_seed, given.seeds)
+        horizons(given)
 
 
 if __name__ == "__main__":

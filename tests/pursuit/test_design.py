@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -23,7 +24,7 @@ from planopt.pursuit.flooding import Flooding, simulate_flooding
 from planopt.pursuit.guarantees import Chase, Theorem, guarantees
 from planopt.pursuit.network import MoteNetwork
 from planopt.pursuit.programmes import least_energy_slot_s, relaxed_design, sharp_slot_s
-from planopt.pursuit.service import SnapshotService
+from planopt.pursuit.service import SnapshotService, relative_error
 
 NETWORK = MoteNetwork(
     levels=6,
@@ -107,6 +108,32 @@ def test_relaxation_is_a_lower_bound(task):
     searched = minimize_scalar(cost, bounds=(3.0, 14.0), method="bounded", options={"xatol": 1e-9})
     assert relaxed.cost_w == pytest.approx(searched.fun, rel=1e-7)
     assert relaxed.relative_error == pytest.approx(np.sqrt(2) * 2**-searched.x, rel=1e-3)
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("bits", [4, 5, 7, 9])
+@pytest.mark.filterwarnings("ignore:Solver failed:RuntimeWarning", "ignore:Solution may be")
+def test_disciplined_quasiconvex_programme(task, bits):
+    """Bisection over levels (DQCP, Clarabel) finds the scan's least power to 1e-6.
+
+    With y = -ln kappa the bits are linear, and power is a ratio of linear functions.
+    """
+    network, u = task.network, 1.0 / task.chase.speed_ratio
+    unit_s = (1.0 - u - task.margin) / task.staleness_per_slot
+    slot, y = cp.Variable(pos=True), cp.Variable(pos=True)
+    block = network.record_bits + 1.0 + 2.0 / np.log(2.0) * y
+    payload = network.header_bits + network.slot_blocks * block
+    limits = [
+        task.staleness_per_slot * unit_s * slot + (1.0 + u) * cp.exp(-y) <= 1.0 - u - task.margin,
+        payload <= network.bit_rate_bit_s * unit_s * slot,
+        y == -np.log(relative_error(bits)),
+    ]
+    sent = (network.header_bits + network.mean_blocks * block) / network.frame_bits(4)
+    programme = cp.Problem(cp.Minimize(sent / slot), limits)
+    assert programme.is_dqcp() and not programme.is_dcp()
+    programme.solve(qcp=True, solver=cp.CLARABEL, low=0.2, high=50.0, eps=4e-7)
+    cost_w = network.power_w(unit_s * slot.value, 0.5 + y.value / np.log(2.0))
+    assert cost_w == pytest.approx(cheapest_design(fixed(task, bits)).cost_w, rel=1e-6)
 
 
 @pytest.mark.parametrize("task", TASKS)

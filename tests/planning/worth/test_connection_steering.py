@@ -19,6 +19,7 @@ from planopt.objectives.until_connected import (
     counted_legs_m,
     search_length_m,
 )
+from planopt.planning.ground import build_ground
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.worth.connection_steering import ConnectionSteering
@@ -198,3 +199,37 @@ def test_small_steps_and_waiting_are_no_tries():
     still = np.tile(here, (3, 1))
     waited = 3.0 * WAITING * problem.step_length_m
     assert PathWorth(situation)(still) == pytest.approx(-waited - beyond)
+
+
+def test_a_mirrored_scene_steers_to_the_mirrored_place():
+    """The wall is its own mirror image; station, measurements and start are mirrored."""
+
+    def mirror(places):
+        return np.asarray(places) * [-1.0, 1.0] + [40.0, 0.0]
+
+    situation, ground = known(search_problem((32.0, 20.0), -36.0))
+    way = steered(situation, ground)
+    parameters, taken = situation.posterior.parameters, situation.posterior.measurements
+    station = replace(parameters.station, position_m=tuple(mirror(parameters.station.position_m)))
+    posterior = condition(
+        replace(parameters, station=station),
+        measured(mirror(taken.positions_m), taken.power_dbm),
+    )
+    there = tuple(float(part) for part in mirror(situation.position_m))
+    problem = search_problem(there, -36.0)
+    other = replace(
+        situation, problem=problem, posterior=posterior, position_m=mirror(situation.position_m)
+    )
+    found = steered(other, build_ground(problem, other.position_m))
+    np.testing.assert_allclose(mirror(found.turns_m), way.turns_m, atol=1e-9)
+
+
+@pytest.mark.parametrize(("start", "threshold"), [((32.0, 34.0), -33.0), ((32.0, 20.0), -36.0)])
+def test_waiting_never_pays(start, threshold):
+    """A path driven a step later is worth less, and the later the less, while a try is left."""
+    situation, ground = known(search_problem(start, threshold, horizon=4))
+    way = steered(situation, ground)
+    situation = replace(situation, steering=way)
+    path = way.path_m(4, situation.problem.step_length_m)
+    waited = [np.vstack([np.tile(situation.position_m, (k, 1)), path[: 4 - k]]) for k in range(5)]
+    assert (np.diff([PathWorth(situation)(each) for each in waited]) < 0.0).all()

@@ -6,11 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from planopt.coverage.assignment.demand import HEXAGON
-from planopt.coverage.density import UniformDensity
+from planopt.coverage.density import GaussianMixture, UniformDensity
 from planopt.coverage.ground import ConvexGround, GeodesicGround, Ground
+from planopt.coverage.raster_density import RasterDensity
 from planopt.errors import InputError
 
 LEAP = 1.7
@@ -24,6 +26,9 @@ MAX_STEPS = 500
 
 CANDIDATES = 20
 """Places per agent that random starts are drawn from."""
+
+LEVELS = 200
+"""Cells along either side of the region on which a mixture's least densities are taken."""
 
 Floats = NDArray[np.float64]
 
@@ -197,16 +202,61 @@ def cost_bound(ground: Ground, count: int) -> float:
 
     For the uniform density every cell costs at least as much as a disc of its area about its
     centre, and equal areas cost least. In a convex polygon of at most six sides, without sensing
-    range, regular hexagons of equal area are a better bound (Fejes Tóth's moment theorem).
+    range, regular hexagons of equal area are a better bound (Fejes Tóth's moment theorem). Any
+    other density is a sum of uniform ones on its superlevel sets, whose bounds add up.
     """
-    if not isinstance(ground, ConvexGround) or not isinstance(ground.density, UniformDensity):
+    if not isinstance(ground, ConvexGround):
         return 0.0
-    area = ground.area_m2 / count
     reach = math.inf if ground.sensing_range_m is None else ground.sensing_range_m
-    inner = min(area, math.pi * reach**2)
+    densities, areas = _levels(ground)
+    order = np.argsort(-densities, kind="stable")
+    area = np.cumsum(areas[order]) / count
+    steps = -np.diff(densities[order], append=0.0)
+    inner = np.minimum(area, math.pi * reach**2)
     disc = inner**2 / (2.0 * math.pi)
-    if area > inner:
-        disc += reach**2 * (area - inner)
-    if len(ground.region.corners_m) <= 6 and math.isinf(reach):
-        disc = max(disc, HEXAGON * area**2)
-    return ground.density.weight_per_m2 * count * disc
+    beyond = area > inner
+    disc[beyond] += reach**2 * (area - inner)[beyond]
+    hexagons = isinstance(ground.density, UniformDensity) and len(ground.region.corners_m) <= 6
+    if hexagons and math.isinf(reach):
+        disc = np.maximum(disc, HEXAGON * area**2)
+    return float(count * (steps @ disc))
+
+
+def _levels(ground: ConvexGround) -> tuple[Floats, Floats]:
+    """Densities that those of parts of a region are nowhere below, and areas of the parts."""
+    density, area = ground.density, np.array([ground.area_m2])
+    corners = ground.region.corners_m
+    first: Floats = corners.min(axis=0)
+    last: Floats = corners.max(axis=0)
+    x: Floats
+    y: Floats
+    if isinstance(density, UniformDensity):
+        return np.array([density.weight_per_m2]), area
+    if isinstance(density, RasterDensity):
+        raster, (wide, high) = density.raster, density.raster.cell_m
+        x = raster.x_m[0] + wide * (np.arange(len(raster.x_m) + 1) - 0.5)
+        y = raster.y_m[0] + high * (np.arange(len(raster.y_m) + 1) - 0.5)
+        least = raster.values
+    elif isinstance(density, GaussianMixture):
+        share = np.arange(LEVELS + 1, dtype=np.float64)[:, None] / LEVELS
+        lines: Floats = first + share * (last - first)
+        x, y = lines[:, 0], lines[:, 1]
+        places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        least = np.full((LEVELS, LEVELS), density.floor_per_m2)
+        for number in range(len(density.weights)):
+            # A bump has no minimum within a convex cell: it is least at one of the corners.
+            one = GaussianMixture(
+                density.weights[[number]],
+                density.means_m[[number]],
+                density.covariances_m2[[number]],
+            )
+            bump = one.at(places).reshape(LEVELS + 1, LEVELS + 1)
+            along = np.minimum(bump[:, 1:], bump[:, :-1])
+            least = least + np.minimum(along[1:], along[:-1])
+    else:
+        return np.zeros(1), area
+    left, low = np.meshgrid(x[:-1], y[:-1])
+    right, top = np.meshgrid(x[1:], y[1:])
+    boxes = np.asarray(shapely.box(left, low, right, top), dtype=np.object_)
+    inside = shapely.intersection(boxes, shapely.Polygon(corners))
+    return least.ravel(), np.asarray(shapely.area(inside), dtype=np.float64).ravel()  # pyright: ignore[reportUnknownMemberType]

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import shapely
 
-from planopt.coverage.density import GaussianMixture, UniformDensity
+from planopt.coverage.density import CallableDensity, GaussianMixture, UniformDensity
 from planopt.coverage.ground import ConvexGround, geodesic_ground
 from planopt.coverage.optima import best_deployment, cost_bound, draw_start, settle
+from planopt.coverage.raster_density import RasterDensity
 from planopt.coverage.region import ConvexRegion, convex_region
 from planopt.errors import InputError
+from planopt.world.raster import Raster
 from tests.coverage.scattered import scattered
 
 
@@ -46,11 +48,37 @@ def test_bound_of_one_disc() -> None:
 
 
 def test_no_bound_is_claimed_without_proof(square: ConvexRegion) -> None:
-    """Other densities, and obstacles, have the trivial bound."""
-    bump = GaussianMixture(np.ones(1), np.array([[50.0, 50.0]]), np.eye(2)[None] * 400.0, 1e-5)
-    assert cost_bound(ConvexGround(square, bump), 5) == 0.0
+    """Densities of the user's own, and obstacles, have the trivial bound."""
+    own = CallableDensity(lambda places: 1.0 + places[:, 0] ** 2, 5.0)
+    assert cost_bound(ConvexGround(square, own), 5) == 0.0
     walled = geodesic_ground(shapely.box(0, 0, 9, 9), [shapely.box(4, 4, 5, 5)], 1.0)
     assert cost_bound(walled, 5) == 0.0
+
+
+def test_bound_of_other_densities_holds(square: ConvexRegion) -> None:
+    """Level by level the bound is below every deployment, and exact for one agent on one bump."""
+    rng = np.random.default_rng(8)
+    bump = GaussianMixture(np.ones(1), np.array([[50.0, 50.0]]), np.eye(2)[None] * 100.0)
+    ground, middle = ConvexGround(square, bump), np.array([[50.0, 50.0]])
+    cost = ground.cover(middle).cost
+    assert 0.9 * cost < cost_bound(ground, 1) < cost
+    x = np.linspace(5.0, 95.0, 10)
+    values = rng.random((10, 10)) ** 3
+    spread = np.array([[[300.0, 200.0], [200.0, 400.0]], [[90.0, 0.0], [0.0, 40.0]]])
+    two = GaussianMixture(
+        np.array([1.0, 3.0]), np.array([[20.0, 30.0], [70.0, 60.0]]), spread, 1e-4
+    )
+    for density in (two, RasterDensity(Raster(x, x, values))):
+        for count, reach in ((1, None), (4, None), (4, 15.0)):
+            ground = ConvexGround(square, density, reach)
+            best = min(settle(ground, draw_start(ground, count, rng))[1] for _ in range(2))
+            assert 0.2 * best < cost_bound(ground, count) <= best
+    # An even raster is the uniform density; hexagons are not counted on.
+    turn = 2.0 * np.pi * np.arange(9) / 9
+    region = convex_region(50.0 + 40.0 * np.stack((np.cos(turn), np.sin(turn)), axis=1))
+    even = ConvexGround(region, RasterDensity(Raster(x, x, np.full((10, 10), 2.0))))
+    uniform = ConvexGround(region, UniformDensity(2.0))
+    assert cost_bound(even, 6) == pytest.approx(cost_bound(uniform, 6))
 
 
 def test_several_starts_reach_the_best(square: ConvexRegion) -> None:

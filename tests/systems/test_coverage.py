@@ -196,7 +196,7 @@ def test_false_folders_are_rejected(change, words, saved, tmp_path, capsys):
         ((("ends_s = 40", "ends_s = 7"),), "", "events[0].ends_s", "not after"),
         ((("agents = 3 }", "agents = 3 }\nvelocity_m_s = [1, 0]"),), "", "velocity_m_s", "outside"),
         (
-            (('kind = "random", count = 12', 'kind = "list", places_m = [[1, 1], [50, 1]]'),),
+            (('kind = "random", count = 12', 'kind = "list", places_m = [[1,1], [50,1], [2,2]]'),),
             "",
             "agents.start.places_m[1]",
             "outside",
@@ -239,7 +239,9 @@ def test_false_folders_are_rejected(change, words, saved, tmp_path, capsys):
         ),
         ((('kind = "number", agents = 3', 'kind = "accuracy", accuracy_m = 1e-4'),), "",
          "events[0].demand.accuracy_m", "there are 12"),
-        ((("count = 12", "count = 1"),),
+        ((('"number", agents = 3', '"number", agents = 13'),), "", "events[0].demand.agents",
+         "asks for 13 agents, there are 12"),
+        ((("count = 12", "count = 1"), ("agents = 3 }", "agents = 1 }")),
          '[[events]]\nname = "two"\nplace_m = [3, 3]\nappears_s = 9\n'
          'demand = { kind = "number", agents = 1 }',
          "events[1].appears_s", "2 events and 1 agents"),

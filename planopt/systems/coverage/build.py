@@ -260,6 +260,7 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
             {
                 "demand": f"events[{number}].demand",
                 "accuracy_m": f"events[{number}].demand.accuracy_m",
+                "agents": f"events[{number}].demand.agents",
             },
         )
         _keyed(

@@ -39,7 +39,9 @@ class SurveyTable(Table):
     file: FileName | None = Field(
         default=None, description="CSV with x_m, y_m and power_dbm, relative to the problem file."
     )
-    places_m: list[Pair] | None = Field(default=None, description="In place: where, [x, y].")
+    places_m: list[Pair] | None = Field(
+        default=None, min_length=1, description="In place: where, [x, y]."
+    )
     power_dbm: list[float] | None = Field(default=None, description="In place: the powers in dBm.")
     floor_dbm: float | None = Field(
         default=None, ge=-500, le=300, description="Powers at or below it are upper limits."
@@ -101,7 +103,13 @@ class SurveyTable(Table):
             generator,
         )
         places = low + (high - low) * generator.random((40 * self.count, 2))
-        return measure(truth, places[ground.allows(places)][: self.count])
+        free = places[ground.allows(places)][: self.count]
+        if len(free) < self.count:
+            raise InputError(
+                f"only {len(free)} of {self.count} places are free", key="count",
+                remedy="ask for fewer",
+            )  # fmt: skip
+        return measure(truth, free)
 
 
 class RadioTable(Table):

@@ -291,6 +291,12 @@ class NumberTable(Table):
 
     def demand(self, scene: DemandContext) -> Demand:
         """Return the demand."""
+        if self.agents > scene.agents:
+            raise InputError(
+                f"asks for {self.agents} agents, there are {scene.agents}",
+                key="agents",
+                remedy="give more agents, or ask for fewer",
+            )
         return lambda agents: min(self.agents, agents)
 
 

@@ -34,6 +34,6 @@ def test_study_prints_and_remembers(
     assert capsys.readouterr().out == first
 
 
-def drive_nothing(name: str, seed: int, horizon: int) -> None:
+def drive_nothing(name: str, seed: int, horizon: int, charge: str) -> None:
     """Stand in for a drive that must not happen."""
     raise AssertionError(f"{name}, seed {seed}, horizon {horizon} was driven again")

@@ -41,7 +41,8 @@ def drive_plain(
     """
     roads, belief = scene.road_map, prepared.belief
     radio = problem.stations[0]
-    margins = NodeMargins(roads, radio.threshold_dbm, problem.constraints.p_min)
+    everywhere = problem.reach.charges_everywhere
+    margins = NodeMargins(roads, radio.threshold_dbm, problem.constraints.p_min, everywhere)
     here = np.asarray(problem.robots[0].start_m, dtype=np.float64)
     driven, way = [here], here[None]
     for step in range(problem.planner.max_steps):

@@ -12,8 +12,9 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
+from planopt.problems.objective_forms import OutageCharge
 from planopt.studies.bench.cases import library_names
 from planopt.studies.compare import mean_interval
 
@@ -93,9 +95,10 @@ def reach_problems() -> list[str]:
     return names
 
 
-def drive(name: str, seed: int, horizon: int) -> Record:
-    """Drive one problem of the library with one seed."""
+def drive(name: str, seed: int, horizon: int, charge: OutageCharge) -> Record:
+    """Drive one problem of the library with one seed, the outage price charged as `charge` says."""
     problem = load(name)
+    problem = replace(problem, objective=replace(problem.reach, outage_charge=charge))
     scene, prepared = build_scene(problem), prepare(problem, seed)
     simulation = simulate(problem, horizon=horizon, seed=seed, scenes=[scene], prepared=prepared)
     run = simulation.run
@@ -201,6 +204,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--horizon", type=int, default=10)
+    parser.add_argument("--charge", default="below_p_min", choices=get_args(OutageCharge))
     parser.add_argument("--log", type=Path, required=True)
     asked = parser.parse_args()
     names = asked.problems or reach_problems()
@@ -209,7 +213,7 @@ def main() -> None:
         for name in names:
             if (name, seed) in known:
                 continue
-            record = drive(name, seed, asked.horizon)
+            record = drive(name, seed, asked.horizon, asked.charge)
             with asked.log.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(record)) + "\n")
     print(table([each for each in read_log(asked.log) if each.problem in names]))

@@ -35,11 +35,11 @@ def step_cost_s(
 
 
 def outage_share(
-    probability: NDArray[np.float64], is_below: NDArray[np.bool_]
+    probability: NDArray[np.float64], is_below: NDArray[np.bool_], everywhere: bool = False
 ) -> NDArray[np.float64]:
     """Share of a metre at each place that the outage price is charged on.
 
-    ``1 - P`` where p_min is missed, nothing elsewhere.
+    ``1 - P`` where p_min is missed, or everywhere; nothing elsewhere.
 
     Parameters
     ----------
@@ -47,8 +47,10 @@ def outage_share(
         P(connected); any shape.
     is_below
         Whether p_min is missed there.
+    everywhere
+        Whether places that keep p_min are charged, too.
     """
-    return np.where(is_below, 1.0 - probability, 0.0)
+    return np.where(is_below | everywhere, 1.0 - probability, 0.0)
 
 
 def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:

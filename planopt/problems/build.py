@@ -89,7 +89,9 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
 def _objective(tables: ProblemFile) -> ReachObjective | TermsObjective:
     table = tables.objective
     if tables.problem.task == "reach":
-        return ReachObjective(table.effort_weight_s2_m2, table.cost_to_go, table.outage_price)
+        return ReachObjective(
+            table.effort_weight_s2_m2, table.cost_to_go, table.outage_price, table.outage_charge
+        )
     return TermsObjective(tuple(table.terms))
 
 

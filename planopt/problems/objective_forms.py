@@ -8,6 +8,7 @@ from typing import Literal
 from planopt.objectives.terms.term import Term
 
 CostToGo = Literal["geodesic", "connected"]
+OutageCharge = Literal["below_p_min", "everywhere"]
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,7 @@ class ReachObjective:
 
     The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
     driven where the probability of connection P is below p_min counts ``1 + outage_price (1 - P)``
-    metres.
+    metres; with the charge everywhere, any metre does.
 
     Attributes
     ----------
@@ -27,11 +28,19 @@ class ReachObjective:
         ``connected`` (cheapest path at the outage price).
     outage_price
         What a metre that is certainly out of contact costs besides, in metres (a number).
+    outage_charge
+        Where that is charged: ``below_p_min``, or ``everywhere``, which is the expected cost.
     """
 
     effort_weight_s2_m2: float = 0.1
     cost_to_go: CostToGo = "connected"
     outage_price: float = 10.0
+    outage_charge: OutageCharge = "below_p_min"
+
+    @property
+    def charges_everywhere(self) -> bool:
+        """Whether places that keep p_min are charged, too."""
+        return self.outage_charge == "everywhere"
 
 
 @dataclass(frozen=True)

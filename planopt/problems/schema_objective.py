@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from planopt.problems.objective_forms import CostToGo, ReachObjective, Term
+from planopt.problems.objective_forms import CostToGo, OutageCharge, ReachObjective, Term
 from planopt.problems.tables import Table
 from planopt.problems.term_tables import ANY_TERM
 
@@ -31,6 +31,11 @@ class ObjectiveTable(Table):
         le=1e6,
         description="A metre driven where the probability of connection P is below p_min counts "
         "1 + outage_price (1 - P) metres (a number). constraints.slack_max_db = 0 forbids it.",
+    )
+    outage_charge: OutageCharge = Field(
+        default=ReachObjective.outage_charge,
+        description="Where outage_price is charged: below_p_min, or everywhere, so that plans have "
+        "the least expected cost.",
     )
     terms: list[Annotated[Term, ANY_TERM]] = Field(
         default=[],

@@ -58,7 +58,7 @@ def _terms_fault(tables: ProblemFile) -> str | None:
             return f"a term of kind goal needs robots[{number}].goal_m"
         if not leads and robot.goal_m is not None:
             return f"task {task} has no robots.goal_m without a term of kind goal"
-    for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price"):
+    for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price", "outage_charge"):
         if key in tables.objective.model_fields_set:
             return f"objective.{key} is for task reach, not for {task}"
     if not leads and "goal_radius_m" in tables.constraints.model_fields_set:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from planopt.objectives.reach import (
     cost_rate_s_m,
     cruising_speed_m_s,
+    outage_share,
     path_cost_s,
     step_cost_s,
 )
@@ -15,6 +16,13 @@ from planopt.objectives.reach import (
 WEIGHTS = st.floats(0.0, 50.0).filter(lambda w: w == 0.0 or w > 1e-6)
 SPEEDS = st.floats(0.05, 50.0)
 GOAL = np.array([100.0, 0.0])
+
+
+def test_the_price_is_charged_below_the_bound_or_everywhere():
+    """1 - P, of places that keep the bound only where everything is charged."""
+    chance, below = np.array([0.2, 0.7, 0.9]), np.array([True, True, False])
+    assert outage_share(chance, below) == pytest.approx([0.8, 0.3, 0.0])
+    assert outage_share(chance, below, everywhere=True) == pytest.approx([0.8, 0.3, 0.1])
 
 
 @settings(deadline=None)

@@ -26,7 +26,7 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True)
 class GoalTerm(Term):
-    """Metres by which the end of each step is nearer to the robot's goal (equation 4.23).
+    """Metres by which the end of each step is nearer to the robot's goal (equation 4.24).
 
     The distance is that of the cheapest way to the goal, where a metre at a place with a
     probability of connection P < p_min counts ``1 + outage_price (1 - P)`` metres: the robot is led

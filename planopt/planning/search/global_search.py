@@ -112,7 +112,8 @@ class GlobalSearch:
         self._scene = scene
         constraints = problem.constraints
         threshold = problem.stations[0].threshold_dbm
-        self.margins = NodeMargins(scene.road_map, threshold, constraints.p_min)
+        everywhere = problem.reach.charges_everywhere
+        self.margins = NodeMargins(scene.road_map, threshold, constraints.p_min, everywhere)
         self._rate = cost_rate_s_m(
             problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
         )

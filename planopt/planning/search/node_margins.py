@@ -28,6 +28,8 @@ class NodeMargins:
         The nodes.
     threshold_dbm, p_min
         The bound: ``mean - z_p deviation - threshold``.
+    everywhere
+        Whether the outage price is charged where the bound is kept, too.
 
     Attributes
     ----------
@@ -38,10 +40,13 @@ class NodeMargins:
         (:func:`planopt.objectives.reach.outage_share`).
     """
 
-    def __init__(self, road_map: RoadMap, threshold_dbm: float, p_min: float) -> None:
+    def __init__(
+        self, road_map: RoadMap, threshold_dbm: float, p_min: float, everywhere: bool = False
+    ) -> None:
         self._road_map = road_map
         self._threshold_dbm = threshold_dbm
         self._p_min = p_min
+        self._everywhere = everywhere
         self._map = LatticeMap(road_map.lattice)
         count = len(road_map.nodes_m)
         self.mean_db, self.deviation_db = np.zeros(count), np.zeros(count)
@@ -95,4 +100,4 @@ class NodeMargins:
         mean, deviation = power.mean_db, power.deviation_db
         margin = bound_margin_db(mean, deviation, self._threshold_dbm, self._p_min)
         probability = connection_probability(mean, deviation, self._threshold_dbm)
-        return margin, outage_share(probability, margin < MARGIN_PAD_DB)
+        return margin, outage_share(probability, margin < MARGIN_PAD_DB, self._everywhere)

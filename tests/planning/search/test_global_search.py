@@ -107,11 +107,15 @@ def test_geodesic_goes_straight_connected_goes_round():
     assert ends["connected"][1] > ends["geodesic"][1] + 2.0
 
 
-@pytest.mark.parametrize("price", [0.0, 0.5, 10.0])
-def test_cost_to_go_against_networkx(price):
+@pytest.mark.parametrize(
+    ("price", "charge"),
+    [(0.0, "below_p_min"), (0.5, "below_p_min"), (10.0, "below_p_min"), (10.0, "everywhere")],
+)
+def test_cost_to_go_against_networkx(price, charge):
     """Every node's, with the price of its own P(connected) written out."""
     problem = small_problem(CUP, start_m=(12.0, 15.0), horizon=3)
     problem = replace(problem, objective=replace(problem.objective, outage_price=price))
+    problem = replace(problem, objective=replace(problem.objective, outage_charge=charge))
     power = bad_disc(20.0, 4.0, 6.0)
     search, belief, scene = search_of(problem, power)
     start = search.find_start(situation_of(problem, belief, np.array([12.0, 15.0])))
@@ -119,6 +123,8 @@ def test_cost_to_go_against_networkx(price):
     corrected = search.margins
     z = (corrected.mean_db + 80.0) / corrected.deviation_db
     share = outage_share(scipy.stats.norm.cdf(z), z < scipy.stats.norm.ppf(0.9) + 1e-9)
+    if charge == "everywhere":
+        share = scipy.stats.norm.sf(z)
     graph = nx.DiGraph()
     for node, sources in enumerate(road_map.sources.tolist()):
         for move, source in enumerate(sources):
@@ -151,6 +157,25 @@ def test_a_gap_is_crossed_where_the_way_round_costs_more(width_m):
     start = found(problem, bad_band(18.0, 18.0 + width_m, open_above_m=20.0))
     goes_round = bool((start.route_m[:, 1] > 18.0).any() or (start.path_m[:, 1] > 18.0).any())
     assert goes_round == (width_m > 10.0)
+
+
+@pytest.mark.parametrize("charge", ["below_p_min", "everywhere"])
+def test_a_place_that_keeps_the_bound_is_free_or_charged(charge):
+    """A band of P about 0.3 with p_min 0.05: only who is charged everywhere goes round it."""
+    problem = small_problem(start_m=(12.0, 15.0), goal_m=(35.0, 15.0), horizon=10)
+    problem = replace(
+        problem,
+        constraints=replace(problem.constraints, p_min=0.05),
+        objective=replace(problem.objective, outage_charge=charge),
+    )
+
+    def power(places):
+        x, y = places.T
+        return np.where((x > 18.0) & (x < 24.0) & (y < 20.0), -81.0, -60.0)
+
+    start = found(problem, power)
+    way = np.vstack([start.path_m, start.route_m])
+    assert bool((way[:, 1] > 18.0).any()) == (charge == "everywhere")
 
 
 def test_a_hard_bound_is_never_crossed():

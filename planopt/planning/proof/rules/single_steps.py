@@ -205,7 +205,8 @@ def _priced(
         power = search_prediction(posterior, places_m, under.broad)
         margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
         chance = connection_probability(power.mean_db, power.deviation_db, threshold)
-        return outage_share(chance, margin < -MARGIN_TOLERANCE_DB), margin
+        everywhere = problem.reach.charges_everywhere
+        return outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere), margin
 
     price = problem.reach.outage_price
     grid, costs = under.goal_costs(

@@ -41,15 +41,19 @@ def solve(asked: Asked) -> int:
             with progress("planning"):
                 solution = find_plans(problem, seed=seed)
         except NoPlanError as error:
+            # The answer comes at once; what would help is solved for, which takes longer.
+            if not asked.json:
+                show(asked.json, {}, f"{problem.name}: no plan: {error}")
             with progress("explaining"):
                 helpful = explain_no_plan(problem, seed)
             data = no_plan_json(problem, seed, str(error), helpful)
             if folder is not None:
                 save_no_plan(data, problem, folder, PLAN_FILE)
-            lines = [f"{problem.name}: no plan: {error}", *explained(helpful)]
-            show(asked.json, data, "\n".join(lines))
+            if asked.json or helpful:
+                show(asked.json, data, "\n".join(explained(helpful)))
             return NO_PLAN
-        if exit_code(solution) != 0:
+        crosses = not asked.json and any(plan.holes for plan in solution.plans)
+        if exit_code(solution) != 0 or crosses:
             with progress("explaining"):
                 solution = replace(solution, explanation=explain(solution))
         if folder is not None:

@@ -86,7 +86,9 @@ class ReachPlanner:
         self._eased = eased(problem)
         self._search = GlobalSearch(self._eased, scene)
         self._region = workspace_region(problem)
-        self._goal_grid = build_goal_grid(problem, scene.index)
+        # What the verifier compares prices on; a bound that may not be missed has none.
+        may_miss = problem.constraints.rule.slack_max_db is None
+        self._goal_grid = build_goal_grid(problem, scene.index) if may_miss else None
         self._nlp: ReachNlp | None = None
         self._driven = DrivenReach(problem, scene) if problem.robots[0].dynamics else None
         if problem.planner.name in METHODS and self._driven is None:

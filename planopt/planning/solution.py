@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planopt.channel.belief import Belief
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.short_results import only, short_solution
 from planopt.planning.worth.aim import Aim
@@ -33,8 +33,8 @@ class Solution:
     plans, aims
         By robot: its plan, and the external inputs of its objective.
     explanation
-        Changes that would give each robot a verified plan, where :func:`planopt.explain` was asked
-        for them and a robot has none.
+        Changes that would give each robot a verified plan, and why verified plans cross coverage
+        holes, where :func:`planopt.explain` was asked.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class Solution:
     belief: Belief
     plans: tuple[Plan, ...]
     aims: tuple[Aim, ...]
-    explanation: tuple[Relaxation, ...] = ()
+    explanation: tuple[Relaxation | Crossing, ...] = ()
 
     def __repr__(self) -> str:
         """Return what was solved, the verdict, and a line for each plan."""

@@ -35,6 +35,9 @@ GOAL_SHARE, EVADER_SHARE = 1.03, 1.06
 The nearest free place is so never farther from a report than the evader, buffers of GEOS included.
 """
 
+KEPT_WAYS = 64
+"""Places whose shortest paths are kept: those of all pursuers in a step."""
+
 GOLDEN, NARROWINGS = 0.5 * (math.sqrt(5.0) - 1.0), 34
 """Golden sections narrow an interval to less than 1e-7 of its length."""
 
@@ -183,15 +186,25 @@ class Arena:
         assert self.obstacles is not None
         return grown(self.obstacles.polygons, self._margin_m, inner=False)
 
+    @cached_property
+    def _kept_ways(self) -> dict[tuple[float, float], ShortestWays]:
+        return {}
+
     def _ways(self, place_m: NDArray[np.float64]) -> ShortestWays:
-        """Shortest paths from a place, also from one in the margin."""
+        """Shortest paths from a place; those asked for last are kept, as many ask for them."""
+        kept, key = self._kept_ways, (float(place_m[0]), float(place_m[1]))
+        if key in kept:
+            return kept[key]
         assert self.obstacles is not None and self.bounds_m is not None
         width_m, height_m = np.subtract(self.bounds_m[2:], self.bounds_m[:2]).tolist()
         # No shortest path is longer than all walls of a maze this size could make it.
         radius_m = 4.0 * (width_m + height_m)
-        return shortest_ways(
+        if len(kept) == KEPT_WAYS:
+            del kept[next(iter(kept))]
+        kept[key] = shortest_ways(
             self.obstacles, self.bounds_m, place_m, self.clearance_m, radius_m, inner=False
         )
+        return kept[key]
 
 
 def arena_of(workspace: Workspace, clearance_m: float) -> Arena:

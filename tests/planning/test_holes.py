@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scenes import bad_band, belief_of, small_problem
 
+from planopt.planning.explain.crossing import explain_crossing
 from planopt.planning.holes import goal_in_words, holes_along, holes_in_words
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
@@ -67,6 +68,39 @@ def test_a_plan_names_the_hole_ahead_of_it():
         assert np.allclose(plan.route_m[-1], PROBLEM.goal_m)
         told = " ".join(holes_in_words(PROBLEM, plan.holes))
         assert f"{hole.length_m:.0f} m" in told and "outage_price 10" in told
+
+
+@pytest.mark.parametrize(
+    ("open_above_m", "goal_m"), [(70.0, (35.0, 15.0)), (np.inf, (35.0, 15.0)), (70.0, (20.0, 15.0))]
+)
+def test_why_a_hole_is_crossed(open_above_m: float, goal_m: tuple[float, float]):
+    """Its price, and the length of the way round where there is one; a goal in it is named."""
+    problem = small_problem(bounds_m=(0.0, 0.0, 40.0, 80.0), goal_m=goal_m)
+    belief = belief_of(problem, bad_band(18.0, 21.0, open_above_m))
+    plan = ReachPlanner(problem, build_scene(problem)).plan(belief, np.array([5.0, 15.0]))
+    found = explain_crossing(problem, belief.posteriors, plan)
+    assert found is not None and found.holes == plan.holes
+    length_m = goal_m[0] - 5.0
+    # A metre costs eleven at most.
+    below_m = sum(hole.length_m for hole in plan.holes)
+    assert length_m < found.cost_m <= length_m + 10.0 * (below_m + 2.0)
+    in_goal = goal_m[0] == 20.0
+    assert found.at_goal == in_goal == ("the goal is itself below it" in str(found))
+    if np.isinf(open_above_m) or in_goal:
+        assert 0.0 < found.outside_m < below_m + 2.0
+        assert "no way keeps it" in str(found)
+    else:
+        round_m = 2.0 * np.hypot(15.0, 55.0)
+        assert found.outside_m == 0.0 and round_m < found.kept_m < 1.1 * round_m
+        assert f"keeps it all along is {found.kept_m:.0f} m" in str(found)
+    assert found.kept_m + 10.0 * found.outside_m >= found.cost_m - 4.0
+
+
+def test_no_hole_no_crossing():
+    """A way in contact needs no reason."""
+    belief = belief_of(PROBLEM)
+    plan = ReachPlanner(PROBLEM, build_scene(PROBLEM)).plan(belief, np.array([5.0, 15.0]))
+    assert explain_crossing(PROBLEM, belief.posteriors, plan) is None
 
 
 def test_of_many_holes_the_longest_are_told():

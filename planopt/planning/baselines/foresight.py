@@ -3,9 +3,10 @@
 The clairvoyant knows the power of every place, multipath included, and the target's whole path. The
 oracle knows path loss, shadowing and the target's path, but not the multipath, which no robot can
 know of places where it has not been: it is the fair ceiling. Each has two rewards of a step: the
-information that arrives, and the logarithm of one plus that information times the variance of the
-target's first estimate, which saturates. A dynamic programme over (step, node) of the robots'
-lattice maximises their sum over the whole run; several robots take turns until no path changes.
+information that arrives, and the expected logarithm of one plus that information times the
+variance of the target's first estimate, which saturates. A dynamic programme over (step, node) of
+the robots' lattice maximises their sum over the whole run; several robots take turns until no path
+changes.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ def oracle_paths(
 def oracle_log_paths(
     problem: Problem, truth: Truth, target_m: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return the same by the logarithm of the information; as :func:`oracle_paths`."""
+    """Return the same by the expected logarithm; as :func:`oracle_paths`."""
     return _paths(problem, truth, target_m, knows_multipath=False, saturates=True)
 
 
@@ -90,7 +91,7 @@ def clairvoyant_paths(
 def clairvoyant_log_paths(
     problem: Problem, truth: Truth, target_m: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return the same by the logarithm of the information; as :func:`oracle_paths`."""
+    """Return the same by the expected logarithm; as :func:`oracle_paths`."""
     return _paths(problem, truth, target_m, knows_multipath=True, saturates=True)
 
 
@@ -133,13 +134,11 @@ def _paths(
             return (true_power_dbm(truth, places_m) >= threshold).astype(np.float64)
         return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
 
-    def told(
-        places_m: NDArray[np.float64], chance: NDArray[np.float64], step: int
-    ) -> NDArray[np.float64]:
-        """Return the information from places (n, 2) at a step, in units of the first one."""
+    def told(places_m: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+        """Return the information of a packet from places (n, 2), in units of the first one."""
         sensed = sensing_information(sensor, places_m, ahead[step])
         # Of one coordinate, so that it adds to the inverse of the first variance.
-        return 0.5 * problem.targets[0].position_std_m ** 2 * chance * sensed
+        return 0.5 * problem.targets[0].position_std_m ** 2 * sensed
 
     roads: list[tuple[RoadMap, int, NDArray[np.float64]]] = []
     for number, robot in enumerate(problem.robots):
@@ -153,11 +152,13 @@ def _paths(
         before = [path.copy() for path in paths]
         for number, (road_map, first, chance) in enumerate(roads):
             others = gained.sum(axis=0) - gained[number]
-            rewards = np.array([told(road_map.nodes_m, chance, step) for step in range(len(ahead))])
-            worth = np.log1p(rewards / (1.0 + others[:, None])) if saturates else rewards
-            nodes = best_nodes(road_map, first, worth)
+            packets = np.array([told(road_map.nodes_m, step) for step in range(len(ahead))])
+            # The expected logarithm, given what is expected of the others: a packet that is likely
+            # to be lost is worth little, however near it is sent.
+            worth = np.log1p(packets / (1.0 + others[:, None])) if saturates else packets
+            nodes = best_nodes(road_map, first, chance * worth)
             paths[number] = road_map.nodes_m[nodes]
-            gained[number] = rewards[np.arange(len(ahead)), nodes]
+            gained[number] = chance[nodes] * packets[np.arange(len(ahead)), nodes]
         if all(np.array_equal(*each) for each in zip(before, paths, strict=True)):
             break
     return paths

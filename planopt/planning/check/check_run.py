@@ -56,6 +56,7 @@ from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.goal_paths import GoalGrid
 from planopt.planning.roads import build_roads
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.run import Run
@@ -313,6 +314,7 @@ def _driven(
     posteriors = [first_posteriors(belief)]
     plans: list[Plan] = []
     aims: list[Aim] = []
+    goal_grid: GoalGrid | None = None
     for step, said in enumerate(record.plans[number].released, start=1):
         known = posteriors[-1] = posteriors_at(belief, posteriors[-1], step)
         released = released_by[number][step - 1]
@@ -331,11 +333,12 @@ def _driven(
             f"{key}[{step - 1}].aim.{fault}"
             for fault in pending_faults(aim, paths, number, own.planner.rounds)
         ]
-        under = circumstances_of(own, known, history, moving)
+        under = circumstances_of(own, known, history, moving, goal_grid)
         asked = Asked(own, place, known, states[step - 1], aim, under)
         plan = rebuilt_plan(
             asked, released.path_m, released.drive, said, said.kkt_residual, Effort()
         )
+        goal_grid = under.laid_grid
         where = f"{key}[{step - 1}]"
         reasons += _plan_reasons(own, place.index, where, step, plan, plans[-1] if plans else None)
         ahead = released.path_m if released.drive is None else released.drive.states

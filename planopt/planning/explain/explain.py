@@ -7,7 +7,7 @@ The clearance, an obstacle, steps too long for the lattice, or a hard bound on c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -21,7 +21,8 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.explain.case import Case
-from planopt.planning.explain.explanation import Relaxation, towards
+from planopt.planning.explain.crossing import explain_crossing
+from planopt.planning.explain.explanation import Crossing, Relaxation, towards
 from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
 from planopt.planning.free_space import is_joined, widest_clearance_m
@@ -31,7 +32,7 @@ from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.scene import build_scene
+from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve_on
@@ -249,22 +250,27 @@ def _is_open(problem: Problem) -> bool:
 
 
 @one_blas_thread()
-def explain(solution: Solution) -> tuple[Relaxation, ...]:
-    """Return changes that would give every robot a verified plan; none if each has one.
+def explain(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
+    """Return changes that would give every robot a verified plan, and why holes are crossed.
 
     Each change is by itself, and of its robot alone. Problems are solved again with what is
-    proposed, which takes some fifty times the plan's own time.
+    proposed, which takes some fifty times the plan's own time. Of a verified plan the coverage
+    holes are told that its way to the goal crosses, and what it would take to keep contact; nothing
+    where it crosses none.
 
     Parameters
     ----------
     solution
         From :func:`planopt.solve`.
     """
-    found: list[Relaxation] = []
+    found: list[Relaxation | Crossing] = []
     problem = solution.problem
     motions = [planned_motion(problem, plan) for plan in solution.plans]
     for number, plan in enumerate(solution.plans):
         if plan.verdict is Verdict.VERIFIED:
+            own = problem_of_robot(problem, number)
+            crossing = explain_crossing(own, solution.belief.posteriors, plan)
+            found += [] if crossing is None else [crossing]
             continue
         moving = beside(problem, 0, others_of(motions, number))
         case = Case(problem, number, solution.belief.posteriors, plan, moving)
@@ -307,14 +313,15 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
 
 def _explain_robot(problem: Problem, belief: Belief) -> tuple[Relaxation, ...]:
     """Explain why the only robot of a problem has no way to its goal."""
-
-    def solve_again(changed: Problem) -> Verdict:
-        return _verdict(_reached(changed, belief))
-
     try:
         scene = build_scene(problem)
     except NoPlanError:
-        return explain_no_way(problem, solve_again)
+        return explain_no_way(problem, lambda changed: _verdict(_reached(changed, belief)))
+
+    def solve_again(changed: Problem) -> Verdict:
+        # No bound on connectivity changes the ground.
+        return _verdict(_reached(changed, belief, scenes=(scene,)))
+
     radio, p_min = problem.stations[0], problem.constraints.p_min
     margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
     margins.refresh(belief.posterior, broad_prediction(problem, belief.posteriors))
@@ -335,10 +342,12 @@ def _verdict(plan: Plan | None) -> Verdict:
     return Verdict.NONE if plan is None else plan.verdict
 
 
-def _reached(problem: Problem, belief: Belief, number: int = 0) -> Plan | None:
-    """Plan a changed problem to its goal; None where nothing leads there."""
+def _reached(
+    problem: Problem, belief: Belief, number: int = 0, scenes: Sequence[Scene] | None = None
+) -> Plan | None:
+    """Plan a changed problem to its goal, on its ground; None where nothing leads there."""
     try:
-        return solve_on(problem, belief, 0).plans[number]
+        return solve_on(problem, belief, 0, scenes).plans[number]
     except NoPlanError:
         return None
 

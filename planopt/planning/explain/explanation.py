@@ -1,9 +1,11 @@
-"""What keeps a problem from having a verified plan, and what would help, as plain data."""
+"""What keeps a problem from having a verified plan, what would help, and why holes are crossed."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+from planopt.planning.holes import SHORTEST_IN_WORDS_M, Hole
 
 LIMITS = ("robots[", "planner.", "world.")
 """Begins of keys that say what there is to do it with: nobody asks for them to be kept."""
@@ -61,6 +63,57 @@ class Relaxation:
         )
         proof = "verified" if self.verified else "not verified"
         return f"{asked} {fails}{where}{by}; {change} ({proof} by solving again)"
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """The coverage holes that a way to a goal crosses, and the way with the best contact beside it.
+
+    Attributes
+    ----------
+    robot
+        Whose way it is.
+    holes
+        In the order of the way.
+    cost_m
+        What the cheapest way over the lattice costs, in metres at `outage_price`.
+    outage_price
+        ``objective.outage_price``.
+    kept_m
+        Length of the way that is out of contact for the fewest metres.
+    outside_m
+        How many those are: zero where a way keeps the bound all along.
+    p_min
+        The bound.
+    """
+
+    robot: str
+    holes: tuple[Hole, ...]
+    cost_m: float
+    outage_price: float
+    kept_m: float
+    outside_m: float
+    p_min: float
+
+    @property
+    def at_goal(self) -> bool:
+        """Whether the goal itself is below the bound."""
+        return bool(self.holes) and self.holes[-1].to_end
+
+    def __str__(self) -> str:
+        """Where the holes are, how long, and why they are crossed."""
+        where = "; ".join(hole.words for hole in self.holes)
+        goal = "; the goal is itself below it" if self.at_goal else ""
+        instead = (
+            f"the way that keeps it all along is {self.kept_m:.0f} m long"
+            if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal
+            else f"no way keeps it: the best is out of contact for {self.outside_m:.1f} of its "
+            f"{self.kept_m:.0f} m"
+        )
+        return (
+            f"crosses {where}: below constraints.p_min {self.p_min:g}{goal}; the way costs "
+            f"{self.cost_m:.0f} m at objective.outage_price {self.outage_price:g}, and {instead}"
+        )
 
 
 def towards(value: float, step_digits: int, down: bool) -> float:

@@ -267,8 +267,8 @@ def _question(problem: Problem, seed: int) -> dict[str, Any]:
     }
 
 
-def explanation_json(relaxations: Iterable[Relaxation]) -> list[dict[str, Any]]:
-    """Every change as a table."""
+def explanation_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
+    """Every change that would help as a table; coverage holes are among the plans' keys."""
     return [
         {
             "robot": one.robot,
@@ -281,7 +281,8 @@ def explanation_json(relaxations: Iterable[Relaxation]) -> list[dict[str, Any]]:
             "relaxed_value": one.relaxed_value,
             "verified": one.verified,
         }
-        for one in relaxations
+        for one in explanation
+        if isinstance(one, Relaxation)
     ]
 
 

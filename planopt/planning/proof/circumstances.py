@@ -40,6 +40,11 @@ class Circumstances:
         default_factory=list[tuple[ChannelPosterior, GoalGrid, GoalCosts]], init=False, repr=False
     )
 
+    @property
+    def laid_grid(self) -> GoalGrid | None:
+        """The grid that was needed so far; the same for every step of a robot's run."""
+        return self._goal_costs[0][1] if self._goal_costs else self.goal_grid
+
     def goal_costs(
         self,
         posterior: ChannelPosterior,

@@ -221,7 +221,9 @@ def _events(driven: Driven) -> list[str]:
         for step in np.flatnonzero(known).tolist():
             team = run.positions_m[step, run.states[step] == number]
             if len(team):
-                ends = event_places(team, run.estimates_m[step, number], problem.stand_off_m)
+                body_m = problem.limits.body_radius_m
+                place = run.estimates_m[step, number]
+                ends = event_places(team, place, problem.stand_off_m, body_m)
                 aims = problem.ground.steered(team, problem.ground.nearest(ends), share)
                 off_m = np.linalg.norm(
                     aims - run.targets_m[step, run.states[step] == number], axis=1

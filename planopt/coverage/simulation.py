@@ -21,7 +21,7 @@ from planopt.coverage.control.movers import Motion, Mover
 from planopt.coverage.counting.tally import Counting, Tally, start_tally, tally_step
 from planopt.coverage.events import Event, Sensing, Watch, signals, watched
 from planopt.coverage.ground import Ground, neighbour_network
-from planopt.coverage.localisation.ring import packed_places, ring_places
+from planopt.coverage.localisation.ring import event_places
 from planopt.coverage.network import LinkModel, Loss, Network
 
 ABSENT = -2
@@ -464,23 +464,6 @@ def residual_m(
     left = np.linalg.norm(targets_m - now.places_m, axis=1)
     moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
     return float(np.minimum(left, moved / gains.shares(responds, time_step_s)).max())
-
-
-def event_places(
-    agents_m: NDArray[np.float64],
-    event_m: NDArray[np.float64],
-    stand_off_m: float | None,
-    body_radius_m: float,
-) -> NDArray[np.float64]:
-    """Return where agents ``(k, 2)`` that respond to an event should stand.
-
-    They stand on a ring around it or, if none is asked for, at it; bodies crowd around it.
-    """
-    if stand_off_m is not None:
-        return ring_places(agents_m, event_m, stand_off_m)
-    if body_radius_m > 0.0:
-        return packed_places(agents_m, event_m, body_radius_m)
-    return np.repeat(event_m[None], len(agents_m), axis=0)
 
 
 def _run(scene: Scene, motions: list[Motion], rows: list[_Row], settled: bool) -> NetworkRun:

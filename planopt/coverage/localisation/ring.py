@@ -154,6 +154,23 @@ def packed_places(
     return places[slots]
 
 
+def event_places(
+    agents_m: NDArray[np.float64],
+    event_m: NDArray[np.float64],
+    stand_off_m: float | None,
+    body_radius_m: float,
+) -> NDArray[np.float64]:
+    """Return where agents ``(k, 2)`` that respond to an event should stand.
+
+    They stand on a ring around it or, if none is asked for, at it; bodies crowd around it.
+    """
+    if stand_off_m is not None:
+        return ring_places(agents_m, event_m, stand_off_m)
+    if body_radius_m > 0.0:
+        return packed_places(agents_m, event_m, body_radius_m)
+    return np.repeat(event_m[None], len(agents_m), axis=0)
+
+
 def fused(
     positions_m: NDArray[np.float64], informations: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from planopt.coverage.assignment.demand import demanded
 from planopt.coverage.control.laws import Gains, coverage_aims
 from planopt.coverage.control.movers import Motion
+from planopt.coverage.localisation.ring import event_places
 from planopt.coverage.optima import cost_bound
-from planopt.coverage.simulation import ABSENT, NetworkRun, event_places, residual_m
+from planopt.coverage.simulation import ABSENT, NetworkRun, residual_m
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.files.csv_tables import finite_numbers, read_rows, whole_number

@@ -2,7 +2,8 @@
 
 ``python benchmarks/network_control.py faults --runs 100`` moves 50 agents with active limits and
 has every move verified. ``horizons --seeds 8`` compares horizons on the same starts, ``moving``
-horizons with an event that moves, ``optima --scenes 20`` several starts with the best of 50 runs of
+horizons with an event that moves, ``packing`` how tightly bodies
+end around one place, ``optima --scenes 20`` several starts with the best of 50 runs of
 Lloyd's method, and ``steps --agents 1000`` measures a step against the Voronoi diagram of the same
 places. All take ``--first-seed``.
 """
@@ -21,7 +22,8 @@ from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.control.receding import plan_moves, stopping_ways
 from planopt.coverage.density import GaussianMixture, UniformDensity
 from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
-from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
+from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits, packing_reach_m
+from planopt.coverage.localisation.ring import packed_places
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.region import convex_region
 from planopt.coverage.verify import verify_moves
@@ -189,6 +191,52 @@ def moving(first_seed: int, seeds: int, agents: int, steps: int) -> dict[str, li
     return found
 
 
+CIRCLE = {3: 2.1547, 5: 2.7013, 7: 3.0, 12: 4.0296}
+"""Radii of the least circles that hold so many discs of radius 1 (Graham 1968; Fodor 2000)."""
+
+
+def packing(first_seed: int, seeds: int, steps: int, packed: bool = True) -> dict[str, list[float]]:
+    """Print how tightly teams of bodies end around a place that all of them want.
+
+    Distances are of the outermost body's middle, in units of that of the tightest packing in a
+    circle; in place are runs whose outermost body is within `packing_reach_m`.
+    """
+    found: dict[str, list[float]] = {}
+    square, body = shapely.box(0, 0, SIDE_M, SIDE_M), 1.0
+    ground = ConvexGround(convex_region(square))
+    limits = MoveLimits(speed_m_s=2.0, body_radius_m=body, clearance_m=body)
+    for count, radius in CIRCLE.items():
+        ratios: list[float] = []
+        for seed in range(first_seed, first_seed + seeds):
+            generator = np.random.default_rng(seed)
+            places = 5.0 + 90.0 * generator.random((20 * count, 2))
+            chosen: list[int] = []
+            for number, place in enumerate(places):
+                if len(chosen) < count and all(
+                    np.linalg.norm(place - places[one]) > 3.0 * body for one in chosen
+                ):
+                    chosen.append(number)
+            agents, middle = places[chosen], np.full((count, 2), 0.5 * SIDE_M)
+            for _ in range(steps):
+                aims = packed_places(agents, middle[0], body) if packed else middle
+                moves = plan_moves(ground, agents, aims, limits, GAIN, 5)
+                assert not verify_moves(square, agents, moves.next_m, limits)
+                agents = moves.next_m
+            away = np.linalg.norm(agents - middle, axis=1).max()
+            ratios.append(float(away / ((radius - 1.0) * body)))
+        table = np.array(ratios)
+        reach = packing_reach_m(count, body) / ((radius - 1.0) * body)
+        share = float((table <= reach).mean())
+        print(
+            f"{count} bodies: outermost at {np.median(table):.2f} (median), {table.max():.2f} "
+            f"(largest) of the tightest packing; in place {share:.0%} of {seeds} (allowed "
+            f"{reach:.2f})",
+            flush=True,
+        )
+        found[str(count)] = [float(np.median(table)), float(table.max()), share]
+    return found
+
+
 SETTINGS = {
     "speed": (MoveLimits(speed_m_s=2.0), False, False),
     "bodies": (MoveLimits(speed_m_s=2.0, body_radius_m=1.0, clearance_m=1.0), False, False),
@@ -310,7 +358,9 @@ def steps(agents: int, rounds: int) -> dict[str, float]:
 def main() -> None:
     """Run one of the studies."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("study", choices=("faults", "horizons", "moving", "optima", "steps"))
+    parser.add_argument(
+        "study", choices=("faults", "horizons", "moving", "optima", "packing", "steps")
+    )
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=8)
@@ -324,6 +374,8 @@ def main() -> None:
         horizons(asked.first_seed, asked.seeds, asked.agents or 16, 30, asked.only)
     elif asked.study == "moving":
         moving(asked.first_seed, asked.seeds, asked.agents or 12, 40)
+    elif asked.study == "packing":
+        packing(asked.first_seed, asked.seeds, 80)
     elif asked.study == "optima":
         optima(asked.first_seed, asked.scenes, 50)
     else:

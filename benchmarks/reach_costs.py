@@ -105,7 +105,7 @@ def drive(name: str, seed: int, horizon: int, charge: OutageCharge) -> Record:
     known = clairvoyant_path(problem, scene.road_map, scene.index, prepared.truths)
     least_m = realised_cost_m(problem, prepared.truths, known)
     plain, knowing = (
-        drive_plain(problem, scene, prepared, knows_mean=knows) for knows in (False, True)
+        drive_plain(problem, scene, prepared, sees_m=sees_m) for sees_m in (0.0, np.inf)
     )
     below = run.log.connectivity[1:] < problem.constraints.p_min
     return Record(

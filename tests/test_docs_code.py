@@ -134,7 +134,10 @@ def shell(text: str, block: Block) -> str:
 
 @pytest.mark.parametrize("block", NOT_RUN, ids=name_of)
 def test_what_is_not_run_could_be(block: Block, capsys: pytest.CaptureFixture[str]) -> None:
-    """Options, scripts and targets that a page names are there."""
+    """Options, scripts and targets that a page names are there; Python compiles."""
+    if block.language == "python":
+        compile(block.text, name_of(block), "exec")
+        return
     for command in block.commands:
         program, *arguments = shlex.split(command, comments=True)
         if program == "planopt":

@@ -21,7 +21,7 @@ from planopt.coverage.control.movers import Motion, Mover
 from planopt.coverage.counting.tally import Counting, Tally, start_tally, tally_step
 from planopt.coverage.events import Event, Sensing, Watch, signals, watched
 from planopt.coverage.ground import Ground, neighbour_network
-from planopt.coverage.localisation.ring import ring_places
+from planopt.coverage.localisation.ring import event_places
 from planopt.coverage.network import LinkModel, Loss, Network
 
 ABSENT = -2
@@ -68,6 +68,8 @@ class Scene:
     joins_apart_m
         An agent that is to join waits until all others are farther away than that; None for
         points, which may share a place.
+    body_radius_m
+        Radius of the agents' bodies, which crowd around an event; 0 for points.
     """
 
     ground: Ground
@@ -90,6 +92,7 @@ class Scene:
     settled_m: float
     stop_when_settled: bool = True
     joins_apart_m: float | None = None
+    body_radius_m: float = 0.0
 
     def due(self, time_s: float) -> NDArray[np.bool_]:
         """Return who is to take part at a time; (n,)."""
@@ -432,7 +435,9 @@ def _aims(
         team = states[who] == number
         if not team.any():
             continue
-        ends = event_places(agents[team], watches[number].place_m, scene.stand_off_m)
+        ends = event_places(
+            agents[team], watches[number].place_m, scene.stand_off_m, scene.body_radius_m
+        )
         share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
         ends = scene.ground.nearest(ends)
         own[team] = scene.ground.steered(agents[team], ends, share)
@@ -459,15 +464,6 @@ def residual_m(
     left = np.linalg.norm(targets_m - now.places_m, axis=1)
     moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
     return float(np.minimum(left, moved / gains.shares(responds, time_step_s)).max())
-
-
-def event_places(
-    agents_m: NDArray[np.float64], event_m: NDArray[np.float64], stand_off_m: float | None
-) -> NDArray[np.float64]:
-    """Return where agents ``(k, 2)`` that respond to an event should stand: at it, or round it."""
-    if stand_off_m is not None:
-        return ring_places(agents_m, event_m, stand_off_m)
-    return np.repeat(event_m[None], len(agents_m), axis=0)
 
 
 def _run(scene: Scene, motions: list[Motion], rows: list[_Row], settled: bool) -> NetworkRun:

@@ -20,6 +20,8 @@ def test_studies_run(monkeypatch: pytest.MonkeyPatch) -> None:
         assert network_control.optima(1, 1, 5)[0] < 1.02
         compared = network_control.horizons(0, 2, 9, 4)
         moving = network_control.moving(0, 2, 9, 6)
+        packed = network_control.packing(0, 1, 60)
+        crowded = network_control.packing(0, 1, 60, packed=False)
         times = network_control.steps(64, 1)
     finally:
         sys.modules.pop("network_control")
@@ -27,4 +29,8 @@ def test_studies_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compared["speed 10"] == pytest.approx([1.0] * 4)
     assert moving["speed held 10"] == pytest.approx([1.0] * 4)
     assert moving["speed led 3"][0] < 1.0
+    # Bodies that swap places end near the tightest packing, those that all want the middle do not.
+    assert packed["3"][1] < 1.1 and packed["7"][1] < 1.1 and packed["12"][1] < 1.4
+    assert all(packed[key][0] < crowded[key][0] + 0.05 for key in packed)
+    assert crowded["3"][0] > 1.5
     assert set(times) > {"diagram", "targets"}

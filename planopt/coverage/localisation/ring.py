@@ -6,12 +6,18 @@ signal. At the event itself the slope is zero: an agent that has arrived there l
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.coverage.localisation.sensor import EventSensor
 from planopt.coverage.region import positive
 from planopt.errors import InputError
+
+LOOSE = 0.02
+"""Bodies that crowd around an event keep this share of their radius more apart than they must."""
 
 
 def fisher_information(
@@ -113,6 +119,56 @@ def ring_places(
     at = np.empty(len(slots))
     at[order] = best
     return event_m + radius_m * np.stack((np.cos(at), np.sin(at)), axis=1)
+
+
+def packed_places(
+    agents_m: NDArray[np.float64], event_m: NDArray[np.float64], body_radius_m: float
+) -> NDArray[np.float64]:
+    """Return a place for each agent of a team of bodies that crowds around an event.
+
+    Places are those of a hexagonal lattice that are nearest to the event, which is at a place, in
+    the middle of two or of three, whichever leaves the farthest one nearest. The sum of squared
+    distances from agents to places is least, so that agents that block each other swap places.
+
+    Parameters
+    ----------
+    agents_m
+        ``(k, 2)`` where the agents are.
+    event_m
+        ``(2,)`` what they crowd around.
+    body_radius_m
+        Radius of the bodies; more than 0.
+    """
+    count, side = len(agents_m), 2.0 * (1.0 + LOOSE) * positive(body_radius_m, "body_radius_m")
+    shells = np.arange(-count, count + 1)
+    steps = np.stack(np.meshgrid(shells, shells), axis=-1).reshape(-1, 2)
+    lattice = side * steps @ np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
+    middles = side * np.array([[0.0, 0.0], [0.5, 0.0], [0.5, np.sqrt(0.75) / 3.0]])
+    away = np.linalg.norm(lattice - middles[:, None], axis=2)
+    order = np.argsort(away, axis=1, kind="stable")[:, :count]
+    kept = np.take_along_axis(away, order, axis=1)
+    best = min(range(3), key=lambda one: (round(float(kept[one, -1] / side), 9), kept[one].sum()))
+    places = event_m + lattice[order[best]] - middles[best]
+    squares = ((agents_m[:, None] - places) ** 2).sum(axis=2)
+    slots = cast("NDArray[np.intp]", linear_sum_assignment(squares)[1])
+    return places[slots]
+
+
+def event_places(
+    agents_m: NDArray[np.float64],
+    event_m: NDArray[np.float64],
+    stand_off_m: float | None,
+    body_radius_m: float,
+) -> NDArray[np.float64]:
+    """Return where agents ``(k, 2)`` that respond to an event should stand.
+
+    They stand on a ring around it or, if none is asked for, at it; bodies crowd around it.
+    """
+    if stand_off_m is not None:
+        return ring_places(agents_m, event_m, stand_off_m)
+    if body_radius_m > 0.0:
+        return packed_places(agents_m, event_m, body_radius_m)
+    return np.repeat(event_m[None], len(agents_m), axis=0)
 
 
 def fused(

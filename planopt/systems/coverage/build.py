@@ -164,6 +164,7 @@ class CoverageProblem:
             self.settled_m,
             control.stop_when_settled,
             2.0 * body_m + limits.longest_stop_m if body_m > 0.0 else None,
+            body_m,
         )
 
     @property

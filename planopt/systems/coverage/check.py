@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from planopt.coverage.assignment.demand import demanded
 from planopt.coverage.control.laws import Gains, coverage_aims
 from planopt.coverage.control.movers import Motion
+from planopt.coverage.localisation.ring import event_places
 from planopt.coverage.optima import cost_bound
-from planopt.coverage.simulation import ABSENT, NetworkRun, event_places, residual_m
+from planopt.coverage.simulation import ABSENT, NetworkRun, residual_m
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
@@ -221,7 +222,9 @@ def _events(driven: Driven) -> list[str]:
         for step in np.flatnonzero(known).tolist():
             team = run.positions_m[step, run.states[step] == number]
             if len(team):
-                ends = event_places(team, run.estimates_m[step, number], problem.stand_off_m)
+                body_m = problem.limits.body_radius_m
+                place = run.estimates_m[step, number]
+                ends = event_places(team, place, problem.stand_off_m, body_m)
                 aims = problem.ground.steered(team, problem.ground.nearest(ends), share)
                 off_m = np.linalg.norm(
                     aims - run.targets_m[step, run.states[step] == number], axis=1

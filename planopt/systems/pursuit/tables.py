@@ -327,7 +327,7 @@ class PursuitProblem:
         raise InputError(
             f"{table.name} has no free place to start at",
             key=key,
-            remedy="keep it within world.bounds_m and pursuit.clearance_m away from obstacles",
+            remedy="keep it within world.bounds_m and 1.15 pursuit.clearance_m away from obstacles",
         )
 
     def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:

@@ -16,6 +16,7 @@ from planopt.coverage.localisation.ring import (
     cramer_rao_m2,
     fisher_information,
     fused,
+    packed_places,
     ring_angles,
     ring_places,
 )
@@ -165,6 +166,24 @@ def test_ring_meets_the_cramer_rao_bound(agents: int) -> None:
     bound = cramer_rao_m2(fisher_information(SENSOR, ring, EVENT, np.full(agents, 60.0)))
     assert bound == pytest.approx(4.0 * 0.05**2 / (60.0 * agents * 9.0**2 / 64.0 / 3.0))
     assert monte_carlo(SENSOR, ring, 60, 600) == pytest.approx(bound, rel=0.1)
+
+
+def test_bodies_that_crowd_get_places_of_their_own() -> None:
+    """Places are apart by more than two radii, near the event, and matched at least total."""
+    rng, event = np.random.default_rng(4), np.array([20.0, 30.0])
+    # Radii of the least circles that hold so many discs of radius 1 (Graham 1968).
+    for count, circle in ((1, 1.0), (2, 2.0), (3, 2.1547), (7, 3.0), (12, 4.0296)):
+        agents = event + 9.0 * rng.normal(size=(count, 2))
+        places = packed_places(agents, event, 0.5)
+        gaps = np.linalg.norm(places[:, None] - places, axis=2) + 99.0 * np.eye(count)
+        assert gaps.min() > 1.0
+        away = np.linalg.norm(places - event, axis=1).max()
+        assert (circle - 1.0) * 0.5 <= away + 1e-12 <= 1.06 * (circle - 1.0) * 0.5 + 1e-9
+        total = ((agents - places) ** 2).sum()
+        for _ in range(50):
+            assert total <= ((agents - rng.permutation(places)) ** 2).sum() + 1e-9
+        moved = packed_places(agents + (5.0, -3.0), event + (5.0, -3.0), 0.5)
+        np.testing.assert_allclose(moved, places + (5.0, -3.0))
 
 
 def test_covariance_holds_the_truth() -> None:

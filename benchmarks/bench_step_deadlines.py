@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from step_deadlines import Timed, line_of, main, read_log, timed
+from step_deadlines import STRESS, STRESS_STEPS, Timed, line_of, main, read_log, scene, timed
 
+from planopt import load
 from planopt.studies.bench.cases import library_names
 
 
@@ -37,6 +38,17 @@ def test_study_prints_and_remembers(
     monkeypatch.setattr("step_deadlines.timed", timed_nothing)
     main()
     assert capsys.readouterr().out == first
+
+
+def test_larger_scenes_are_larger() -> None:
+    """Each is what its name says; none is driven here."""
+    made = {name: scene(name) for name in STRESS}
+    assert all(problem.planner.max_steps == STRESS_STEPS for problem in made.values())
+    for name in ("munich_hard_20", "connect_street_20"):
+        assert made[name].planner.horizon == 20
+    plain = load("two_station_courier").workspace.obstacles
+    assert len(made["two_station_courier_thrice"].workspace.obstacles) == 3 * len(plain) > 0
+    assert made["harbour_traffic_unsure"].constraints.rule.parameter_uncertainty == "all"
 
 
 def test_no_path_is_left_out() -> None:

@@ -2,22 +2,33 @@
 
 ``python benchmarks/step_deadlines.py --budget 0.5 --seeds 1 --log FILE`` drives each problem with a
 deadline and without, appends a line a run to the log, and prints the table. The log is a cache:
-runs that it has are not driven again. Times are wall times: run it on an idle machine.
+runs that it has are not driven again. Times are wall times: run it on an idle machine, or with
+``--processor-time`` on a shared one. ``--problems`` takes names of `STRESS` as well: scenes larger
+than those of the library.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+import sys
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from planopt import NoPlanError, load, simulate
+if "--processor-time" in sys.argv:
+    # Before planopt takes the clock: deadlines and step times are then of the processor.
+    time.perf_counter = time.process_time
+
+from planopt import NoPlanError, Problem, load, simulate
 from planopt.planning.run import summary_of
 from planopt.studies.bench.cases import library_names
+
+STRESS_STEPS = 12
+"""Steps of a run of a larger scene."""
 
 LATE_SHARE = 1.2
 """A step is late that takes more than this share of the deadline."""
@@ -26,6 +37,47 @@ HEADER = (
     "| problem | steps | without deadline: p50, p95, max [ms] | verified [%] "
     "| with it: p50, p95, max [ms] | late steps | verified [%] |\n|---|---|---|---|---|---|---|"
 )
+
+
+def longer(name: str, horizon: int) -> Problem:
+    """A problem of the library that looks farther ahead."""
+    problem = load(name)
+    return replace(problem, planner=replace(problem.planner, horizon=horizon))
+
+
+def thrice(name: str) -> Problem:
+    """A problem of the library with every obstacle three times."""
+    problem = load(name)
+    every = [
+        replace(one, name=f"{one.name} {copy}")
+        for copy in range(3)
+        for one in problem.workspace.obstacles
+    ]
+    return replace(problem, workspace=replace(problem.workspace, obstacles=tuple(every)))
+
+
+def unsure(name: str, p_min: float) -> Problem:
+    """A problem of the library with a bound for which all parameters count as uncertain."""
+    problem = load(name)
+    rule = replace(problem.constraints.rule, parameter_uncertainty="all")
+    return replace(problem, constraints=replace(problem.constraints, p_min=p_min, rule=rule))
+
+
+STRESS: dict[str, Callable[[], Problem]] = {
+    "munich_hard_20": lambda: longer("munich_hard", 20),
+    "connect_street_20": lambda: longer("connect_street", 20),
+    "two_station_courier_thrice": lambda: thrice("two_station_courier"),
+    "harbour_traffic_unsure": lambda: unsure("harbour_traffic", 0.8),
+}
+"""Scenes that are larger than those of the library, by name."""
+
+
+def scene(name: str) -> Problem:
+    """A problem of the library, or the first steps of one of `STRESS`."""
+    if name not in STRESS:
+        return load(name)
+    problem = STRESS[name]()
+    return replace(problem, planner=replace(problem.planner, max_steps=STRESS_STEPS))
 
 
 @dataclass(frozen=True)
@@ -50,8 +102,8 @@ class Timed:
 
 
 def timed(name: str, seed: int, budget_s: float | None) -> Timed | None:
-    """Drive one problem of the library; None if there is no path to its goal."""
-    problem = load(name)
+    """Drive one problem; None if there is no path to its goal."""
+    problem = scene(name)
     hurried = replace(problem, planner=replace(problem.planner, budget_s=budget_s))
     try:
         found = summary_of(simulate(hurried, seed=seed))
@@ -98,6 +150,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--processor-time", action="store_true")
     asked = parser.parse_args()
     names = asked.problems or library_names()
     known = {(each.problem, each.seed, each.budget_s) for each in read_log(asked.log)}

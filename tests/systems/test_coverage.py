@@ -102,6 +102,8 @@ def test_pictures(written, tmp_path, capsys):
     assert run(capsys, "simulate", file, "--out", tmp_path / "out", "--animation")[0] == 4
     assert (tmp_path / "out" / "run.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "out" / "run.gif").read_bytes()[:6] == b"GIF89a"
+    assert run(capsys, "solve", file, "--out", tmp_path / "plan")[0] == 0
+    assert (tmp_path / "plan" / "plan.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_saved_problems_need_no_other_files(written, tmp_path):

@@ -8,6 +8,8 @@ paper's law and to the ring around it, locates it from all readings along the wa
 errors with the Cramer-Rao bound of the places where they measured.
 ``python benchmarks/network_cases.py counts --graphs 200`` counts random graphs by consensus for as
 many rounds as the bound says, and with half of them.
+``python benchmarks/network_cases.py gaps --cases 200`` compares the total distance of deferred
+acceptance with the least one.
 ``python benchmarks/network_cases.py steps --agents 1000,10000`` times a step of the laws against
 shapely's Voronoi diagram of the same places, in one run.
 """
@@ -22,6 +24,11 @@ import numpy as np
 import shapely
 
 from planopt.coverage.assignment.demand import capped_demand
+from planopt.coverage.assignment.several import (
+    deferred_acceptance,
+    optimal_assignment,
+    relative_gap,
+)
 from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
 from planopt.coverage.control.movers import LawMover
 from planopt.coverage.cost import coverage
@@ -160,6 +167,18 @@ def graph_case(seed: int) -> tuple[bool, bool]:
     return exact[0], exact[1]
 
 
+def gap_case(seed: int) -> float:
+    """Return by what share three teams that deferred acceptance sends drive farther than best."""
+    generator = np.random.default_rng(seed)
+    region = random_region(generator)
+    demands = generator.integers(1, 7, 3)
+    count = int(generator.integers(demands.sum(), 41))
+    places = places_in(region, count + 3, generator)
+    away_m = np.linalg.norm(places[:-3, None] - places[-3:], axis=2)
+    best = optimal_assignment(away_m, demands)
+    return relative_gap(deferred_acceptance(away_m, demands), best)
+
+
 def step_times(agents: int, repeats: int, seed: int) -> tuple[float, float]:
     """Return median CPU times in s of a step of the laws, and of shapely's Voronoi diagram."""
     generator = np.random.default_rng(seed)
@@ -181,7 +200,7 @@ def step_times(agents: int, repeats: int, seed: int) -> tuple[float, float]:
 def main() -> None:
     """Print one of the studies."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("study", choices=("teams", "localisation", "counts", "steps"))
+    parser.add_argument("study", choices=("teams", "localisation", "counts", "gaps", "steps"))
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--graphs", type=int, default=200)
     parser.add_argument("--first-seed", type=int, default=1000)
@@ -198,6 +217,15 @@ def main() -> None:
         return
     if asked.study == "localisation":
         localisation(first, asked.cases, 40)
+        return
+    if asked.study == "gaps":
+        gaps = 100.0 * np.array([gap_case(first + each) for each in range(asked.cases)])
+        p50, p95 = np.percentile(gaps, [50, 95])
+        print(
+            f"total distance above the least: median {p50:.1f} %, mean {gaps.mean():.1f} %, 95 % "
+            f"of cases below {p95:.1f} %, largest {gaps.max():.1f} %; "
+            f"{int((gaps < 1e-9).sum())} of {asked.cases} are best"
+        )
         return
     case, count = (team_case, asked.cases) if asked.study == "teams" else (graph_case, asked.graphs)
     found = np.array([case(seed) for seed in range(first, first + count)])

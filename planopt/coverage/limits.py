@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,6 @@ from numpy.typing import NDArray
 from planopt.coverage.region import positive
 from planopt.coverage.station_map import StationMap
 from planopt.errors import InputError
-
-if TYPE_CHECKING:
-    from planopt.channel.posterior import ChannelPosterior
 
 
 @dataclass(frozen=True)
@@ -138,13 +134,6 @@ class LinkLaw:
         positive(self.deviation_db, "radio.link.deviation_db", zero=True)
         if float(np.linalg.eigvalsh(self.theta_covariance).min()) < -1e-9:
             raise InputError("a covariance is not positive semidefinite", key="radio.link")
-
-
-def learnt_law(posterior: ChannelPosterior) -> LinkLaw:
-    """Return the law of links whose path loss is learnt from measurements, and shadowing is not."""
-    parameters = posterior.parameters
-    deviation = math.hypot(parameters.shadow_std_db, parameters.multipath_std_db)
-    return LinkLaw(posterior.theta, deviation, posterior.theta_covariance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,6 +140,32 @@ def draw_network(picture: NetworkPicture) -> Figure:
     return figure
 
 
+def draw_deployment(
+    name: str,
+    ground: Ground,
+    obstacles: tuple[shapely.Polygon, ...],
+    places_m: NDArray[np.float64],
+    cost: float,
+) -> Figure:
+    """Draw where the agents of a network ``(n, 2)`` should end, their cells, and what it costs."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(6.6, 6.4)
+    panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    entries = _area(panel, ground, obstacles, None)
+    cells = LineCollection(
+        list(ground.borders(places_m)), colors=CELL, linewidths=0.7, label="border of a cell"
+    )
+    panel.add_collection(cells)
+    entries["cells"] = cells
+    entries["covers"] = panel.scatter(*places_m.T, s=18.0, color=BLUE, zorder=3, label="covers")
+    dress(panel, f"coverage cost H {cost:.4g}", "x [m]", "y [m]", grid=False)
+    legend_below(figure, entries.values(), len(entries))
+    head(figure, spaced(name))
+    return figure
+
+
 def draw_costs(runs: Mapping[str, NetworkRun]) -> Figure:
     """Draw the coverage cost of runs over time, one line for each name."""
     from matplotlib.gridspec import GridSpec
@@ -196,7 +222,7 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
 
     figure, run = new_figure(6.6, 6.4), picture.run
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
-    entries = _area(panel, picture)
+    entries = _area(panel, picture.ground, picture.obstacles, picture.radio)
     borders = LineCollection([], colors=CELL, linewidths=0.7)
     panel.add_collection(borders)
 
@@ -242,24 +268,29 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
     save_moving(figure, path, len(run.costs), show)
 
 
-def _area(panel: Panel, picture: NetworkPicture) -> dict[str, Artist]:
+def _area(
+    panel: Panel,
+    ground: Ground,
+    obstacles: tuple[shapely.Polygon, ...],
+    radio: RadioLimits | None,
+) -> dict[str, Artist]:
     """The region's outline and obstacles; legend entries."""
     from matplotlib.collections import PolyCollection
 
-    corners = picture.ground.hull.corners_m
+    corners = ground.hull.corners_m
     ring = np.concatenate((corners, corners[:1]))
     panel.plot(ring[:, 0], ring[:, 1], color=OBSTACLE_EDGE, linewidth=1.0)
     panel.set_aspect("equal")
     entries: dict[str, Artist] = {}
-    if picture.obstacles:
-        rings = [shapely.get_coordinates(each.exterior) for each in picture.obstacles]
+    if obstacles:
+        rings = [shapely.get_coordinates(each.exterior) for each in obstacles]
         layer = PolyCollection(
             rings, facecolors=OBSTACLE, edgecolors=OBSTACLE_EDGE, label="obstacle"
         )
         panel.add_collection(layer)
         entries["obstacle"] = layer
-    if picture.radio is not None:
-        x, y = picture.radio.stations_m.T
+    if radio is not None:
+        x, y = radio.stations_m.T
         look = {"color": ORANGE, "edgecolors": BLACK, "linewidths": 1.0, "label": "base station"}
         entries["station"] = panel.scatter(x, y, s=90.0, marker="^", zorder=6, **look)
     return entries
@@ -269,7 +300,7 @@ def _plane(panel: Panel, picture: NetworkPicture, step: int) -> dict[str, Artist
     """The region, the cells and everybody in one step; legend entries."""
     from matplotlib.collections import LineCollection
 
-    entries, run = _area(panel, picture), picture.run
+    entries, run = _area(panel, picture.ground, picture.obstacles, picture.radio), picture.run
     here, states = run.positions_m[step], run.states[step]
     cells = picture.ground.borders(here[states != ABSENT])
     layer = LineCollection(list(cells), colors=CELL, linewidths=0.7, label="border of a cell")

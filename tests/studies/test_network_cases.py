@@ -30,6 +30,13 @@ def test_counts(study):
     assert not all(half for _, half in found)
 
 
+def test_gaps(study):
+    """Deferred acceptance is never better than the least total distance, and seldom much worse."""
+    gaps = [study.gap_case(seed) for seed in range(40)]
+    assert min(gaps) >= -1e-12 and 0.0 < max(gaps) < 1.0
+    assert sum(gaps) / 40 < 0.2
+
+
 def test_steps(study):
     """Times are of the same order, at any load."""
     law_s, shapely_s = study.step_times(300, 3, 0)

@@ -102,6 +102,8 @@ def test_pictures(written, tmp_path, capsys):
     assert run(capsys, "simulate", file, "--out", tmp_path / "out", "--animation")[0] == 4
     assert (tmp_path / "out" / "run.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "out" / "run.gif").read_bytes()[:6] == b"GIF89a"
+    assert run(capsys, "solve", file, "--out", tmp_path / "plan")[0] == 0
+    assert (tmp_path / "plan" / "plan.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_saved_problems_need_no_other_files(written, tmp_path):
@@ -241,6 +243,10 @@ def test_false_folders_are_rejected(change, words, saved, tmp_path, capsys):
          "events[0].demand.accuracy_m", "there are 12"),
         ((('"number", agents = 3', '"number", agents = 13'),), "", "events[0].demand.agents",
          "asks for 13 agents, there are 12"),
+        ((('"number", agents = 3', '"cap", share = 0.5, most = 3, remaining = 12'),), "",
+         "events[0].demand.remaining", "keeps 12 agents from answering"),
+        ((('"number", agents = 3', '"table", steps = [{ at_least = 2, respond = 3 }]'),), "",
+         "events[0].demand.steps[0].respond", "asks for 3 of 2 agents"),
         ((("count = 12", "count = 1"), ("agents = 3 }", "agents = 1 }")),
          '[[events]]\nname = "two"\nplace_m = [3, 3]\nappears_s = 9\n'
          'demand = { kind = "number", agents = 1 }',

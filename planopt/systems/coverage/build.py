@@ -31,9 +31,9 @@ from planopt.coverage.simulation import Scene
 from planopt.coverage.station_map import StationMap
 from planopt.errors import InputError
 from planopt.problems.build import obstacles_of
+from planopt.systems.coverage.demands import DemandContext
 from planopt.systems.coverage.tables import (
     CoverageFile,
-    DemandContext,
     PlacesTable,
     PlannerTable,
     WorldTable,
@@ -262,6 +262,8 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
                 "demand": f"events[{number}].demand",
                 "accuracy_m": f"events[{number}].demand.accuracy_m",
                 "agents": f"events[{number}].demand.agents",
+                "remaining": f"events[{number}].demand.remaining",
+                "steps": f"events[{number}].demand.steps",
             },
         )
         _keyed(

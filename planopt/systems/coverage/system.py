@@ -34,7 +34,7 @@ from planopt.systems.coverage.tables import CoverageFile, PlannerName, PlannerTa
 REACHED = ("settled", "served")
 """Outcomes of runs that did what the problem asks."""
 
-PICTURE, ANIMATION = "run.png", "run.gif"
+PICTURE, ANIMATION, PLAN_PICTURE = "run.png", "run.gif", "plan.png"
 NOT_REACHED, NOT_VERIFIED = 4, 3
 
 STARTS = 10
@@ -115,7 +115,22 @@ def solve(problem: SystemProblem, request: Request) -> Answer:
         f"{problem.name}: {data['verdict']}, coverage cost {found.cost:.6g}, lower bound {bound}",
         f"  best of {STARTS} starts, the worst of which costs {worst:.4f} times as much",
     )
-    return Answer(found, data, lines, 0 if data["verdict"] == "verified" else NOT_VERIFIED)
+
+    def draw(folder: Path) -> None:
+        from planopt.report.coverage_figure import draw_deployment
+        from planopt.report.saving import save_figure
+
+        shapes = tuple(each.polygon for each in content.obstacles)
+        figure = draw_deployment(problem.name, content.ground, shapes, found.places_m, found.cost)
+        save_figure(figure, folder / PLAN_PICTURE)
+
+    return Answer(
+        found,
+        data,
+        lines,
+        0 if data["verdict"] == "verified" else NOT_VERIFIED,
+        draw=draw if content.given.report.figures else None,
+    )
 
 
 def settings(problem: SystemProblem, request: Request) -> list[tuple[int, str]]:
@@ -183,7 +198,7 @@ SYSTEM = System(
     build=build,
     tables=tables,
     words=words,
-    files=(NETWORK_FILE, EVENTS_FILE, PICTURE, ANIMATION),
+    files=(NETWORK_FILE, EVENTS_FILE, PICTURE, ANIMATION, PLAN_PICTURE),
     check=check,
     solve=solve,
     simulate=simulate,

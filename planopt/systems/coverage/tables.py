@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,24 +10,17 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.coverage.assignment.demand import (
-    Demand,
-    accuracy_demand,
-    capped_demand,
-    table_demand,
-    trade_off_demand,
-)
 from planopt.coverage.control.laws import Partition
 from planopt.coverage.counting.tally import Counting, Method
 from planopt.coverage.density import Density, GaussianMixture, UniformDensity
 from planopt.coverage.events import Sensing
 from planopt.coverage.ground import Ground
-from planopt.coverage.localisation.sensor import EventSensor
 from planopt.coverage.raster_density import RasterDensity
 from planopt.errors import InputError
 from planopt.problems.schema_world import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
+from planopt.systems.coverage.demands import DemandTable
 from planopt.systems.coverage.radio import RadioTable
 from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
@@ -283,98 +275,6 @@ class ChangeTable(Table):
     leaves_s: float | None = Field(default=None, ge=0, le=1e9, description="They leave at it.")
 
 
-class NumberTable(Table):
-    """A fixed number of agents."""
-
-    kind: Literal["number"]
-    agents: int = Field(ge=0, le=20_000, description="How many.")
-
-    def demand(self, scene: DemandContext) -> Demand:
-        """Return the demand."""
-        if self.agents > scene.agents:
-            raise InputError(
-                f"asks for {self.agents} agents, there are {scene.agents}",
-                key="agents",
-                remedy="give more agents, or ask for fewer",
-            )
-        return lambda agents: min(self.agents, agents)
-
-
-class StepTable(Table):
-    """From so many agents on, so many respond."""
-
-    at_least: int = Field(ge=0, le=20_000, description="From so many agents on.")
-    respond: int = Field(ge=0, le=20_000, description="So many respond.")
-
-
-class TableDemandTable(Table):
-    """The demand by the number of agents, from a table."""
-
-    kind: Literal["table"]
-    steps: list[StepTable] = Field(min_length=1, description="Entries of the table.")
-
-    def demand(self, scene: DemandContext) -> Demand:
-        """Return the demand."""
-        return table_demand({each.at_least: each.respond for each in self.steps})
-
-
-class CapTable(Table):
-    """A share of the agents, at most a number, so that enough remain."""
-
-    kind: Literal["cap"]
-    share: float = Field(ge=0, le=1, description="Share of all agents, rounded up.")
-    most: int = Field(ge=0, le=20_000, description="At most so many.")
-    remaining: int = Field(default=1, ge=0, le=20_000, description="So many stay with coverage.")
-
-    def demand(self, scene: DemandContext) -> Demand:
-        """Return the demand."""
-        return capped_demand(self.share, self.most, self.remaining)
-
-
-class AccuracyTable(Table):
-    """As many as locate the event well enough."""
-
-    kind: Literal["accuracy"]
-    accuracy_m: Metres = Field(ge=SMALLEST, description="Root mean squared error in metres.")
-    measurements: int = Field(default=1, ge=1, le=10**6, description="Of each agent.")
-
-    def demand(self, scene: DemandContext) -> Demand:
-        """Return the demand."""
-        found = accuracy_demand(scene.sensor, self.accuracy_m, self.measurements)
-        needed = found(10**9)
-        if needed > scene.agents:
-            raise InputError(
-                f"needs {needed} agents, there are {scene.agents}",
-                key="accuracy_m",
-                remedy="give more agents, or ask for less",
-            )
-        return found
-
-
-class TradeOffTable(Table):
-    """As many as balance coverage against localisation."""
-
-    kind: Literal["trade_off"]
-    localisation_m2: float = Field(ge=SMALLEST, le=1e12, description="Error with one agent.")
-    coverage_weight: float = Field(default=1.0, ge=SMALLEST, le=1e12, description="Of H.")
-    localisation_weight: float = Field(ge=SMALLEST, le=1e15, description="Of the error.")
-
-    def demand(self, scene: DemandContext) -> Demand:
-        """Return the demand."""
-        return trade_off_demand(
-            scene.area_m2, self.localisation_m2, self.coverage_weight, self.localisation_weight
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class DemandContext:
-    """What demands may depend on: sensor, covered area, number of agents."""
-
-    sensor: EventSensor
-    area_m2: float
-    agents: int
-
-
 class EventTable(Table):
     """``[[events]]``: what appears."""
 
@@ -383,10 +283,7 @@ class EventTable(Table):
     velocity_m_s: Pair = Field(default=(0.0, 0.0), description="It moves with this velocity.")
     appears_s: float = Field(default=0.0, ge=0, le=1e9, description="When it appears.")
     ends_s: float | None = Field(default=None, ge=0, le=1e9, description="When it ends.")
-    demand: Annotated[
-        NumberTable | TableDemandTable | CapTable | AccuracyTable | TradeOffTable,
-        Field(discriminator="kind"),
-    ] = Field(description="How many agents it asks for: a table with kind.")
+    demand: DemandTable = Field(description="How many agents it asks for: a table with kind.")
 
 
 class SensorTable(Table):

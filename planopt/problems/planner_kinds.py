@@ -48,6 +48,8 @@ class PlannerKind:
         Whether it knows the ground truth, as a bound on what planners can do. ``make`` is then
         called with the problem of all robots, the first station's ground truth, and the target's
         path; it gives the paths of all robots for the whole run.
+    tracks
+        Whether it plans for nothing but tracking a target.
     version
         Of a planner from outside: studies do not take results of another version from a record.
     """
@@ -59,6 +61,7 @@ class PlannerKind:
     searches: bool = False
     solves: bool = False
     foresees: bool = False
+    tracks: bool = False
     version: str = ""
 
     def maker(self) -> Callable[..., Any]:
@@ -94,9 +97,9 @@ OWN = {
         PlannerKind("random_disk", f"{_HOME}:disk_walk_planner"),
         PlannerKind("random_persistent", f"{_HOME}:persistent_walk_planner"),
         PlannerKind("lawnmower", f"{_HOME}:lawnmower_planner"),
-        PlannerKind("path_loss_only", f"{_HOME}:path_loss_planner"),
-        PlannerKind("informed_disk", f"{_HOME}:disk_planner"),
-        PlannerKind("unaware", f"{_HOME}:unaware_planner"),
+        PlannerKind("path_loss_only", f"{_HOME}:path_loss_planner", tracks=True),
+        PlannerKind("informed_disk", f"{_HOME}:disk_planner", tracks=True),
+        PlannerKind("unaware", f"{_HOME}:unaware_planner", tracks=True),
         PlannerKind("oracle", f"{_BOUNDS}:oracle_paths", foresees=True),
         PlannerKind("oracle_log", f"{_BOUNDS}:oracle_log_paths", foresees=True),
         PlannerKind("clairvoyant", f"{_BOUNDS}:clairvoyant_paths", foresees=True),

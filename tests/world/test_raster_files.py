@@ -162,7 +162,7 @@ def test_netcdf_packed_and_north_up(tmp_path: Path) -> None:
 
 def test_netcdf_on_other_dimensions(tmp_path: Path) -> None:
     """x, y instead of y, x is refused, as is a coordinate of text."""
-    with pytest.raises(InputError, match="key gain: the dimensions are"):
+    with pytest.raises(InputError, match="key gain: its dimensions are"):
         read_raster(netcdf(tmp_path / "map.nc", ("x", "y")), "gain")
     with pytest.raises(InputError, match=r"not a NetCDF|not numeric"):
         read_raster(netcdf(tmp_path / "text.nc", ("y", "x"), "c"), "gain")

@@ -73,7 +73,7 @@ from planopt.world.timed_motion import TimedMotion
 
 LATER_KEYS = {"excused", "relaxed_steps", "relaxation_db", "best_margin_db"}
 """Keys of robots and released plans that runs of format 2 did not have at first; for one version
-they may be missing."""
+they may be missing, all of them together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +134,7 @@ def check_run(
     if saved.former and isinstance(said, Mapping):
         # Former versions knew fewer metrics.
         found["metrics"] = {key: found["metrics"][key] for key in found["metrics"] if key in said}
-    _drop_later_keys(found["robots"], saved.data["robots"])
-    for one, other in zip(found["plans"], saved.data["plans"], strict=True):
-        _drop_later_keys(one["released"], other["released"])
+    _drop_later_keys(_robots_and_plans(found), _robots_and_plans(saved.data))
     reasons += in_words(RUN_FILE, disagreements(saved.data, found))
     reasons += _step_time_faults(record.step_s, sum(len(made) for made in run.plans))
     again = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
@@ -418,10 +416,17 @@ def _ended(
     return (Outcome.STEP_LIMIT, ""), [short]
 
 
+def _robots_and_plans(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return what a run says of its robots, and of each released plan."""
+    return [*data["robots"], *(plan for one in data["plans"] for plan in one["released"])]
+
+
 def _drop_later_keys(found: list[dict[str, Any]], said: list[dict[str, Any]]) -> None:
-    """Leave out keys that a run saved before they were there cannot have."""
-    for one, other in zip(found, said, strict=True):
-        for key in LATER_KEYS - other.keys():
+    """Leave out keys that a run saved before they were there cannot have: it has none of them."""
+    if any(LATER_KEYS & one.keys() for one in said):
+        return
+    for one in found:
+        for key in LATER_KEYS:
             one.pop(key, None)
 
 

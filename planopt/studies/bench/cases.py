@@ -159,11 +159,12 @@ def problem_of(case: Case) -> Problem:
 
 def _allows(problem: Problem, planner: str) -> bool:
     """Whether a planner can plan for a problem, without knowing the ground truth."""
-    if planner_kind(planner).foresees:
+    kind = planner_kind(planner)
+    if kind.foresees or (kind.tracks and not problem.targets):
         return False
     try:
         with_overrides(problem, planner=planner)
     except InputError:
         return False
     single = all(robot.dynamics is None for robot in problem.robots)
-    return single or planner_kind(planner).has_dynamics
+    return single or kind.has_dynamics

@@ -33,7 +33,7 @@ SLOT_SHARE = 1e-10
 PAYLOAD_FITS = "slot of the payload below the widest slot"
 IN_TIME = "time to capture below the deadline"
 
-SHARP_ORDER = {"capture_radius": 1, "deadline": 2}
+SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}
 """What is looked at after the theorem's own inequalities."""
 
 ELASTICITY_STEP = 1e-5
@@ -198,11 +198,7 @@ def least_energy_design(task: DesignTask) -> Design:
         As of :func:`cheapest_design`.
     """
     _first_distance_m(task)
-    return _scan(
-        task,
-        partial(_energy_candidate, task),
-        worth=lambda design: design.energy_per_capture_j,
-    )
+    return _scan(task, partial(_energy_candidate, task), lambda design: design.energy_per_capture_j)
 
 
 def sharp_design(task: DesignTask, theorem: Theorem = Theorem.SAMPLED_DISTANCE) -> Design:
@@ -245,13 +241,8 @@ def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]
     _first_distance_m(task)
     found: list[Design] = []
     for deadline_s in sorted(deadlines_s):
-        limited = replace(task, deadline_s=deadline_s)
         try:
-            design = _scan(
-                limited,
-                partial(_energy_candidate, limited),
-                worth=lambda design: design.energy_per_capture_j,
-            )
+            design = least_energy_design(replace(task, deadline_s=deadline_s))
         except NoDesignError:
             continue
         if not found or design.energy_per_capture_j < found[-1].energy_per_capture_j:
@@ -432,27 +423,36 @@ def _energy_candidate(task: DesignTask, bits: int, best: Design | None) -> Candi
 def _sharp_candidate(
     task: DesignTask, theorem: Theorem, bits: int, best: Design | None
 ) -> Candidate:
-    least_s = task.network.least_slot_s(bits)
-    fails = _failing(task, theorem, bits, least_s)
-    if fails is not None:
-        return _Failed(fails[1], SHARP_ORDER.get(fails[0], 0))
-    low = least_s
+    low = least_s = task.network.least_slot_s(bits)
     if best is not None:
         # Power falls with the slot: it must be wider than this to be less than the best so far.
         low = max(low, least_s * task.network.power_w(least_s, bits) / best.cost_w)
-        fails = _failing(task, theorem, bits, low)
-        if fails is not None:
+    fails = _failing(task, theorem, bits, low)
+    if fails is not None:
+        narrow_s = SLOT_SHARE * least_s
+        if best is not None or _failing(task, theorem, bits, narrow_s) is not None:
             return _Failed(fails[1], SHARP_ORDER.get(fails[0], 0))
+        # Narrower slots would do: the payload is what is too large.
+        widest_s, _ = _halved(task, theorem, bits, narrow_s, least_s)
+        return _Failed(Inequality(PAYLOAD_FITS, least_s, widest_s, "s"), SHARP_ORDER["payload"])
     high = 2.0 * low
     while _failing(task, theorem, bits, high) is None:
         low, high = high, 2.0 * high
+    low, high = _halved(task, theorem, bits, low, high)
+    fails = _failing(task, theorem, bits, high)
+    assert fails is not None
+    return _Found(low, 1, (fails[0],))
+
+
+def _halved(
+    task: DesignTask, theorem: Theorem, bits: int, low: float, high: float
+) -> tuple[float, float]:
+    """The widest slot that a sharp design may have, and one that is just too wide."""
     while high - low > SLOT_SHARE * high:
         middle = 0.5 * (low + high)
         fails = _failing(task, theorem, bits, middle)
         low, high = (middle, high) if fails is None else (low, middle)
-    fails = _failing(task, theorem, bits, high)
-    assert fails is not None
-    return _Found(low, 1, (fails[0],))
+    return low, high
 
 
 def _failing(

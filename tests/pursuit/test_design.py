@@ -337,6 +337,17 @@ def test_impossible_captures(change, words):
         sharp_design(replace(OTHER, **change))
 
 
+def test_a_payload_too_large_for_a_sharp_design():
+    """The widest slot that is named is that of a radio which carries the payload."""
+    task = fixed(OTHER, 6)
+    slow = replace(task, network=replace(OTHER.network, bit_rate_bit_s=1e3))
+    with pytest.raises(NoDesignError, match="slot of the payload below the widest slot") as found:
+        sharp_design(slow)
+    inequality = found.value.inequality
+    assert inequality.left == slow.network.least_slot_s(6)
+    assert inequality.right == pytest.approx(sharp_design(task).slot_width_s, rel=1e-8)
+
+
 def test_tasks_without_what_a_design_needs():
     """Missing keys are named."""
     for key in ("first_distance_m", "capture_radius_m", "deadline_s"):

@@ -100,10 +100,11 @@ def test_impossible(changes, code, words, written, capsys):
     [
         ({"capture_radius_m": "10.0"}, "floor below the capture radius"),
         ({"deadline_s": "20.0"}, "time to capture below the deadline"),
+        ({"bit_rate_bit_s": "1e3"}, "slot of the payload below the widest slot: 0."),
     ],
 )
 def test_requirements_out_of_reach(changes, words, written, capsys):
-    """A radius under the floor and a deadline too soon have no design; Python raises."""
+    """A radius under the floor, a deadline too soon, too slow a radio: no design; Python raises."""
     file = written(TEXT, **changes)
     code, data = run(capsys, "solve", file)
     assert code == 4 and words in data["message"] and data["inequality"]["margin"] < 0.0

@@ -55,6 +55,11 @@ class Ground(Protocol):
     """What a network covers."""
 
     @property
+    def free(self) -> shapely.Polygon:
+        """What is covered: the region less its obstacles."""
+        ...
+
+    @property
     def hull(self) -> ConvexRegion:
         """The convex region around it; events are looked for and neighbours found there."""
         ...
@@ -114,6 +119,11 @@ class ConvexGround:
     region: ConvexRegion
     density: Density = UNIFORM
     sensing_range_m: float | None = None
+
+    @property
+    def free(self) -> shapely.Polygon:
+        """The region as a polygon."""
+        return shapely.Polygon(self.region.corners_m)
 
     @property
     def hull(self) -> ConvexRegion:

@@ -277,8 +277,7 @@ def _area(
     """The region's outline and obstacles; legend entries."""
     from matplotlib.collections import PolyCollection
 
-    corners = ground.hull.corners_m
-    ring = np.concatenate((corners, corners[:1]))
+    ring = shapely.get_coordinates(ground.free.exterior)
     panel.plot(ring[:, 0], ring[:, 1], color=OBSTACLE_EDGE, linewidth=1.0)
     panel.set_aspect("equal")
     entries: dict[str, Artist] = {}

@@ -136,6 +136,43 @@ def test_disciplined_quasiconvex_programme(task, bits):
     assert cost_w == pytest.approx(cheapest_design(fixed(task, bits)).cost_w, rel=1e-6)
 
 
+@pytest.mark.parametrize("bits", [4, 7])
+@pytest.mark.filterwarnings("ignore:Solver failed:RuntimeWarning", "ignore:Solution may be")
+def test_quasiconvex_programmes_of_the_other_designs(bits):
+    """Bisection over levels finds slow rounds, half of the limit and the sharp slot too.
+
+    Power is sent bits over a length; energy is one over a product of two lengths.
+    """
+    task = fixed(replace(OTHER, network=replace(OTHER.network, idle_w=0.0)), bits)
+    # In slots at which ages use up all that is left.
+    unit_s = (task.room(bits) + task.margin) / task.staleness_per_slot
+    room = slot_limits_s(task, bits)["lemma"] / unit_s
+    least = task.network.least_slot_s(bits) / unit_s
+    slot, length, left, one = (cp.Variable(pos=True) for _ in range(4))
+
+    def solved(objective, low, high, *limits):
+        # Clarabel stops early at some levels where nothing bounds the variables.
+        within = [least <= slot, slot <= 10.0, length <= 10.0, left <= 10.0, one == 1.0]
+        programme = cp.Problem(objective, [*within, *limits])
+        assert programme.is_dqcp() and not programme.is_dcp()
+        programme.solve(qcp=True, solver=cp.CLARABEL, low=low, high=high, eps=1e-7)
+
+    solved(cp.Minimize(one / length), 0.1, 2.0, 0.5 * (slot + length) <= room, slot <= length)
+    rated = relaxed_design(task, rated=True, bits_per_axis=bits)
+    found_s = rated.slot_width_s * rated.rate_divisor
+    assert unit_s * length.value == pytest.approx(found_s, rel=1e-6)
+    assert length.value == pytest.approx(2.0 * room - least, rel=1e-6)
+
+    solved(cp.Maximize(slot * left), 0.01, 1.0, left + slot <= 1.0, slot <= room)
+    share = least_energy_design(replace(task, deadline_s=None)).slot_width_s / unit_s
+    assert slot.value * left.value == pytest.approx(share * (1.0 - share), rel=1e-6)
+
+    limits_s = slot_limits_s(task, bits)
+    widest = min(limits_s["capture_radius"], limits_s["deadline"]) / unit_s
+    solved(cp.Minimize(one / slot), 0.02, 10.0, slot <= widest)
+    assert unit_s * slot.value == pytest.approx(sharp_slot_s(task, bits), rel=1e-6)
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_slow_rounds(task):
     """Short slots and slow rounds cost less, never less than the relaxation or half as much."""

@@ -18,7 +18,7 @@ from planopt.coverage.simulation import ABSENT
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.problems.systems import system_from_tables
-from planopt.report.coverage_figure import NetworkPicture, draw_network
+from planopt.report.coverage_figure import NetworkPicture, draw_deployment, draw_network
 from planopt.systems.coverage.check import faults
 from planopt.systems.coverage.system import drive
 
@@ -104,6 +104,16 @@ def test_pictures(written, tmp_path, capsys):
     assert (tmp_path / "out" / "run.gif").read_bytes()[:6] == b"GIF89a"
     assert run(capsys, "solve", file, "--out", tmp_path / "plan")[0] == 0
     assert (tmp_path / "plan" / "plan.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_pictures_show_the_region_itself(written):
+    """The outline of a region that is not convex is drawn with its notch, not as its hull."""
+    notched = "outline_m = [[0, 0], [40, 0], [40, 30], [30, 30], [30, 20], [0, 20]]"
+    content = planopt.load_system(written(("bounds_m = [0, 0, 40, 30]", notched))).content
+    starts = content.scene(np.random.default_rng(0)).starts_m
+    panel = draw_deployment("notched", content.ground, (), starts, 1.0).axes[0]
+    assert [30.0, 20.0] in panel.lines[0].get_xydata().tolist()
+    assert len(panel.collections[1].get_offsets()) == len(starts)
 
 
 def test_saved_problems_need_no_other_files(written, tmp_path):

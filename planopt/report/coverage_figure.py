@@ -131,7 +131,7 @@ def draw_network(picture: NetworkPicture) -> Figure:
     else:
         second.plot(times_s, np.maximum(run.residuals_m, 1e-9), color=BLUE, linewidth=1.6)
         second.set_yscale("log")
-        dress(second, "largest distance to a target", "time [s]", "distance [m]")
+        dress(second, "largest distance still driven for", "time [s]", "distance [m]")
         shaded = ()
     for panel in shaded:
         _shade(panel, picture)

@@ -114,6 +114,7 @@ def solve(problem: SystemProblem, request: Request) -> Answer:
     lines = (
         f"{problem.name}: {data['verdict']}, coverage cost {found.cost:.6g}, lower bound {bound}",
         f"  best of {STARTS} starts, the worst of which costs {worst:.4f} times as much",
+        *(("  links are not considered: simulate keeps them",) if content.radio else ()),
     )
 
     def draw(folder: Path) -> None:

@@ -71,7 +71,7 @@ from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex
 from planopt.world.timed_motion import TimedMotion
 
-LATER_KEYS = {"excused", "relaxed_steps", "relaxation_db", "best_margin_db"}
+LATER_KEYS = {"excused", "relaxation_db", "best_margin_db"}
 """Keys of robots and released plans that runs of format 2 did not have at first; for one version
 they may be missing, all of them together."""
 
@@ -425,8 +425,9 @@ def _drop_later_keys(found: list[dict[str, Any]], said: list[dict[str, Any]]) ->
     """Leave out keys that a run saved before they were there cannot have: it has none of them."""
     if any(LATER_KEYS & one.keys() for one in said):
         return
-    for one in found:
-        for key in LATER_KEYS:
+    # Only plans to a goal had `relaxed_steps` then.
+    for one, other in zip(found, said, strict=True):
+        for key in {*LATER_KEYS, "relaxed_steps"} - other.keys():
             one.pop(key, None)
 
 

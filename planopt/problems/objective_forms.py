@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from planopt.objectives.reach import OUTAGE_PRICE
 from planopt.objectives.terms.term import Term
 
 CostToGo = Literal["geodesic", "connected"]
@@ -34,7 +35,7 @@ class ReachObjective:
 
     effort_weight_s2_m2: float = 0.1
     cost_to_go: CostToGo = "connected"
-    outage_price: float = 10.0
+    outage_price: float = OUTAGE_PRICE
     outage_charge: OutageCharge = "below_p_min"
 
     @property

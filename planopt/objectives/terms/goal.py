@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.reach import OUTAGE_PRICE
 from planopt.objectives.steered import (
     gained_derivatives,
     gained_m,
@@ -53,7 +54,7 @@ class GoalTerm(Term):
             description="Metres that a metre certainly out of contact counts besides, when the way "
             "to the goal is chosen.",
         ),
-    ] = 10.0
+    ] = OUTAGE_PRICE
 
     kind: ClassVar[str] = "goal"
     summary: ClassVar[str] = "Come to a goal, while other terms count as well."

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.objectives.mapping import Region
+from planopt.objectives.terms.term import Steers
 from planopt.planning.baselines.foresight import FollowingPlanner
 from planopt.planning.ground import Ground, build_ground
 from planopt.planning.history import BEGINNING, History
@@ -29,11 +31,17 @@ from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering import Steering
 from planopt.planning.worth.steering_way import SteeringWay, steering_way
-from planopt.problems.objective import GoalTerm, MappingTerm, UntilConnectedTerm
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 Steer = Callable[[Situation], SteeringWay | None]
+
+STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
+    "variance": Steering,
+    "connection": ConnectionSteering,
+    "goal": GoalSteering,
+}
+"""What finds the way, by what a term steers to; made of problem, ground and term."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,10 +203,6 @@ def _member(
 def _steer(problem: Problem, ground: Ground) -> Steer | None:
     """What steers the robot of a problem; None where no term does."""
     for term in problem.terms:
-        if isinstance(term, MappingTerm) and term.steers:
-            return Steering(problem, ground, term).find_way
-        if isinstance(term, UntilConnectedTerm):
-            return ConnectionSteering(problem, ground, term).find_way
-        if isinstance(term, GoalTerm):
-            return GoalSteering(problem, ground, term).find_way
+        if term.steers is not None:
+            return STEERINGS[term.steers](problem, ground, term).find_way
     return None

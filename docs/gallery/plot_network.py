@@ -86,7 +86,7 @@ kept = drive(radio, radio.given.planner, 0)
 by_law = drive(radio, radio.given.planner.model_copy(update={"name": "law"}), 0)
 print(f"H at the end: {kept.run.costs[-1]:.4g} connected, {by_law.run.costs[-1]:.4g} not")
 kept_figure = draw_network(picture("stays connected", kept))
-lost_figure = draw_network(picture("does not", by_law))
+lost_figure = draw_network(picture("no radio asked for", by_law))
 
 # %%
 # What a step costs: processor time of the laws, and of plans ten steps ahead for single and double

@@ -13,9 +13,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-OUTAGE_PRICE = 10.0
-"""What a metre that is certainly out of contact counts besides, in metres, unless it is given."""
-
 
 def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
     """Speed at which a metre costs least: ``1 / sqrt(w)`` where it is allowed, else the largest."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from planopt.objectives.reach import OUTAGE_PRICE
 from planopt.objectives.terms.term import Term
 
 CostToGo = Literal["geodesic", "connected"]
@@ -35,7 +34,7 @@ class ReachObjective:
 
     effort_weight_s2_m2: float = 0.1
     cost_to_go: CostToGo = "connected"
-    outage_price: float = OUTAGE_PRICE
+    outage_price: float = 10.0
     outage_charge: OutageCharge = "below_p_min"
 
     @property

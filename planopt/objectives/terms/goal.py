@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.reach import OUTAGE_PRICE
 from planopt.objectives.steered import (
     gained_derivatives,
     gained_m,
@@ -29,32 +27,19 @@ from planopt.targets.rounding import Derivatives
 class GoalTerm(Term):
     """Metres by which the end of each step is nearer to the robot's goal (equation 4.24).
 
-    The distance is that of the cheapest way to the goal, where a metre at a place with a
-    probability of connection P < p_min counts ``1 + outage_price (1 - P)`` metres: the robot is led
-    round coverage holes. The run ends once every robot stands within ``goal_radius_m`` of its goal.
+    The distance is that of the shortest way that keeps ``p_min`` at every place, or leaves contact
+    as little as can be. The run ends once every robot stands within ``goal_radius_m`` of its goal.
 
     Attributes
     ----------
     weight
         Factor in the sum of terms, per metre and step.
-    outage_price
-        What a metre that is certainly out of contact counts besides, when the way is chosen.
 
     Examples
     --------
-    >>> GoalTerm(weight=0.02).outage_price
-    10.0
+    >>> GoalTerm(weight=0.02).steers
+    'goal'
     """
-
-    outage_price: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1e6,
-            description="Metres that a metre certainly out of contact counts besides, when the way "
-            "to the goal is chosen.",
-        ),
-    ] = OUTAGE_PRICE
 
     kind: ClassVar[str] = "goal"
     summary: ClassVar[str] = "Come to a goal, while other terms count as well."

@@ -1,7 +1,7 @@
-"""How a robot is steered to its goal: along the cheapest way, round coverage holes.
+"""How a robot is steered to its goal: along the shortest way that keeps ``p_min``, round holes.
 
-A metre at a place with P < p_min counts ``1 + outage_price (1 - P)`` metres, as for task ``reach``.
-The way turns where it must, for an obstacle or for a hole.
+A sum of terms does not leave contact at a price, so that the way leaves it only where every way
+does, and as little as can be. It turns where it must, for an obstacle or for a hole.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.terms.goal import GoalTerm
+from planopt.objectives.terms.term import Term
 from planopt.planning.ground import Ground, first_moves
+from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.situation import Situation
@@ -34,15 +35,14 @@ class GoalSteering:
         With one robot, and its goal.
     ground
         Its geometry.
-    term
-        The price of being out of contact.
     """
 
-    def __init__(self, problem: Problem, ground: Ground, term: GoalTerm) -> None:
-        self._problem, self._ground, self._price = problem, ground, term.outage_price
+    def __init__(self, problem: Problem, ground: Ground, _term: Term) -> None:
+        self._problem, self._ground = problem, ground
         self._goal_m = np.asarray(problem.goal_m)
         self._wanted_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
         threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
+        self._bounded = p_min > 0.0
         self._margins = NodeMargins(ground.road_map, threshold, p_min)
         nodes, lengths = first_moves(ground, problem, self._goal_m)
         self._goal_node = int(nodes[lengths.argmin()]) if len(nodes) else None
@@ -60,7 +60,7 @@ class GoalSteering:
         if self._goal_node is None or not len(nodes):
             return None
         self._margins.refresh(situation.posterior, situation.circumstances.broad)
-        metre_cost = 1.0 + self._price * self._margins.outage_share
+        metre_cost = np.where(self._margins.outside & self._bounded, FORBIDDEN, 1.0)
         ways = shortest_ways(road_map, self._goal_node, metre_cost)
         cost = lengths * metre_cost[nodes] + ways.cost_m[nodes]
         first = int(nodes[cost.argmin()])

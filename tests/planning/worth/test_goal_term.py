@@ -19,7 +19,6 @@ from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.load import problem_from_tables
 from planopt.problems.save import problem_to_dict
 from planopt.world.clearance import index_obstacles
-from planopt.world.lattice import nearest_node
 
 GOAL = {"kind": "goal"}
 
@@ -77,7 +76,7 @@ def metre_cost(situation, places_m, p_min, price=10.0):
 
 
 def test_the_way_goes_round_a_hole():
-    """At the price it costs less than the geodesic way, and no taut leg cuts through."""
+    """It is longer than the geodesic way, and hardly any metre of it is out of contact."""
     problem = load("open_field")
     tables = problem_to_dict(problem)
     tables["problem"]["task"] = "custom"
@@ -86,22 +85,20 @@ def test_the_way_goes_round_a_hole():
     problem = problem_from_tables(tables, folder=Path(), file=None)
     situation, _, steering = scene(problem)
 
-    def cost(turns_m):
+    def out_m(turns_m):
         total = 0.0
         for start, end in pairwise(turns_m):
             share = (np.arange(200) + 0.5)[:, None] / 200
-            places = start + share * (end - start)
-            total += metre_cost(situation, places, 0.8).mean() * np.linalg.norm(end - start)
+            below = metre_cost(situation, start + share * (end - start), 0.8) > 1.0
+            total += below.mean() * np.linalg.norm(end - start)
         return total
 
     found = steering.find_way(situation)
-    unpriced = replace(problem.terms[0], outage_price=0.0)
     ground = judge_of(*situation_of(problem))[1]
-    short = GoalSteering(problem, ground, unpriced).find_way(situation)
+    unasked = replace(problem, constraints=replace(problem.constraints, p_min=0.0))
+    short = GoalSteering(unasked, ground, problem.terms[0]).find_way(situation)
     assert short.rest_m[0] < found.rest_m[0]
-    assert cost(found.turns_m) < 0.8 * cost(short.turns_m)
-    at_start = nearest_node(ground.road_map.lattice, situation.position_m)
-    assert cost(found.turns_m) <= 1.1 * found.lattice_m[at_start]
+    assert out_m(found.turns_m) < 0.7 * out_m(short.turns_m)
 
 
 def test_places_go_on_in_the_order_of_the_turns():

@@ -66,10 +66,9 @@ def metrics_of(
 ) -> Metrics:
     """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
-    A robot that reached its goal arrived after step number `arrival`; one that did not, or has none,
-    has None. Shares are over the steps
-    driven, the start not counted; the polish gain is the mean over the steps. After no step what
-    tells of steps is NaN.
+    A robot that reached its goal arrived after step number `arrival`, which is None without a goal
+    or arrival. Shares are over the steps driven, the start not counted; the polish gain is the
+    mean over the steps. After no step what tells of steps is NaN.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
@@ -108,7 +107,8 @@ def run_metrics(
     each = [run.metrics for run in runs]
     led = [robot.goal_m is not None for robot in problem.robots]
     if any(led):
-        found["goal_time_s"] = float(max(m.goal_time_s for m, to in zip(each, led, strict=True) if to))
+        times_s = [m.goal_time_s for m, goes in zip(each, led, strict=True) if goes]
+        found["goal_time_s"] = float(max(times_s))
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
         found["final_trace_p"] = float(target.station_variance_m2[-1])

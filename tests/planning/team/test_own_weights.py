@@ -1,4 +1,4 @@
-"""Robots of one team that weigh the terms of the objective differently, or have terms of their own."""
+"""Robots of one team that weigh the objective's terms by themselves."""
 
 import json
 from dataclasses import replace
@@ -46,6 +46,7 @@ def courier_and_scout(**planner):
 
 
 def paths(problem, seed=0):
+    """Paths of all robots, of one step."""
     return [plan.positions_m for plan in solve(problem, seed=seed).plans]
 
 

@@ -277,7 +277,7 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
 
 def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
     """Where the other robots have been, if that counts."""
-    if not counts_others(robot.problem):
+    if not counts_others(problem):
         return NOTHING_PENDING
     driven = [np.array(each.states)[1:, :2] for each in robots]
     number = next(number for number, each in enumerate(robots) if each is robot)

@@ -55,6 +55,9 @@ from planopt.planning.worth.pending import counts_others
 from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import braked_motion
 
+LATER_KEY = "crossings"
+"""Key that plans of format 2 did not have at first; for one version it may be missing."""
+
 
 def check_plan(
     saved: Saved, record: PlanRecord, given: Given | None
@@ -84,6 +87,8 @@ def check_plan(
         # What was asked is not judged: library_remarks says what there is to say.
         "problem_file": saved.data["problem_file"],
     }
+    if LATER_KEY not in saved.data:
+        found.pop(LATER_KEY)
     reasons += in_words(PLAN_FILE, disagreements(saved.data, found))
     again = joined_steps([steps_of_plan(plan) for plan in solution.plans])
     reasons += steps_reasons(joined_steps(saved.steps), again)

@@ -15,11 +15,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from planopt.planning.certificate import Certificate, Excused
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explain.crossing import crossings
+from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
 from planopt.planning.holes import Hole
-from planopt.planning.plan import Pivot, Plan, Termination, Verdict
+from planopt.planning.plan import Pivot, Plan, Termination, Verdict, share_gained
 from planopt.planning.solution import Solution
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.worth.aim import Aim
@@ -136,12 +137,13 @@ def solution_json(solution: Solution) -> dict[str, Any]:
     only = plans[0] if len(plans) == 1 else None
     lattice = sum(plan.lattice_objective for plan in plans)
     gain = sum(plan.gain for plan in plans)
+    objective = sum(plan.objective for plan in plans)
     return {
         **_question(problem, solution.seed),
         "termination": _worst([plan.termination for plan in plans]).value,
         "verdict": solution.verdict.value,
         "sense": problem.sense,
-        "objective": finite(sum(plan.objective for plan in plans)),
+        "objective": finite(objective),
         "bound": None,
         "gap": None,
         "wall_s": finite(sum(plan.wall_s for plan in plans)),
@@ -155,11 +157,12 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         ],
         "rung": _worst([plan.rung for plan in plans]).value,
         "lattice_objective": finite(lattice),
-        "polish_gain": finite(gain / abs(lattice) if lattice else 0.0),
+        "polish_gain": finite(share_gained(gain, lattice, objective)),
         "message": only.message
         if only is not None
         else "; ".join(f"{plan.robot}: {plan.message}" for plan in plans if plan.message),
         "explanation": explanation_json(solution.explanation),
+        "crossings": _crossings(solution),
     }
 
 
@@ -178,6 +181,7 @@ def no_plan_json(
         **dict.fromkeys(("rung", "lattice_objective", "polish_gain")),
         "message": message,
         "explanation": explanation_json(explanation),
+        "crossings": [],
     }
 
 
@@ -268,7 +272,7 @@ def _question(problem: Problem, seed: int) -> dict[str, Any]:
 
 
 def explanation_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
-    """Every change that would help as a table; coverage holes are among the plans' keys."""
+    """Every change that would help as a table."""
     return [
         {
             "robot": one.robot,
@@ -357,6 +361,24 @@ def _robot(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
         "aim": aim_json(aim),
         **(on_the_way if problem.task == "reach" else {}),
     }
+
+
+def _crossings(solution: Solution) -> list[dict[str, Any]]:
+    """Why each way to a goal crosses coverage holes; where they are is in the robots' `holes`."""
+    told = [one for one in solution.explanation if isinstance(one, Crossing)]
+    if not told:
+        told = crossings(solution.problem, solution.plans, solution.belief.posteriors)
+    return [
+        {
+            "robot": one.robot,
+            "outage_price": one.outage_price,
+            "cost_m": finite(one.cost_m),
+            "kept_m": finite(one.kept_m),
+            "outside_m": finite(one.outside_m),
+            "at_goal": one.at_goal,
+        }
+        for one in told
+    ]
 
 
 def _worst(labels: Sequence[_AnyLabel]) -> _AnyLabel:

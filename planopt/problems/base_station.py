@@ -22,7 +22,9 @@ class BaseStation:
     transmit_power_dbm
         Added to path gains.
     threshold_dbm
-        Received power from which on a robot is connected.
+        Received power from which on a robot is connected, as plans and proofs take it.
+    receive_threshold_dbm
+        Received power from which on a robot truly is, in a simulation; None for the same.
     name
         Name in outputs.
     gain_file, gain_variable
@@ -43,6 +45,7 @@ class BaseStation:
     height_m: float = 0.0
     transmit_power_dbm: float
     threshold_dbm: float
+    receive_threshold_dbm: float | None = None
     name: str = "station"
     gain_file: Path | None = None
     gain_variable: str | None = None
@@ -52,6 +55,12 @@ class BaseStation:
 
     def __post_init__(self) -> None:
         make_plain(self, "gain_file", "log_file")
+
+    @property
+    def true_threshold_dbm(self) -> float:
+        """Received power from which on a robot truly is connected."""
+        least = self.receive_threshold_dbm
+        return self.threshold_dbm if least is None else least
 
     @property
     def site(self) -> Station:

@@ -68,6 +68,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
                 height_m=table.height_m,
                 transmit_power_dbm=table.transmit_power_dbm,
                 threshold_dbm=table.threshold_dbm,
+                receive_threshold_dbm=table.receive_threshold_dbm,
                 gain_file=None if table.gain_file is None else folder / table.gain_file,
                 gain_variable=table.gain_variable,
                 log_file=None if table.log_file is None else folder / table.log_file,

@@ -175,14 +175,16 @@ def check_channel(problem: Problem) -> None:
             floor_db = truth.floor_db
             floor_dbm = None if floor_db is None else station.transmit_power_dbm + floor_db
             remedy = "the floor is transmit_power_dbm + channel.truth.floor_db"
-        if floor_dbm is not None and floor_dbm >= station.threshold_dbm:
-            raise InputError(
-                f"is {station.threshold_dbm:g}, not above the receiver's floor of {floor_dbm:g} "
-                "dBm, so that places without signal would count as connected",
-                file=problem.file,
-                key=f"stations[{index}].threshold_dbm",
-                remedy=remedy,
-            )
+        for key in ("threshold_dbm", "receive_threshold_dbm"):
+            least_dbm = getattr(station, key)
+            if floor_dbm is not None and least_dbm is not None and floor_dbm >= least_dbm:
+                raise InputError(
+                    f"is {least_dbm:g}, not above the receiver's floor of {floor_dbm:g} "
+                    "dBm, so that places without signal would count as connected",
+                    file=problem.file,
+                    key=f"stations[{index}].{key}",
+                    remedy=remedy,
+                )
 
 
 def _check_cells(problem: Problem, cell_m: float) -> None:

@@ -158,8 +158,11 @@ def _measurements(channel: ChannelSetup) -> dict[str, Any]:
     return {**table, "spacing_m": channel.measure_spacing_m}
 
 
-STATION_FILES = ("gain_file", "gain_variable", "log_file", "power_column", "censored_column")
-"""What a station may have in place of the channel's."""
+OPTIONAL_OF_STATION = (
+    *("receive_threshold_dbm", "gain_file", "gain_variable"),
+    *("log_file", "power_column", "censored_column"),
+)
+"""Keys that a station may have."""
 
 
 def _station(station: BaseStation) -> dict[str, Any]:
@@ -169,7 +172,7 @@ def _station(station: BaseStation) -> dict[str, Any]:
         "height_m": station.height_m,
         "transmit_power_dbm": station.transmit_power_dbm,
         "threshold_dbm": station.threshold_dbm,
-        **_plain({name: getattr(station, name) for name in STATION_FILES}),
+        **_plain({name: getattr(station, name) for name in OPTIONAL_OF_STATION}),
     }
 
 

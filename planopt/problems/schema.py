@@ -60,7 +60,13 @@ class StationTable(Table):
         description="Transmit power in dBm; received power is this plus the path gain."
     )
     threshold_dbm: Decibels = Field(
-        description="Received power in dBm from which on a robot is connected."
+        description="Received power in dBm from which on a robot is connected, as plans and proofs "
+        "take it."
+    )
+    receive_threshold_dbm: Decibels | None = Field(
+        default=BaseStation.receive_threshold_dbm,
+        description="Received power in dBm from which on a robot truly is connected in a "
+        "simulation, where that is not threshold_dbm.",
     )
     gain_file: FileName | None = Field(
         default=None,

@@ -206,7 +206,7 @@ def _ground(
     axes = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
     last = len(run.runs[0].log.t_s) - 1
     draw_ground(axes, problem.workspace, _words(run, last))
-    raster, threshold = true_power(run), problem.stations[0].threshold_dbm
+    raster, threshold = true_power(run), problem.stations[0].true_threshold_dbm
     label = "true power [dBm] (line: threshold)"
     draw_layer(axes, raster, POWER_MAP, figure, label, mark=threshold)
     axes.set_xlim(window[0], window[2])

@@ -49,7 +49,7 @@ def draw_run(simulation: Run) -> Figure:
         POWER_MAP,
         figure,
         "true power [dBm] (line: threshold)",
-        mark=problem.stations[0].threshold_dbm,
+        mark=problem.stations[0].true_threshold_dbm,
     )
     entries = [
         *draw_places(panel, problem),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planopt.planning.loop.log import StepLog
 from planopt.planning.plan import Rung
 from planopt.planning.run import Run
+from planopt.problems.base_station import BaseStation
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
     BAND_WORDS,
@@ -59,7 +60,7 @@ def draw_run_series(simulation: Run) -> Figure:
     figure = new_figure(12.0, 9.0)
     cells = GridSpec(4, 1, figure=figure, height_ratios=[3.0, 0.45, 2.0, 2.0])
     panels = [add_panel(figure, cells[row, 0]) for row in range(4)]
-    _draw_power(panels[0], run.log, problem.stations[0].threshold_dbm)
+    _draw_power(panels[0], run.log, problem.stations[0])
     _draw_connection(panels[1], run.log)
     _draw_connectivity(panels[2], run.log, problem.constraints.p_min)
     _draw_step_times(panels[3], run.log)
@@ -75,7 +76,7 @@ def draw_run_series(simulation: Run) -> Figure:
     return figure
 
 
-def _draw_power(panel: Panel, log: StepLog, threshold_dbm: float) -> None:
+def _draw_power(panel: Panel, log: StepLog, radio: BaseStation) -> None:
     """Draw the power predicted one step ahead, with its band, against the true one."""
     panel.fill_between(
         log.t_s,
@@ -90,7 +91,10 @@ def _draw_power(panel: Panel, log: StepLog, threshold_dbm: float) -> None:
     panel.plot(
         log.t_s, log.true_dbm, color=TRUE, linewidth=0.8, marker=".", markersize=4.0, label="true"
     )
-    panel.axhline(threshold_dbm, color=THRESHOLD, linestyle="dashed", label="threshold")
+    panel.axhline(radio.threshold_dbm, color=THRESHOLD, linestyle="dashed", label="threshold")
+    if radio.true_threshold_dbm != radio.threshold_dbm:
+        least = radio.true_threshold_dbm
+        panel.axhline(least, color=THRESHOLD, linestyle="dotted", label="true threshold")
     dress(panel, "received power", "", "power [dBm]")
     legend_above(panel)
 

@@ -47,10 +47,11 @@ def series_of(run: Run) -> tuple[tuple[Drawer, float], ...]:
     bounded = connection if run.problem.constraints.p_min > 0.0 else ()
     if run.channel is None:
         return (*bounded, *last)
-    knowledge: tuple[tuple[Drawer, float], ...] = (
-        (_draw_theta_variance, 1.0),
-        (_draw_map_error, 1.0),
-    )
+    knowledge: tuple[tuple[Drawer, float], ...] = ((_draw_map_error, 1.0),)
+    given = run.problem.channel.given
+    if given is None or given.k_pl_db is None:
+        # Path loss that is known has no uncertainty to draw.
+        knowledge = ((_draw_theta_variance, 1.0), *knowledge)
     return (*knowledge, *bounded, *last)
 
 

@@ -11,6 +11,7 @@ from planopt.commands.pictures import picture_run, picture_solution
 from planopt.planning.plan import Verdict
 from planopt.planning.solution import Solution
 from planopt.planning.worth.aim import Aim
+from planopt.problems.channel_setup import GivenParameters
 from planopt.report.result_figures import draw_team_plan, draw_team_run
 
 ALWAYS = {"x [m]", "y [m]", "RMS error [dB]", "time [s]"}
@@ -27,6 +28,23 @@ ALWAYS = {"x [m]", "y [m]", "RMS error [dB]", "time [s]"}
 def test_units_of_a_run(simulation, task, more):
     """Every task has its own maps and curves, units on all axes, and no other panels."""
     assert labels_of(drawn(draw_team_run(team_run(simulation, task)))) == ALWAYS | more
+
+
+def test_known_path_loss_has_no_panel(simulation):
+    """Its uncertainty is nothing to draw; what is estimated has its curve."""
+    run = team_run(simulation, "map")
+    known = GivenParameters(
+        shadow_std_db=4.0, decorrelation_m=10.0, multipath_std_db=1.0, k_pl_db=-10.0, n_pl=2.0
+    )
+    labels = []
+    for given in (known, replace(known, k_pl_db=None, n_pl=None)):
+        channel = replace(run.problem.channel, given=given)
+        labels.append(
+            labels_of(
+                drawn(draw_team_run(replace(run, problem=replace(run.problem, channel=channel))))
+            )
+        )
+    assert labels[1] - labels[0] == {"trace M / |θ|² [dB]"}
 
 
 @pytest.mark.parametrize("robots", [1, 3])

@@ -117,7 +117,7 @@ class TileMap:
         posterior
             Usually the last one extended; anything else is rebuilt from the start.
         window_m
-            ``(x_min, y_min, x_max, y_max)``: tiles whose centre is outside keep their parts and
+            ``(x_min, y_min, x_max, y_max)``: tiles without a node in it keep their parts and
             are caught up with by a later refresh. None for everywhere.
 
         Returns
@@ -127,9 +127,10 @@ class TileMap:
         """
         wanted = np.ones(len(self._dirty), dtype=bool)
         if window_m is not None:
-            x, y = self._centres_m.T
             x_min, y_min, x_max, y_max = window_m
-            wanted = (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
+            first_x, first_y = self._places_m[:, 0].T
+            last_x, last_y = self._places_m[:, -1].T
+            wanted = (x_min <= last_x) & (first_x <= x_max) & (y_min <= last_y) & (first_y <= y_max)
         self._fade(posterior)
         replaceable, newcomers = self._mark(posterior, wanted)
         stale = np.flatnonzero(self._dirty & wanted)

@@ -125,7 +125,7 @@ def _paths(
     """Return the path (T, 2) of each robot."""
     require_foreseeable(problem)
     sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
-    threshold, ahead = problem.stations[0].threshold_dbm, target_m[1:]
+    threshold, ahead = problem.stations[0].true_threshold_dbm, target_m[1:]
     unknown = float(np.std(truth.raster.values - truth.mean_dbm))
 
     def arriving(places_m: NDArray[np.float64]) -> NDArray[np.float64]:

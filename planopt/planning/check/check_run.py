@@ -184,7 +184,7 @@ def rebuilt_run(
             for steps, track in zip(saved.steps, tracks, strict=True)
         ]
     )
-    connected = (true >= problem.stations[0].threshold_dbm)[:, 1:].T
+    connected = (true >= problem.stations[0].true_threshold_dbm)[:, 1:].T
     seeds = team_seeds(problem, record.seed)
     watches = watched(watch_target(problem, seeds.target), tracks, connected, seeds.target)
     released = [_released(saved, record, number) for number in numbers]

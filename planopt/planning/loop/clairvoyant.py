@@ -84,7 +84,7 @@ def realised_cost_m(
     """
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return true_serving_dbm(problem, truths, places) < problem.stations[0].threshold_dbm
+        return true_serving_dbm(problem, truths, places) < problem.stations[0].true_threshold_dbm
 
     spacing = JUDGED_CELLS * _cell_m(truths)
     return float(_costs_m(problem, is_out, places_m[:-1], places_m[1:], spacing).sum())
@@ -107,7 +107,7 @@ def clairvoyant_path(
     truths
         Each station's.
     """
-    thresholds = [radio.threshold_dbm for radio in problem.stations]
+    thresholds = [radio.true_threshold_dbm for radio in problem.stations]
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
         powers = np.stack([mean_power_dbm(truth, places) for truth in truths])

@@ -123,7 +123,7 @@ def simulate(
         robots.observe(
             states,
             [[measure(truth, place[None]) for truth in truths] for place in here],
-            true_serving_dbm(problem, truths, here) >= problem.stations[0].threshold_dbm,
+            true_serving_dbm(problem, truths, here) >= problem.stations[0].true_threshold_dbm,
             None if watch is None else sense(watch.sensor, here, watch.true_m[step], seeds.target),
         )
         if known_at is not None:

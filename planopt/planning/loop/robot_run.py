@@ -57,7 +57,7 @@ def step_log(
             first[0].connectivity[0] if first else np.nan, [p.connectivity[1] for p in plans]
         ),
         true_dbm=true_dbm,
-        connected=true_dbm >= problem.stations[0].threshold_dbm,
+        connected=true_dbm >= problem.stations[0].true_threshold_dbm,
         step_s=column(0.0, [p.wall_s for p in plans]),
         polish_gain_s=column(0.0, [p.gain for p in plans]),
         relaxation_db=column(0.0, relaxation),

@@ -18,7 +18,8 @@ def true_serving_dbm(
     """The serving station's true power at places (n, 2), for the first one's threshold; ``(n,)``.
 
     The power itself of a single station
-    (:mod:`planopt.channel.connection.serving_power`).
+    (:mod:`planopt.channel.connection.serving_power`). A robot is connected where it is at least
+    ``problem.stations[0].true_threshold_dbm``.
     """
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])
-    return serving_power_dbm(powers, [radio.threshold_dbm for radio in problem.stations])
+    return serving_power_dbm(powers, [radio.true_threshold_dbm for radio in problem.stations])

@@ -118,6 +118,22 @@ def test_a_window_defers_the_rest():
     assert lattice.refresh(more) == 0
 
 
+@pytest.mark.parametrize("half_m", [1.0, 4.0, 11.0])
+def test_every_node_of_a_window_is_known(half_m: float):
+    """Tiles that a window only cuts are computed as well."""
+    posterior = condition(PARAMETERS, data(100))
+    expected = fresh(posterior, 12)
+    for middle_x in X[3:-3:4]:
+        for middle_y in Y[3:-3:5]:
+            lattice = TileMap(X, Y, NEEDED, neighbours=12)
+            window = middle_x - half_m, middle_y - half_m, middle_x + half_m, middle_y + half_m
+            lattice.refresh(posterior, window_m=window)
+            rows = np.flatnonzero((Y >= window[1]) & (Y <= window[3]))
+            columns = np.flatnonzero((X >= window[0]) & (X <= window[2]))
+            inside = np.ix_(rows, columns)
+            np.testing.assert_allclose(lattice.mean_db[inside], expected.mean_db[inside])
+
+
 def test_another_posterior_rebuilds_everything():
     """Other parameters or other data are not mistaken for an extension."""
     lattice = fresh(condition(PARAMETERS, data(60)), 12)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from planopt import check, load, simulate
+from planopt.errors import InputError
 from planopt.planning.loop.target_watch import counted, watch_target
 from planopt.targets.information_filter import predict
 
@@ -75,3 +76,35 @@ def test_a_run_of_estimates_is_judged_from_its_files(tmp_path):
     assert check(tmp_path / "run").reasons == ()
     assert run.target is not None and raw.target is not None
     assert not np.array_equal(run.target.station_variance_m2, raw.target.station_variance_m2)
+
+
+def with_receiver(receive_dbm):
+    """Six steps of fig4, the station hearing what arrives at so many dBm."""
+    problem = load("fig4")
+    station = replace(problem.stations[0], receive_threshold_dbm=receive_dbm)
+    planner = replace(problem.planner, max_steps=6, horizon=1)
+    return replace(problem, stations=(station,), planner=planner)
+
+
+def test_the_receiver_decides_on_packets_and_plans_do_not_know(tmp_path):
+    """A deaf station gets nothing; plans have the chances of the threshold that they were told."""
+    deaf = simulate(with_receiver(60.0), seed=1)
+    assert deaf.target is not None and not deaf.target.delivered.any()
+    assert deaf.metrics["true_connected_share"] == 0.0
+    told = simulate(with_receiver(None), seed=1)
+    same = simulate(with_receiver(told.problem.stations[0].threshold_dbm), seed=1)
+    assert told.target is not None and same.target is not None and told.target.delivered.any()
+    np.testing.assert_array_equal(told.target.delivered, same.target.delivered)
+    for one, other in zip(told.runs, deaf.runs, strict=True):
+        assert one.log.connectivity[1] == other.log.connectivity[1]
+        assert not other.log.connected.any()
+    deaf.save(tmp_path / "run")
+    assert check(tmp_path / "run").reasons == ()
+
+
+def test_a_receiver_that_hears_its_own_floor_is_refused():
+    """Places without signal would count as connected."""
+    problem = with_receiver(-95.0)
+    truth = replace(problem.channel.truth, floor_db=-90.0)
+    with pytest.raises(InputError, match=r"stations\[0\].receive_threshold_dbm"):
+        simulate(replace(problem, channel=replace(problem.channel, truth=truth)), seed=1)

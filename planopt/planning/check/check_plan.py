@@ -25,6 +25,7 @@ from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import UNSOLVED, provenance_faults
 from planopt.planning.check.rebuilt import Asked, Effort, Place, rebuilt_plan
 from planopt.planning.explain.case import Case
+from planopt.planning.explain.explanation import Crossing
 from planopt.planning.files.belief_file import first_posteriors, last_posteriors
 from planopt.planning.files.drive_table import drive_of
 from planopt.planning.files.read_saved import Saved
@@ -41,7 +42,7 @@ from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.holes import holes_on
 from planopt.planning.loop.target_watch import aim_of, watch_target
-from planopt.planning.plan import Plan, Termination
+from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.roads import build_roads
@@ -183,7 +184,35 @@ def rebuilt_solution(
         plans.append(plan)
     reasons += [f"{PLAN_FILE}, key robots: {fault}" for fault in order_faults(problem, aims)]
     belief = belief_again(learnt, posteriors)
-    return Solution(problem, record.seed, belief, tuple(plans), tuple(aims), explanation), reasons
+    crossings, faults = _crossings_again(problem, record, plans)
+    reasons += faults
+    told = (*explanation, *crossings)
+    return Solution(problem, record.seed, belief, tuple(plans), tuple(aims), told), reasons
+
+
+def _crossings_again(
+    problem: Problem, record: PlanRecord, plans: Sequence[Plan]
+) -> tuple[list[Crossing], list[str]]:
+    """Return what the file says of crossings, and what of it cannot be so.
+
+    The ways beside the plan are the search's, which the verifier does without: their lengths and
+    costs are taken as they stand.
+    """
+    verified = {plan.robot: plan for plan in plans if plan.verdict is Verdict.VERIFIED}
+    found: list[Crossing] = []
+    faults: list[str] = []
+    for number, one in enumerate(record.crossings):
+        where = f"{PLAN_FILE}, key crossings[{number}]"
+        plan = verified.get(one.robot)
+        if plan is None or not plan.holes or one.robot in {other.robot for other in found}:
+            faults.append(f"{where}: no verified plan of {one.robot} crosses a hole, or once more")
+            continue
+        if one.outside_m > one.kept_m:
+            faults.append(f"{where}.outside_m: is longer than the way, kept_m {one.kept_m:g}")
+        price, p_min = problem.reach.outage_price, problem.constraints.p_min
+        lengths = one.cost_m, price, one.kept_m, one.outside_m
+        found.append(Crossing(one.robot, plan.holes, *lengths, p_min))
+    return found, faults
 
 
 def pending_faults(

@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from planopt.planning.certificate import Certificate, Excused
-from planopt.planning.explain.crossing import crossings
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
@@ -93,6 +92,15 @@ class RelaxationRecord(BaseModel):
     robot: str
 
 
+class CrossingRecord(Record):
+    """What a way to a goal that crosses coverage holes costs, and what keeping contact takes."""
+
+    robot: str
+    cost_m: NotNegative
+    kept_m: NotNegative
+    outside_m: NotNegative
+
+
 class RobotPlanRecord(RobotRecord):
     """One robot's plan: its trajectory, and what only its planner knows."""
 
@@ -114,6 +122,7 @@ class PlanRecord(Record):
 
     seed: int = Field(ge=0)
     explanation: list[RelaxationRecord]
+    crossings: list[CrossingRecord] = Field(default_factory=list[CrossingRecord])
     robots: list[RobotPlanRecord] = Field(min_length=1)
     problem_file: dict[str, Any]
 
@@ -162,7 +171,7 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         if only is not None
         else "; ".join(f"{plan.robot}: {plan.message}" for plan in plans if plan.message),
         "explanation": explanation_json(solution.explanation),
-        "crossings": _crossings(solution),
+        "crossings": crossings_json(solution.explanation),
     }
 
 
@@ -290,6 +299,22 @@ def explanation_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
     ]
 
 
+def crossings_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
+    """Why each way to a goal crosses coverage holes; where they are is in the robots' `holes`."""
+    return [
+        {
+            "robot": one.robot,
+            "outage_price": one.outage_price,
+            "cost_m": one.cost_m,
+            "kept_m": one.kept_m,
+            "outside_m": one.outside_m,
+            "at_goal": one.at_goal,
+        }
+        for one in explanation
+        if isinstance(one, Crossing)
+    ]
+
+
 def explanation_again(records: Iterable[RelaxationRecord]) -> tuple[Relaxation, ...]:
     """What :func:`explanation_json` wrote."""
     return tuple(
@@ -361,24 +386,6 @@ def _robot(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
         "aim": aim_json(aim),
         **(on_the_way if problem.task == "reach" else {}),
     }
-
-
-def _crossings(solution: Solution) -> list[dict[str, Any]]:
-    """Why each way to a goal crosses coverage holes; where they are is in the robots' `holes`."""
-    told = [one for one in solution.explanation if isinstance(one, Crossing)]
-    if not told:
-        told = crossings(solution.problem, solution.plans, solution.belief.posteriors)
-    return [
-        {
-            "robot": one.robot,
-            "outage_price": one.outage_price,
-            "cost_m": finite(one.cost_m),
-            "kept_m": finite(one.kept_m),
-            "outside_m": finite(one.outside_m),
-            "at_goal": one.at_goal,
-        }
-        for one in told
-    ]
 
 
 def _worst(labels: Sequence[_AnyLabel]) -> _AnyLabel:

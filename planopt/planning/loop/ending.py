@@ -167,6 +167,9 @@ def standstill(
         Whether nothing else that plans depend on changes while the robot stands.
     """
     stood = bool(np.linalg.norm((track[-1] - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
+    # A plan that drives on after waiting is another start for the next one.
+    waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M
+    stood &= not waits
     # Place, belief, obstacles and time are the same: so would be the next plan.
     again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
     again &= problem.planner.budget_s is None

@@ -22,7 +22,7 @@ from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import LatticeValues, RewardSearch
 from planopt.planning.search.stage_rewards import StageRewards, move_values
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STEP_PAD_M
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.rule_worth import rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule
@@ -152,6 +152,18 @@ class Start:
     charge: GoalCharge | None = None
 
 
+def without_waiting(
+    position_m: NDArray[np.float64], path_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return a path (N, 2) that waits at its end for as long as this one does at its beginning.
+
+    Polishing cannot make one of the other: a plan that waits would be put off step by step.
+    """
+    away = np.linalg.norm(path_m - position_m, axis=1) > STANDSTILL_M
+    waits = int(away.argmax())
+    return np.vstack([path_m[waits:], np.repeat(path_m[-1:], waits, axis=0)])
+
+
 class StartSearch:
     """Finds starts for one robot of a problem; keeps its map of the channel.
 
@@ -202,7 +214,7 @@ class StartSearch:
             situation.soon(shifted_m)
         paths = self._lattice_paths(situation, 1)
         if shifted_m is not None:
-            paths.append(shifted_m)
+            paths += [shifted_m, without_waiting(situation.position_m, shifted_m)]
         if situation.steering is not None:
             longest = problem.step_length_m - STEP_PAD_M
             paths.append(situation.steering.path_m(problem.planner.horizon, longest))

@@ -25,9 +25,10 @@ HERE = np.array([10.0, 15.0])
 MAPPING = {"kind": "mapping", "form": "information"}
 
 
-def plan_of(verdict=Verdict.VERIFIED, rung=Rung.PLAN):
-    """A plan as endings look at it."""
-    return SimpleNamespace(rung=rung, verdict=verdict, message="", drive=None)
+def plan_of(verdict=Verdict.VERIFIED, rung=Rung.PLAN, then_m=0.0):
+    """A plan as endings look at it: it waits, and then drives on for so far."""
+    places = HERE + np.array([[0.0, 0.0], [0.0, 0.0], [then_m, 0.0]])
+    return SimpleNamespace(rung=rung, verdict=verdict, message="", drive=None, positions_m=places)
 
 
 def driven(problem, places, learnt, plan=None, posteriors=None):
@@ -73,8 +74,8 @@ def test_who_stands_with_places_left_to_measure_has_stalled(term) -> None:
         assert reason == "standing still with nothing new to learn; places are left to measure"
     problem = terms_problem(term, max_steps=8)
     assert terms_ending(problem, no_packet(), [driven(problem, [HERE, HERE], [True])]) is None
-    waiting = standing(problem, plan=plan_of(rung=Rung.SHIFTED))
-    assert terms_ending(problem, no_packet(), [waiting]) is None
+    for plan in (plan_of(rung=Rung.SHIFTED), plan_of(then_m=1.0)):
+        assert terms_ending(problem, no_packet(), [standing(problem, plan=plan)]) is None
     last = terms_problem(term, max_steps=1)
     ended = terms_ending(last, no_packet(), [driven(last, [HERE, HERE], [True])])
     assert ended == (Outcome.COMPLETED, "all 1 steps driven")

@@ -1,0 +1,38 @@
+"""Starts of a plan: what becomes of the last plan."""
+
+from dataclasses import replace
+
+import numpy as np
+from terms_scene import CONNECT, judge_of, situation_of, terms_problem
+
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.search.start_search import StartSearch, without_waiting
+from planopt.planning.worth.path_worth import PathWorth
+
+
+def test_waiting_is_put_off() -> None:
+    """The same places in the same order, first those that lead on."""
+    here = np.array([3.0, 4.0])
+    path = here + np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    expected = here + np.array([[1.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 0.0], [2.0, 0.0]])
+    np.testing.assert_array_equal(without_waiting(here, path), expected)
+    np.testing.assert_array_equal(without_waiting(here, expected), expected)
+    standing = np.tile(here, (4, 1))
+    np.testing.assert_array_equal(without_waiting(here, standing), standing)
+
+
+def test_a_search_does_not_begin_with_the_waiting_of_the_last_plan() -> None:
+    """The same plan without its waiting is another start, and a better one."""
+    problem = terms_problem(CONNECT, horizon=6)
+    situation, belief = situation_of(problem)
+    situation = replace(situation, position_m=np.array([3.5, 2.6]))
+    judge, ground = judge_of(situation, belief)
+    polished = HorizonPlanner(problem, ground).plan(situation, judge).positions_m[1:]
+    waits = np.vstack([np.tile(situation.position_m, (2, 1)), polished[:-2]])
+    search = StartSearch(problem, ground)
+    offered = without_waiting(situation.position_m, waits)
+    worth = PathWorth(situation)
+    assert worth(offered) > worth(waits)
+    assert search.find_starts(situation, waits)[0].worth >= worth(offered)
+    # No other search has it.
+    assert search.find_starts(situation, None)[0].worth < worth(offered)

@@ -95,7 +95,8 @@ def _inside_m(
     rest = np.delete(np.arange(len(index.obstacles)), about)
     others = tuple(index.obstacles[number] for number in rest)
     polygons = index.polygons[rest]
-    deep = np.where(shapely.within(points, area), distances_m(points, area.boundary), 0.0)
+    border = np.full(len(points), area.boundary, dtype=np.object_)
+    deep = np.where(shapely.within(points, area), distances_m(points, border), 0.0)
     return deep, ObstacleIndex(others, polygons, shapely.STRtree(polygons))
 
 

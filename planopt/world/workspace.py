@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import shapely
 
@@ -83,19 +84,20 @@ class Workspace:
         timed: Sequence[Obstacle] | None = None,
     ) -> None:
         remedy = "planopt.obstacles_from makes obstacles of polygons, tables and grids"
-        given = {
+        key = "world.obstacles"
+        standing = parts_of(key, obstacles, Obstacle, remedy)
+        given: dict[str, Any] = {
             "bounds_m": plain(bounds_m),
-            "obstacles": parts_of("world.obstacles", obstacles, Obstacle, remedy),
+            "obstacles": standing,
             "moving": parts_of("world.moving", moving, MovingObstacle),
+            "timed": tuple(one for one in standing if one.is_timed)
+            if timed is None
+            else parts_of(key, timed, Obstacle, remedy),
         }
-        if timed is None:
-            # They are given together: what is not there yet is left out until it is.
-            given["timed"] = tuple(one for one in given["obstacles"] if one.is_timed)
-        else:
-            given["timed"] = parts_of("world.obstacles", timed, Obstacle, remedy)
-        for key, value in given.items():
-            object.__setattr__(self, key, value)
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
         if timed is None and self.timed:
+            # They are given together: what is not there yet is left out until it is.
             object.__setattr__(self, "obstacles", self.known_at(0.0))
 
     @property

@@ -12,6 +12,7 @@ from planopt.problems.rule_kinds import rule_kind
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from planopt.objectives.terms.term import Term
     from planopt.problems.schema import ProblemFile
     from planopt.problems.schema_moving import MovingTable
     from planopt.problems.schema_robot import RobotTable
@@ -31,6 +32,8 @@ def _reach_fault(tables: ProblemFile) -> str | None:
     for number, robot in enumerate(tables.robots):
         if robot.goal_m is None:
             return f"task reach needs robots[{number}].goal_m"
+        if robot.weights is not None:
+            return f"task reach has no terms, and no robots[{number}].weights of any"
     if tables.objective.terms:
         return "task reach has no objective.terms"
     if tables.targets:
@@ -54,8 +57,9 @@ def _terms_fault(tables: ProblemFile) -> str | None:
         return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
     leads = any(term.steers == "goal" for term in terms)
     for number, robot in enumerate(tables.robots):
-        if leads and robot.goal_m is None:
-            return f"a term of kind goal needs robots[{number}].goal_m"
+        fault = _fault_of_robot(terms, robot, number)
+        if fault is not None:
+            return fault
         if not leads and robot.goal_m is not None:
             return f"task {task} has no robots.goal_m without a term of kind goal"
     for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price", "outage_charge"):
@@ -63,15 +67,30 @@ def _terms_fault(tables: ProblemFile) -> str | None:
             return f"objective.{key} is for task reach, not for {task}"
     if not leads and "goal_radius_m" in tables.constraints.model_fields_set:
         return f"constraints.goal_radius_m is for task reach and terms of kind goal, not for {task}"
-    if sum(term.steers is not None for term in terms) > 1:
-        return (
-            "two of objective.terms steer: only one may have the form two_layer or one of the "
-            "kinds until_connected and goal"
-        )
     tracked = any(term.sensor is not None for term in terms)
     if tracked != bool(tables.targets):
         return "a term of kind tracking and an entry of targets go together"
     return _same_name("robots", tables.robots) or _dynamics_fault(tables)
+
+
+def _fault_of_robot(terms: Sequence[Term], robot: RobotTable, number: int) -> str | None:
+    """What keeps the terms that count for one robot from being planned for."""
+    key, weights = f"robots[{number}]", robot.weights
+    if weights is not None and len(weights) != len(terms):
+        return f"{key}.weights has {len(weights)} numbers for {len(terms)} objective.terms"
+    own = [t for t, w in zip(terms, weights, strict=True) if w > 0.0] if weights else list(terms)
+    if not own:
+        return f"{key}.weights are all 0: a robot needs a term of its own"
+    if any(term.steers == "goal" for term in own) and robot.goal_m is None:
+        return f"a term of kind goal needs {key}.goal_m"
+    if weights and robot.goal_m is not None and not any(term.steers == "goal" for term in own):
+        return f"{key}.goal_m needs a weight above 0 of the term of kind goal"
+    if sum(term.steers is not None for term in own) > 1:
+        return (
+            f"two of objective.terms steer {key}: only one may have the form two_layer or one of "
+            "the kinds until_connected and goal, or a weight above 0 in its weights"
+        )
+    return None
 
 
 def _dynamics_fault(tables: ProblemFile) -> str | None:

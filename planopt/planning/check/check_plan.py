@@ -213,12 +213,17 @@ def pending_faults(
 def order_faults(problem: Problem, aims: Sequence[Aim]) -> list[str]:
     """Return what is wrong with how many plans each robot says it was told in one step.
 
-    Robots plan in turn, whoever begins: one of them was told no plan, another one plan, and so on.
+    Robots plan in turn, whoever begins: one of them was told no plan, another one plan, and so on,
+    those left out that do not count what the others measure.
     """
-    told = sorted(len(aim.pending.planned_m) for aim in aims)
-    if not counts_others(problem) or problem.planner.rounds > 1 or told == list(range(len(told))):
+    told = [len(aim.pending.planned_m) for aim in aims]
+    owns = [problem_of_robot(problem, number) for number in range(len(aims))]
+    counted = [count for own, count in zip(owns, told, strict=True) if counts_others(own)]
+    in_order = len(set(counted)) == len(counted) and all(count < len(told) for count in counted)
+    if not counted or problem.planner.rounds > 1 or in_order:
         return []
-    return [f"robots were told {told} plans, should be {list(range(len(told)))} in some order"]
+    should = list(range(len(told)))
+    return [f"robots were told {sorted(counted)} plans, should be {should} in some order"]
 
 
 def of_robot(problem: Problem, robot: str, objections: Sequence[str]) -> list[str]:

@@ -322,7 +322,7 @@ def _driven(
         others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
         aim = aim_again(said.aim, aim_of(watches[step - 1], number, own.planner.horizon))
-        if counts_others(saved.problem):
+        if counts_others(own):
             driven_m = [made.positions_m[1:step] for made in saved.steps]
             told = replace(aim.pending, driven_m=places_of_others(driven_m, number))
             aim = replace(aim, pending=told)

@@ -13,7 +13,6 @@ from planopt.planning.holes import Hole, holes_along
 from planopt.planning.loop.log import (
     ChannelLog,
     Metrics,
-    Outcome,
     RobotRun,
     StepLog,
     TargetLog,
@@ -62,22 +61,21 @@ ANY = (-np.inf, np.inf)
 def metrics_of(
     log: StepLog,
     plans: Sequence[Plan],
-    outcome: Outcome,
     learnt: Sequence[bool],
-    arrival: int = -1,
+    arrival: int | None,
 ) -> Metrics:
     """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
-    A robot that reached its goal arrived after step number `arrival`. Shares are over the steps
-    driven, the start not counted; the polish gain is the mean over the steps. After no step what
-    tells of steps is NaN.
+    A robot that reached its goal arrived after step number `arrival`, which is None without a goal
+    or arrival. Shares are over the steps driven, the start not counted; the polish gain is the
+    mean over the steps. After no step what tells of steps is NaN.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
     gains = [plan.polish_gain for plan in plans]
     nothing = float("nan")
     return Metrics(
-        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else nothing,
+        goal_time_s=float(log.t_s[arrival]) if arrival is not None else nothing,
         path_m=float(lengths.sum()),
         true_connected_share=float(connected.mean()) if connected.size else nothing,
         longest_outage_m=longest_outage_m(lengths, connected) if connected.size else nothing,
@@ -107,8 +105,10 @@ def run_metrics(
     """
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
-    if problem.robots[0].goal_m is not None:
-        found["goal_time_s"] = float(max(m.goal_time_s for m in each))
+    led = [robot.goal_m is not None for robot in problem.robots]
+    if any(led):
+        times_s = [m.goal_time_s for m, goes in zip(each, led, strict=True) if goes]
+        found["goal_time_s"] = float(max(times_s))
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
         found["final_trace_p"] = float(target.station_variance_m2[-1])

@@ -68,7 +68,7 @@ def metrics_of(
 
     A robot that reached its goal arrived after step number `arrival`, which is None without a goal
     or arrival. Shares are over the steps driven, the start not counted; the polish gain is the
-    mean over the steps. After no step what tells of steps is NaN.
+    mean over the steps that have one. After no step what tells of steps is NaN.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
@@ -80,7 +80,7 @@ def metrics_of(
         true_connected_share=float(connected.mean()) if connected.size else nothing,
         longest_outage_m=longest_outage_m(lengths, connected) if connected.size else nothing,
         predicted_min_connectivity=float(log.connectivity[1:].min()) if connected.size else nothing,
-        polish_gain=float(np.mean(gains)) if gains else nothing,
+        polish_gain=_mean_of_known(gains),
         measured_steps=sum(learnt),
     )
 
@@ -130,7 +130,7 @@ def run_metrics(
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
-    found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
+    found["polish_gain"] = _mean_of_known([m.polish_gain for m in each])
     found["measured_steps"] = float(sum(m.measured_steps for m in each))
     found |= rule_metrics(problem, [run.log for run in runs])
     step_s = problem.planner.step_s
@@ -141,6 +141,12 @@ def run_metrics(
         clearances = least_moving_clearances_m(problem, motions)
         found["min_moving_clearance_m"] = float(clearances.min())
     return found | dict(costs)
+
+
+def _mean_of_known(values: Sequence[float]) -> float:
+    """The mean of what is no NaN; NaN of nothing."""
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def nis_interval(count: int) -> tuple[float, float]:

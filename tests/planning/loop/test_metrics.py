@@ -50,6 +50,14 @@ def test_metrics_by_hand():
     assert metrics.measured_steps == 3
 
 
+def test_steps_without_a_share_are_left_out_of_the_mean_gain():
+    """One of three has none; where no step has one the run has none."""
+    log = log_of(PLACES, [True] * 5)
+    none = SimpleNamespace(polish_gain=np.nan)
+    assert metrics_of(log, [*PLANS, none], [], None).polish_gain == pytest.approx(0.05)
+    assert np.isnan(metrics_of(log, [none], [], None).polish_gain)
+
+
 def test_no_time_to_a_goal_that_was_not_reached():
     """It is NaN, and everything else as before."""
     log = log_of(PLACES, [True] * 5)

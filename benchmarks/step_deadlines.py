@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from courier_teams import drawn_problem
 
 if "--processor-time" in sys.argv:
     # Before planopt takes the clock: deadlines and step times are then of the processor.
@@ -63,9 +64,16 @@ def unsure(name: str, p_min: float) -> Problem:
     return replace(problem, constraints=replace(problem.constraints, p_min=p_min, rule=rule))
 
 
+def couriers(count: int) -> Problem:
+    """So many couriers between drawn places of one square in Munich."""
+    return drawn_problem(load("munich_courier"), count, seed=0)
+
+
 STRESS: dict[str, Callable[[], Problem]] = {
     "munich_hard_20": lambda: longer("munich_hard", 20),
     "connect_street_20": lambda: longer("connect_street", 20),
+    "connect_rooftop_20": lambda: longer("connect_rooftop", 20),
+    "couriers_5": lambda: couriers(5),
     "two_station_courier_thrice": lambda: thrice("two_station_courier"),
     "harbour_traffic_unsure": lambda: unsure("harbour_traffic", 0.8),
 }

@@ -27,7 +27,7 @@ from planopt.problems.channel_setup import (
     SampledMeasurements,
 )
 from planopt.problems.load import problem_from_tables
-from planopt.problems.objective_forms import Term
+from planopt.problems.objective_forms import ReachObjective, Term
 from planopt.problems.problem import Problem
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.problems.schema_constraints import constraints_table
@@ -97,9 +97,9 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> P
 
 
 def _objective(problem: Problem) -> dict[str, Any]:
-    if problem.task == "reach":
-        return asdict(problem.reach)
-    return {"terms": [_term(term) for term in problem.terms]}
+    if isinstance(problem.objective, ReachObjective):
+        return asdict(problem.objective)
+    return {"terms": [_term(term) for term in problem.objective.terms]}
 
 
 def _term(term: Term) -> dict[str, Any]:
@@ -159,6 +159,8 @@ def _measurements(channel: ChannelSetup) -> dict[str, Any]:
     table = _plain(asdict(given))
     if isinstance(channel.measurements, LoggedMeasurements):
         table["columns"] = dict(zip(("x", "y", "power"), table["columns"], strict=True))
+    if channel.share_measurements:
+        table["shared"] = True
     return {**table, "spacing_m": channel.measure_spacing_m}
 
 

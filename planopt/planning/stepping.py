@@ -7,12 +7,13 @@ Whatever drives robots, the simulation or a loop of a user's own, alternates two
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, join
 from planopt.planning.history import history_of
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
@@ -165,6 +166,13 @@ class Stepper:
         self.watches.append(watch)
 
     def _learn(self, measured: Sequence[Sequence[Measurements]]) -> None:
+        if self.problem.channel.share_measurements:
+            # All know the same: it is learnt once.
+            told = [each for each in measured if each]
+            everyone = [reduce(join, station) for station in zip(*told, strict=True)]
+            belief = learn_measured(self.problem, self.beliefs[0], everyone)
+            self.beliefs = [belief for _ in self.beliefs]
+            return
         self.beliefs = [
             learn_measured(self.problem, belief, taken)
             for belief, taken in zip(self.beliefs, measured, strict=True)

@@ -124,6 +124,7 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
         fit_method=table.fit.method,
         given=table.fit.given,
         measure_spacing_m=table.measurements.spacing_m,
+        share_measurements=table.measurements.shared,
         calibration=table.calibration,
     )
 

@@ -155,6 +155,8 @@ def _measurements(channel: ChannelSetup) -> dict[str, Any]:
     table = _plain(asdict(given))
     if isinstance(channel.measurements, LoggedMeasurements):
         table["columns"] = dict(zip(("x", "y", "power"), table["columns"], strict=True))
+    if channel.share_measurements:
+        table["shared"] = True
     return {**table, "spacing_m": channel.measure_spacing_m}
 
 

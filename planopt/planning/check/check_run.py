@@ -192,9 +192,11 @@ def rebuilt_run(
         _driven(saved, record, number, place, watches, released, connected[:, number])
         for number in numbers
     ]
+    shares = problem.channel.share_measurements
+    measuring = [list(numbers) if shares else [number] for number in numbers]
     taken = [
-        taken_on_the_way(problem, belief, track, true_dbm)
-        for belief, track, true_dbm in zip(saved.beliefs, tracks, true, strict=True)
+        taken_on_the_way(problem, belief, tracks[those], true[those])
+        for belief, those in zip(saved.beliefs, measuring, strict=True)
     ]
     ended, reasons = _ended(problem, connected, driven, [one.learnt for one in taken])
     for step, aims in enumerate(zip(*(one.aims for one in driven), strict=True)):

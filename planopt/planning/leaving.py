@@ -2,16 +2,24 @@
 
 Drift carries a robot a little nearer to an obstacle than its clearance. Every path from there keeps
 too little distance on its first step, so that no plan is sound; standing still would last for ever.
+An obstacle that becomes known may lie about the robot: it drives out by the nearest side, which may
+take several steps.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex, clearance_m, segment_clearance_m
+from planopt.world.clearance import (
+    ObstacleIndex,
+    clearance_m,
+    distances_m,
+    segment_clearance_m,
+)
 from planopt.world.moving_discs import MovingDiscs, ways_gap_m
 from planopt.world.workspace import Workspace
 
@@ -28,7 +36,7 @@ def leaving_path(
     """Return the places (N, 2) of a robot that moves out of its way in one step and stands there.
 
     Of the moves that come no nearer to anything than the robot is now, the shortest of those that
-    lack least at their end.
+    lack least at their end. Out of obstacles that it is in they may lead through these.
 
     Parameters
     ----------
@@ -55,12 +63,13 @@ def leaving_path(
     ways = np.repeat(ends[:, None], horizon + 1, axis=1)
     ways[:, 0] = position_m
     gap = ways_gap_m(moving, ways)
-    static = np.maximum(wanted - away, 0.0) + outside
+    deep, others = _inside_m(index, ends)
+    static = np.maximum(wanted - away, 0.0) + outside + deep
     if static[0] + _too_near_now_m(moving, position_m) == 0.0:
         return None
     lacks = static + _too_near_m(moving, ways)
-    swept = segment_clearance_m(index, np.broadcast_to(position_m, ends.shape), ends)
-    allowed = swept >= min(float(away[0]), wanted) - NEARER_M
+    swept = segment_clearance_m(others, np.broadcast_to(position_m, ends.shape), ends)
+    allowed = swept >= min(float(clearance_m(others, ends[:1])[0]), wanted) - NEARER_M
     allowed &= (swept > 0.0) & (outside <= outside[0] + NEARER_M)
     allowed &= gap >= min(float(gap[0]), 0.0) - NEARER_M
     allowed[0] = True
@@ -68,6 +77,27 @@ def leaving_path(
     # Rows are in order of length: of equal ones the first is the shortest.
     best = int(rows[np.argmin(np.round(lacks[rows], 6))])
     return None if best == 0 else ways[best, 1:]
+
+
+def _inside_m(
+    index: ObstacleIndex, places_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], ObstacleIndex]:
+    """How deep places (n, 2) are in the obstacles that the first one is in; all other obstacles.
+
+    Obstacles that meet these count to them. None where the first place is on a border at most.
+    """
+    points = np.asarray(shapely.points(places_m), np.object_)
+    about = index.tree.query(points[0], predicate="within")
+    if not len(about):
+        return np.zeros(len(places_m)), index
+    about = np.unique(index.tree.query(index.polygons[about], predicate="intersects")[1])
+    area = shapely.union_all(index.polygons[about])
+    rest = np.delete(np.arange(len(index.obstacles)), about)
+    others = tuple(index.obstacles[number] for number in rest)
+    polygons = index.polygons[rest]
+    border = np.full(len(points), area.boundary, dtype=np.object_)
+    deep = np.where(shapely.within(points, area), distances_m(points, border), 0.0)
+    return deep, ObstacleIndex(others, polygons, shapely.STRtree(polygons))
 
 
 def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> float:

@@ -1,10 +1,24 @@
-"""What one robot of a problem is asked: the problem with that robot alone, and its terms."""
+"""What is asked at one time of a run, and of one robot: its own terms, and what stands then."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from planopt.problems.problem import Problem
+
+
+def problem_at(problem: Problem, steps: int) -> Problem:
+    """Return `problem` with the obstacles that are known after so many steps.
+
+    The problem itself where these are its obstacles.
+    """
+    workspace = problem.workspace
+    if not workspace.timed:
+        return problem
+    known = workspace.known_at(steps * problem.planner.step_s)
+    if known == workspace.obstacles:
+        return problem
+    return replace(problem, workspace=replace(workspace, obstacles=known))
 
 
 def problem_of_robot(problem: Problem, number: int) -> Problem:

@@ -7,6 +7,7 @@ does not need, are named by their absolute path.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -59,7 +60,10 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         },
         "world": {
             "bounds_m": list(problem.workspace.bounds_m),
-            "obstacles": [obstacle_table(obstacle) for obstacle in problem.workspace.obstacles],
+            "obstacles": [
+                obstacle_table(obstacle)
+                for obstacle in (*problem.workspace.lasting, *problem.workspace.timed)
+            ],
             "moving": [_moving(obstacle) for obstacle in problem.workspace.moving],
         },
         "channel": channel,
@@ -182,6 +186,10 @@ def obstacle_table(obstacle: Obstacle) -> dict[str, Any]:
     """Return an obstacle as an entry of ``world.obstacles``."""
     polygon = obstacle.polygon
     table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
+    if obstacle.known_from_s > 0.0:
+        table["known_from_s"] = obstacle.known_from_s
+    if obstacle.until_s < math.inf:
+        table["until_s"] = obstacle.until_s
     holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]
     return {**table, "holes": holes} if holes else table
 

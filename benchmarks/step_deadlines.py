@@ -18,11 +18,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from courier_teams import drawn_problem
 
 if "--processor-time" in sys.argv:
     # Before planopt takes the clock: deadlines and step times are then of the processor.
     time.perf_counter = time.process_time
+
+from courier_teams import drawn_problem
 
 from planopt import NoPlanError, Problem, load, simulate
 from planopt.planning.run import summary_of

@@ -44,8 +44,9 @@ def test_larger_scenes_are_larger() -> None:
     """Each is what its name says; none is driven here."""
     made = {name: scene(name) for name in STRESS}
     assert all(problem.planner.max_steps == STRESS_STEPS for problem in made.values())
-    for name in ("munich_hard_20", "connect_street_20"):
+    for name in ("munich_hard_20", "connect_street_20", "connect_rooftop_20"):
         assert made[name].planner.horizon == 20
+    assert len(made["couriers_5"].robots) == 5
     plain = load("two_station_courier").workspace.obstacles
     assert len(made["two_station_courier_thrice"].workspace.obstacles) == 3 * len(plain) > 0
     assert made["harbour_traffic_unsure"].constraints.rule.parameter_uncertainty == "all"

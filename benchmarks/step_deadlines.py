@@ -23,6 +23,8 @@ if "--processor-time" in sys.argv:
     # Before planopt takes the clock: deadlines and step times are then of the processor.
     time.perf_counter = time.process_time
 
+from courier_teams import drawn_problem
+
 from planopt import NoPlanError, Problem, load, simulate
 from planopt.planning.run import summary_of
 from planopt.studies.bench.cases import library_names
@@ -63,9 +65,16 @@ def unsure(name: str, p_min: float) -> Problem:
     return replace(problem, constraints=replace(problem.constraints, p_min=p_min, rule=rule))
 
 
+def couriers(count: int) -> Problem:
+    """So many couriers between drawn places of one square in Munich."""
+    return drawn_problem(load("munich_courier"), count, seed=0)
+
+
 STRESS: dict[str, Callable[[], Problem]] = {
     "munich_hard_20": lambda: longer("munich_hard", 20),
     "connect_street_20": lambda: longer("connect_street", 20),
+    "connect_rooftop_20": lambda: longer("connect_rooftop", 20),
+    "couriers_5": lambda: couriers(5),
     "two_station_courier_thrice": lambda: thrice("two_station_courier"),
     "harbour_traffic_unsure": lambda: unsure("harbour_traffic", 0.8),
 }

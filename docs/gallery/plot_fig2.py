@@ -50,3 +50,5 @@ for name, run in runs.items():
 # One world is no comparison: ``planopt compare fig2 --sweep 'objective.terms[0].criterion=D,T'``
 # drives many. Against a walk that diffuses, as here, any plan looks good; one that turns little
 # sees far and near places as well.
+#
+# ``planopt simulate fig2 --animation --out run`` draws a run step by step.

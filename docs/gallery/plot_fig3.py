@@ -47,3 +47,5 @@ for name, run in runs.items():
 # A walk that turns little covers the workspace as well as a plan in this world; one that diffuses
 # does not. What a random path is decides how much better planning looks: the page of results has
 # the comparison over seeds.
+#
+# ``planopt simulate fig3 --animation --out run`` draws a run step by step.

@@ -47,3 +47,5 @@ for name, run in runs.items():
 # Where shadowing decays within a step, knowing it helps little, and one step ahead it can hurt: the
 # robot stays at a place that it knows to be good while the target leaves. The order of the
 # strategies changes from world to world; the page of results has means over seeds.
+#
+# ``planopt simulate fig5 --animation --out run`` draws a run step by step.

@@ -28,7 +28,15 @@ def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """L^-1 `right` (n, m) with the L of :func:`lower_factor`; `matrix` is overwritten."""
-    return solve_lower(_half_factor(matrix, overwrite=True), right)
+    return factor_and_whitened(matrix, right)[1]
+
+
+def factor_and_whitened(
+    matrix: NDArray[np.float64], right: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """L (n, n), with numbers left above its diagonal, and L^-1 `right`; `matrix` is overwritten."""
+    factor = _half_factor(matrix, overwrite=True)
+    return factor, solve_lower(factor, right)
 
 
 def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> None:

@@ -187,11 +187,18 @@ def offset_covariance_db2(first: NDArray[np.intp], second: NDArray[np.intp]) -> 
     return np.where((one == other) & (one != 0), RECEIVER_OFFSET_STD_DB**2, 0.0)
 
 
-def own_covariance_db2(origins: Origins, parameters: ChannelParameters) -> NDArray[np.float64]:
-    """Covariance of the powers of `origins` (..., n) among themselves; (..., n, n) in dB^2."""
+def own_covariance_db2(
+    origins: Origins, parameters: ChannelParameters, distance_m: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Covariance of the powers of `origins` (..., n) among themselves; (..., n, n) in dB^2.
+
+    `distance_m` are the distances (..., n, n), blurred already, where they are at hand.
+    """
     count = origins.positions_m.shape[-2]
     each_has_time = origins.time_s is None or origins.time_s.shape[-1] == count
-    if origins.positions_m.ndim == 2 and count > 2 * ROWS_AT_ONCE and each_has_time:
+    if distance_m is not None:
+        covariance = covariance_over_db2(distance_m.copy(), origins, origins, parameters)
+    elif origins.positions_m.ndim == 2 and count > 2 * ROWS_AT_ONCE and each_has_time:
         covariance = np.empty((count, count))
         for start in range(0, count, ROWS_AT_ONCE):
             stop = min(start + ROWS_AT_ONCE, count)

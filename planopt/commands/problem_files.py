@@ -111,7 +111,8 @@ def problem_in_words(problem: Problem) -> str:
         f"  task        {problem.task}, horizon {planner.horizon}, steps of {planner.step_s:g} s, "
         f"at most {planner.max_steps}",
         f"  world       {east - west:g} x {north - south:g} m, "
-        f"{len(workspace.obstacles)} obstacles, {len(workspace.moving)} moving",
+        f"{len(workspace.obstacles)} obstacles, {len(workspace.moving)} moving"
+        + (f", {len(workspace.timed)} that come or go" if workspace.timed else ""),
         f"  channel     {'none to simulate' if truth is None else kind}; measurements {first}",
     ]
     for radio in problem.stations:

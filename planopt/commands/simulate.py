@@ -121,11 +121,7 @@ def _costs_in_words(run: Run) -> list[str]:
         f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
-    excess_m = [
-        proof.path_cost_m - proof.best_cost_m
-        for proof in proofs
-        if proof.path_cost_m is not None and proof.best_cost_m is not None
-    ]
+    excess_m = [proof.excess_m for proof in proofs if proof.excess_m is not None]
     if excess_m:
         lines.append(
             f"{len(excess_m)} of {len(proofs)} plans have steps below p_min, judged by their "

@@ -52,7 +52,7 @@ def solve(asked: Asked) -> int:
             if asked.json or helpful:
                 show(asked.json, data, "\n".join(explained(helpful)))
             return NO_PLAN
-        crosses = not asked.json and any(plan.holes for plan in solution.plans)
+        crosses = any(plan.holes for plan in solution.plans)
         if exit_code(solution) != 0 or crosses:
             with progress("explaining"):
                 solution = replace(solution, explanation=explain(solution))

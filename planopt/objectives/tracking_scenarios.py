@@ -154,6 +154,8 @@ def drawn_errors(stations: Stations, paths_m: Sequence[NDArray[np.float64]]) -> 
 
     In standard deviations. Of the same set of paths, in whatever order, the same numbers.
     """
+    if not paths_m:
+        return np.zeros((len(stations), 0, DRAWS, 0))
     order = sorted(range(len(paths_m)), key=lambda number: paths_m[number].tobytes())
     places = np.concatenate([paths_m[number] for number in order])
     found = np.empty((len(stations), len(paths_m), DRAWS, len(paths_m[0])))

@@ -26,10 +26,13 @@ class Budget:
         No new polish begins any more.
     search_ends_s
         What searches have found by then has to do.
+    proof_ends_s
+        No further candidate is judged any more where there is one that may be released.
     """
 
     ends_s: float = math.inf
     search_ends_s: float = math.inf
+    proof_ends_s: float = math.inf
 
     @property
     def spent(self) -> bool:
@@ -40,6 +43,11 @@ class Budget:
     def searched(self) -> bool:
         """Whether searches end with what they have."""
         return perf_counter() >= self.search_ends_s
+
+    @property
+    def proven(self) -> bool:
+        """Whether no further candidate is judged."""
+        return perf_counter() >= self.proof_ends_s
 
 
 UNLIMITED = Budget()
@@ -55,7 +63,9 @@ def budget_from(problem: Problem, begun_s: float) -> Budget:
     if budget_s is None:
         return UNLIMITED
     return Budget(
-        begun_s + (1.0 - SOLVE_SHARE - PROOF_SHARE) * budget_s, begun_s + SEARCH_SHARE * budget_s
+        ends_s=begun_s + (1.0 - SOLVE_SHARE - PROOF_SHARE) * budget_s,
+        search_ends_s=begun_s + SEARCH_SHARE * budget_s,
+        proof_ends_s=begun_s + (1.0 - PROOF_SHARE) * budget_s,
     )
 
 

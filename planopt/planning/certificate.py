@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypedDict
@@ -35,7 +36,7 @@ class Certificate:
     path_cost_m, best_cost_m
         On the way to a goal, where the bound is missed: what the plan and the rest of the way cost
         at the outage price, and what the cheapest path costs that the verifier finds, in metres;
-        else None.
+        else None. Infinite where the verifier's grid has no path.
     step_cost_m, step_excess_m
         There as well: what the first step costs, and by how much the cheapest path is dearer after
         it than before, that included. A run's sums of both are bounded by its allowance.
@@ -69,6 +70,14 @@ class Certificate:
     min_moving_clearance_m: float | None = None
     rule: RuleResult | None = None
 
+    @property
+    def excess_m(self) -> float | None:
+        """What the way costs beyond the cheapest found; None where the two cannot be compared."""
+        way_m, best_m = self.path_cost_m, self.best_cost_m
+        if way_m is None or best_m is None or not math.isfinite(max(way_m, best_m)):
+            return None
+        return way_m - best_m
+
 
 @dataclass(frozen=True)
 class Excused:
@@ -83,7 +92,8 @@ class Excused:
     excuse
         ``price``: the way is hardly dearer than the cheapest that the verifier found.
         ``out_of_reach``: no place found within reach keeps the bound by then. ``slack``: within
-        ``constraints.slack_max_db``. ``none``: nothing excuses it.
+        ``constraints.slack_max_db``. ``none``: nothing excuses it, or the verifier found no way to
+        compare with.
     path_cost_m, best_cost_m
         With ``price``: of the way and of the cheapest found; else None.
     best_margin_db
@@ -145,14 +155,15 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
     """The miss of this number in a plan, as step `step`."""
     missed_db = proof.relaxation_db[number]
-    if proof.path_cost_m is not None and proof.best_cost_m is not None:
+    if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
     if number < len(proof.best_margin_db):
         margin_db = proof.best_margin_db[number]
         if margin_db < 0.0:
             return Excused(step, missed_db, "out_of_reach", best_margin_db=margin_db)
         return Excused(step, missed_db, "none")
-    return Excused(step, missed_db, "none" if proof.reasons else "slack")
+    priced = proof.path_cost_m is not None
+    return Excused(step, missed_db, "none" if proof.reasons or priced else "slack")
 
 
 class Costs(TypedDict):
@@ -168,9 +179,7 @@ def dearest(proofs: Iterable[Certificate]) -> Costs:
     """Return what the plans cost that cost most beyond the cheapest: on the whole, in the step."""
     each = list(proofs)
     ways = [
-        (one.path_cost_m - one.best_cost_m, one.path_cost_m, one.best_cost_m)
-        for one in each
-        if one.path_cost_m is not None and one.best_cost_m is not None
+        (one.excess_m, one.path_cost_m, one.best_cost_m) for one in each if one.excess_m is not None
     ]
     steps = [
         (one.step_excess_m, one.step_cost_m)

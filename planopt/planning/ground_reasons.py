@@ -16,8 +16,13 @@ from planopt.world.clearance import (
 )
 
 
-def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64]) -> list[str]:
-    """A reason for every place (n, 2) of a path, and every way between, that is not clear."""
+def obstacles_met(
+    problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64], first: int = 0
+) -> list[str]:
+    """A reason for every place (n, 2) of a path, and every way between, that is not clear.
+
+    The path begins after step `first`.
+    """
     reasons: list[str] = []
     inside: set[int] = set()
     for step, place in enumerate(path_m):
@@ -25,7 +30,9 @@ def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.flo
         if obstacle is not None:
             inside.add(step)
             x, y = place
-            reasons.append(f"step {step}: ({x:.3f}, {y:.3f}) lies in obstacle {obstacle.name}")
+            reasons.append(
+                f"step {first + step}: ({x:.3f}, {y:.3f}) lies in obstacle {obstacle.name}"
+            )
     clearance = swept_clearance_m(index, path_m)
     near = ~is_clear(clearance, problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M)
     lines = segment_lines(path_m[:-1], path_m[1:])
@@ -34,7 +41,7 @@ def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.flo
             continue
         nearest = index.obstacles[int(np.asarray(index.tree.nearest(lines[segment])))]
         reasons.append(
-            f"step {segment + 1}: the way there comes within {clearance[segment]:.3f} m of "
+            f"step {first + segment + 1}: the way there comes within {clearance[segment]:.3f} m of "
             f"obstacle {nearest.name}"
         )
     return reasons

@@ -134,6 +134,8 @@ class Ladder:
                     unpolished = replace(unpolished, termination=Termination.TIME_LIMIT)
             if any(c.sound and c.hopeless for c in tried):
                 break
+            if budget.proven and any(c.sound for c in tried):
+                break
             if not any(judge.worth(c) >= judge.worth(unpolished) for c in verified):
                 unpolished = judge.judged(unpolished)
                 if unpolished.relaxes and self._problem.task == "reach":
@@ -143,12 +145,12 @@ class Ladder:
                     verified.append(unpolished)
             if verified and self._is_settled(starts, number + 1, verified):
                 break
-        if not verified and not self._driven:
+        if not verified and not self._driven and not budget.spent:
             found = self._by_way_to_good_place(situation, judge, tried, budget)
             verified += [c for c in found if c.verdict is Verdict.VERIFIED]
             tried += found
         for _ in range(self._rounds):
-            if not verified:
+            if not verified or budget.spent:
                 break
             best = max(judge.worth(candidate) for candidate in verified)
             found = self._once_more(situation, judge, starts, verified, budget)

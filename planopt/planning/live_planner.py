@@ -12,6 +12,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
+from planopt.plain_values import parts_of
 from planopt.planning.given import (
     GivenMeasurements,
     measurements_by_station,
@@ -22,12 +23,14 @@ from planopt.planning.loop.target_watch import expected_target, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scenes
-from planopt.planning.stepping import Stepper, plan_step
+from planopt.planning.stepping import Stepper, planning
 from planopt.planning.team.team_seeds import team_seeds
+from planopt.problems.check_tables import check_obstacle
 from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.problem import Problem
 from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
+from planopt.world.workspace import Obstacle
 
 
 class Planner:
@@ -95,8 +98,9 @@ class Planner:
         seeds = team_seeds(problem, seed)
         watch = watch_target(problem, seeds.target) if given is None else expected_target(problem)
         self.problem = problem
-        self._index = index_obstacles(problem.workspace)
-        self._robots = Stepper(problem, belief, plan_step(problem, scenes, seeds), watch)
+        lasting = replace(problem.workspace, obstacles=problem.workspace.lasting)
+        self._index = index_obstacles(lasting)
+        self._robots = Stepper(problem, belief, planning(problem, scenes, seeds), watch)
         self._is_placed = False
 
     def __repr__(self) -> str:
@@ -117,6 +121,7 @@ class Planner:
         *,
         connected: bool | None = None,
         target_m: ArrayLike | None = None,
+        obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> Plan:
         """Plan from where the only robot is now.
 
@@ -135,6 +140,9 @@ class Planner:
         target_m
             ``(2,)`` where it sees the target now; left out if it does not. The first call takes
             none in: it plans from the problem's first estimate.
+        obstacles
+            Obstacles that have become known since the last call; ``until_s`` says if they go again.
+            Everything that they touch is planned anew. A robot inside one is led out.
 
         Returns
         -------
@@ -158,6 +166,7 @@ class Planner:
             [measurements],
             connected=None if connected is None else [connected],
             target_m=None if target_m is None else [target_m],
+            obstacles=obstacles,
         )
         return plan
 
@@ -169,6 +178,7 @@ class Planner:
         *,
         connected: Sequence[bool] | NDArray[np.bool_] | None = None,
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
+        obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> tuple[Plan, ...]:
         """Plan from where all robots are now; as :meth:`step`, with an entry for each robot."""
         count = len(self.problem.robots)
@@ -184,6 +194,10 @@ class Planner:
                     key=key,
                     remedy="give one for each robot, in the problem's order",
                 )
+        remedy = "planopt.obstacles_from makes obstacles of polygons, tables and grids"
+        later = parts_of("obstacles", obstacles, Obstacle, remedy)
+        for obstacle in later:
+            check_obstacle(obstacle)
         now = [self._state(number, state) for number, state in enumerate(states)]
         measured = [
             () if each is None else measurements_by_station(self.problem, each)
@@ -201,6 +215,8 @@ class Planner:
         else:
             self._robots.place(now, measured)
             self._is_placed = True
+        if later:
+            self._robots.add_obstacles(later)
         return tuple(self._robots.plan())
 
     def _state(self, number: int, given: ArrayLike) -> NDArray[np.float64]:

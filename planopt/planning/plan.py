@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
@@ -13,6 +14,9 @@ from planopt.planning.certificate import Certificate
 from planopt.planning.holes import Hole
 from planopt.robots.drive import Drive
 from planopt.short_repr import short_repr
+
+LEAST_BASE = 0.01
+"""An objective below this share of another is no base for its gain."""
 
 
 class Termination(StrEnum):
@@ -177,7 +181,23 @@ class Plan:
 
     @property
     def polish_gain(self) -> float:
-        """How much better than the lattice path, as a share of that path's objective."""
-        if self.lattice_objective == 0.0:
-            return 0.0
-        return self.gain / abs(self.lattice_objective)
+        """How much better than the lattice path, by :func:`share_gained`."""
+        return share_gained(self.gain, self.lattice_objective, self.objective)
+
+
+def share_gained(gain: float, lattice: float, polished: float) -> float:
+    """Return a gain as a share of the objective that it is a gain on.
+
+    NaN where the lattice path is worth next to nothing, less than `LEAST_BASE` of what the
+    polished path is: a share of that tells of the base and not of the gain.
+
+    Parameters
+    ----------
+    gain
+        How much better the polished path is.
+    lattice, polished
+        Objectives of the lattice path and of the polished one.
+    """
+    if gain == 0.0:
+        return 0.0
+    return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(polished) > 0.0 else math.nan

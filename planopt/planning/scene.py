@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planopt.errors import NoPlanError
 from planopt.planning.free_space import is_joined
@@ -52,8 +54,15 @@ class Scene:
         return self.ground.road_map
 
 
-def build_scene(problem: Problem) -> Scene:
+def build_scene(problem: Problem, place_m: NDArray[np.float64] | None = None) -> Scene:
     """Build the geometry of a problem's first robot.
+
+    Parameters
+    ----------
+    problem
+        Whose obstacles are those known now.
+    place_m
+        ``(2,)`` where the robot is now; None at the start.
 
     Raises
     ------
@@ -79,14 +88,22 @@ def build_scene(problem: Problem) -> Scene:
         )
     ways = shortest_ways(road_map, goal_node)
     scene = Scene(ground, goal_node, ways)
-    nodes, _ = first_moves(ground, problem, np.asarray(problem.robots[0].start_m))
+    here = np.asarray(problem.robots[0].start_m) if place_m is None else place_m
+    nodes, _ = first_moves(ground, problem, here)
+    if nodes.size == 0 and place_m is not None:
+        # An obstacle that became known lies about the robot: it has to leave it first.
+        return scene
     if nodes.size == 0 or not np.isfinite(scene.ways.cost_m[nodes]).any():
-        raise NoPlanError(_why_no_way(problem, lattice.spacing_m))
+        raise NoPlanError(_why_no_way(problem, lattice.spacing_m, here))
     return scene
 
 
-def build_scenes(problem: Problem) -> tuple[Scene, ...] | None:
+def build_scenes(
+    problem: Problem, places_m: Sequence[NDArray[np.float64]] | None = None
+) -> tuple[Scene, ...] | None:
     """Build the geometry of each robot that is to reach a goal; None where none is.
+
+    Parameters as of :func:`build_scene`, with a place (2,) of each robot.
 
     Raises
     ------
@@ -98,7 +115,8 @@ def build_scenes(problem: Problem) -> tuple[Scene, ...] | None:
     scenes: list[Scene] = []
     for number, robot in enumerate(problem.robots):
         try:
-            scenes.append(build_scene(problem_of_robot(problem, number)))
+            here = None if places_m is None else places_m[number]
+            scenes.append(build_scene(problem_of_robot(problem, number), here))
         except NoPlanError as error:
             if len(problem.robots) == 1:
                 raise
@@ -107,11 +125,14 @@ def build_scenes(problem: Problem) -> tuple[Scene, ...] | None:
     return tuple(scenes)
 
 
-def _why_no_way(problem: Problem, spacing_m: float) -> str:
+def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
     """Whether obstacles cut the goal off, exactly, or the lattice is too coarse for the way."""
-    goal_m, start_m = problem.goal_m, problem.robots[0].start_m
+    start_m = tuple(place_m.tolist())
+    what = "start_m" if start_m == problem.robots[0].start_m else "the place"
+    robot = replace(problem.robots[0], start_m=start_m)
+    problem, goal_m = replace(problem, robots=(robot,)), problem.goal_m
     clearance = problem.constraints.clearance_m
-    between = f"robots[0].goal_m {list(goal_m)} from start_m {list(start_m)}"
+    between = f"robots[0].goal_m {list(goal_m)} from {what} {list(start_m)}"
     if is_joined(problem, clearance):
         return (
             f"no way found to {between} on a lattice of {spacing_m:.2f} m, although there is one "

@@ -11,7 +11,7 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solution import Solution
-from planopt.planning.stepping import Stepper, plan_step
+from planopt.planning.stepping import Stepper, planning
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
@@ -90,6 +90,6 @@ def _solved(
     problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)
-    robots = Stepper(problem, belief, plan_step(problem, scenes, seeds), watch)
+    robots = Stepper(problem, belief, planning(problem, scenes, seeds), watch)
     plans = robots.plan()
     return Solution(problem, seed, belief, tuple(plans), tuple(aim for (aim,) in robots.aims))

@@ -7,18 +7,20 @@ Whatever drives robots, the simulation or a loop of a user's own, alternates two
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, join
 from planopt.planning.history import history_of
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan, Rung
-from planopt.planning.robot_problem import problem_of_robot
-from planopt.planning.scene import Scene
+from planopt.planning.robot_problem import problem_at, problem_of_robot
+from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.team.couriers import Couriers
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import has_separation
@@ -27,9 +29,14 @@ from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.aim import Aim
 from planopt.problems.problem import Problem
+from planopt.world.workspace import Obstacle
 
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
 """From where all robots are, and what they know, to a plan for each and the inputs of it."""
+
+
+Planning = Callable[[Problem, Sequence[NDArray[np.float64]]], PlanStep]
+"""From the problem with the obstacles known now, and the states of all robots, to what plans."""
 
 
 class Stepper:
@@ -38,11 +45,11 @@ class Stepper:
     Parameters
     ----------
     problem
-        The problem of all robots.
+        The problem of all robots; later that with the obstacles that the last plans knew.
     belief
         Of the channel at the start, the same for all.
-    plan_step
-        Plans a step (:func:`plan_step`).
+    planning
+        Makes of the problem with the obstacles known now what plans a step (:func:`planning`).
     watch
         The target at the start; None without one.
 
@@ -65,19 +72,22 @@ class Stepper:
     """
 
     def __init__(
-        self, problem: Problem, belief: Belief, plan_step: PlanStep, watch: TargetWatch | None
+        self,
+        problem: Problem,
+        belief: Belief,
+        planning: Planning,
+        watch: TargetWatch | None,
     ) -> None:
         numbers = range(len(problem.robots))
-        self.problem = problem
-        self.owns = [problem_of_robot(problem, number) for number in numbers]
         self.states = [[robot.start_state] for robot in problem.robots]
+        self._planning = planning
+        self._know(problem)
         self.beliefs = [belief for _ in numbers]
         self.plans: list[list[Plan]] = [[] for _ in numbers]
         self.aims: list[list[Aim]] = [[] for _ in numbers]
         self.learnt: list[list[bool]] = [[] for _ in numbers]
         self.connected = np.zeros((0, len(numbers)), dtype=np.bool_)
         self.watches = [watch]
-        self._plan_step = plan_step
         self._warm: list[Plan | None] = [None for _ in numbers]
 
     def plan(self) -> list[Plan]:
@@ -88,6 +98,9 @@ class Stepper:
         NoPlanError
             There is provably no plan.
         """
+        now = problem_at(self.problem, len(self.connected))
+        if now is not self.problem:
+            self._know(now)
         warm = self._warm
         # A plan that is not made leaves none to go on from.
         self._warm = [None for _ in warm]
@@ -119,6 +132,20 @@ class Stepper:
             self.aims[number].append(aim)
         self._warm = list(plans)
         return plans
+
+    def _know(self, problem: Problem) -> None:
+        """Plan from now on in the workspace of `problem`: all that rests on it is made anew."""
+        self._plan_step = self._planning(problem, [driven[-1] for driven in self.states])
+        self.problem = problem
+        self.owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
+
+    def add_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
+        """Take in obstacles that are known from now on."""
+        now_s = len(self.connected) * self.problem.planner.step_s
+        workspace = self.problem.workspace
+        later = [replace(one, known_from_s=now_s) for one in obstacles]
+        more = replace(workspace, timed=(*workspace.timed, *later))
+        self.problem = replace(self.problem, workspace=more)
 
     def place(
         self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
@@ -165,6 +192,13 @@ class Stepper:
         self.watches.append(watch)
 
     def _learn(self, measured: Sequence[Sequence[Measurements]]) -> None:
+        if self.problem.channel.share_measurements:
+            # All know the same: it is learnt once.
+            told = [each for each in measured if each]
+            everyone = [reduce(join, station) for station in zip(*told, strict=True)]
+            belief = learn_measured(self.problem, self.beliefs[0], everyone)
+            self.beliefs = [belief for _ in self.beliefs]
+            return
         self.beliefs = [
             learn_measured(self.problem, belief, taken)
             for belief, taken in zip(self.beliefs, measured, strict=True)
@@ -184,6 +218,26 @@ class Stepper:
         if float(np.linalg.norm((state - plan.next_state) * unit)) <= STANDSTILL_M:
             return True
         return robot.dynamics is None and not has_separation(self.problem)
+
+
+def planning(
+    problem: Problem,
+    scenes: Sequence[Scene] | None,
+    seeds: TeamSeeds,
+    foreseen_m: Sequence[NDArray[np.float64]] | None = None,
+) -> Planning:
+    """Return what makes of a problem with obstacles what plans a step; as :func:`plan_step`.
+
+    The scenes are those of the obstacles at the start; where others stand they are built.
+    """
+
+    def made(now: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
+        at_start = now.workspace.obstacles == problem.workspace.obstacles
+        places = [state[:2] for state in states]
+        known = scenes if at_start else build_scenes(now, places)
+        return plan_step(now, known, seeds, foreseen_m)
+
+    return made
 
 
 def plan_step(

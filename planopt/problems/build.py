@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 from planopt.channel.multipath.multipath_models import Rician
@@ -53,7 +55,11 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
         workspace=Workspace(
             tables.world.bounds_m,
             tuple(
-                obstacle
+                replace(
+                    obstacle,
+                    known_from_s=table.known_from_s,
+                    until_s=math.inf if table.until_s is None else table.until_s,
+                )
                 for index, table in enumerate(tables.world.obstacles)
                 for obstacle in obstacles_of(table, index, folder)
             ),
@@ -124,6 +130,7 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
         fit_method=table.fit.method,
         given=table.fit.given,
         measure_spacing_m=table.measurements.spacing_m,
+        share_measurements=table.measurements.shared,
         calibration=table.calibration,
     )
 

@@ -233,6 +233,8 @@ class ChannelSetup:
     measure_spacing_m
         On the way a robot measures again only at this distance from every earlier measurement:
         fading at one place keeps its value, so measuring it twice teaches nothing.
+    share_measurements
+        Whether every robot has the measurements of all after each step.
     calibration
         How predicted probabilities of connection are calibrated on what was measured.
     """
@@ -244,6 +246,7 @@ class ChannelSetup:
     fit_method: FitMethod = "reml"
     given: GivenParameters | None = None
     measure_spacing_m: float = 2.0
+    share_measurements: bool = False
     calibration: CalibrationName = "none"
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ from planopt.problems.schema import ProblemFile
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.unicycle import Unicycle
 from planopt.world.footprints import check_name
+from planopt.world.workspace import Obstacle
 
 
 def check_problem(problem: Problem) -> None:
@@ -43,16 +44,10 @@ def check_tables(problem: Problem) -> None:
     """
     if isinstance(problem.objective, TermsObjective) and not problem.objective.terms:
         raise InputError("has no terms", key="objective.terms", remedy="one at least")
-    for obstacle in problem.workspace.obstacles:
-        check_name(obstacle.name)
-        if not obstacle.polygon.is_valid or obstacle.polygon.area == 0.0:
-            raise InputError(
-                f"{obstacle.name} crosses itself or has no area",
-                key="world.obstacles",
-                remedy="list the corners in order along the outline",
-            )
+    for obstacle in (*problem.workspace.obstacles, *problem.workspace.timed):
+        check_obstacle(obstacle)
     # Looked at above, and long.
-    workspace = replace(problem.workspace, obstacles=())
+    workspace = replace(problem.workspace, obstacles=(), timed=())
     robots = tuple(_in_files(robot) for robot in problem.robots)
     tables = problem_to_dict(replace(problem, workspace=workspace, robots=robots))
     try:
@@ -60,6 +55,25 @@ def check_tables(problem: Problem) -> None:
     except ValidationError as error:
         raise input_error(error, ProblemFile, file=problem.file) from None
     require_text(problem.description, "the description")
+
+
+def check_obstacle(obstacle: Obstacle) -> None:
+    """Raise an InputError for an obstacle that no file could have."""
+    key = "world.obstacles"
+    check_name(obstacle.name)
+    if not obstacle.polygon.is_valid or obstacle.polygon.area == 0.0:
+        raise InputError(
+            f"{obstacle.name} crosses itself or has no area",
+            key=key,
+            remedy="list the corners in order along the outline",
+        )
+    if not 0.0 <= obstacle.known_from_s < obstacle.until_s:
+        raise InputError(
+            f"{obstacle.name} is known from {obstacle.known_from_s!r} s until "
+            f"{obstacle.until_s!r} s",
+            key=key,
+            remedy="give known_from_s from 0 on, and a larger until_s or none",
+        )
 
 
 def _in_files(robot: Robot) -> Robot:

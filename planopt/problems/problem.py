@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -171,10 +172,13 @@ class Problem:
         """What the way beyond the horizon costs; None where there is no goal."""
         return self.objective.cost_to_go if isinstance(self.objective, ReachObjective) else None
 
-    @property
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """The terms of the objective; none where the task is to reach a goal."""
-        return self.objective.terms if isinstance(self.objective, TermsObjective) else ()
+        """The terms of the objective as plans take them; none where the task is to reach a goal."""
+        if isinstance(self.objective, ReachObjective):
+            return ()
+        horizon, calibrated = self.planner.horizon, self.channel.calibration != "none"
+        return tuple(term.planned(horizon, calibrated=calibrated) for term in self.objective.terms)
 
     @property
     def task(self) -> Task:

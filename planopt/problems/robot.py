@@ -32,6 +32,9 @@ class Robot:
         ``dynamics.state_names``; all zero where they are left out.
     start_spread_m
         It starts within this distance of ``start_m``, at a place drawn with the random seed.
+    weights
+        Of each term of the objective, for this robot: in place of the term's own, where they are
+        given. A term of weight 0 is none of its terms.
 
     Examples
     --------
@@ -47,6 +50,7 @@ class Robot:
     dynamics: Dynamics | None = None
     start_rest: tuple[float, ...] = ()
     start_spread_m: float = 0.0
+    weights: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         make_plain(self)

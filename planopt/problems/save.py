@@ -7,6 +7,7 @@ does not need, are named by their absolute path.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,7 +27,7 @@ from planopt.problems.channel_setup import (
     SampledMeasurements,
 )
 from planopt.problems.load import problem_from_tables
-from planopt.problems.objective_forms import Term
+from planopt.problems.objective_forms import ReachObjective, Term
 from planopt.problems.problem import Problem
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.problems.schema_constraints import constraints_table
@@ -59,7 +60,10 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         },
         "world": {
             "bounds_m": list(problem.workspace.bounds_m),
-            "obstacles": [obstacle_table(obstacle) for obstacle in problem.workspace.obstacles],
+            "obstacles": [
+                obstacle_table(obstacle)
+                for obstacle in (*problem.workspace.lasting, *problem.workspace.timed)
+            ],
             "moving": [_moving(obstacle) for obstacle in problem.workspace.moving],
         },
         "channel": channel,
@@ -93,9 +97,9 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> P
 
 
 def _objective(problem: Problem) -> dict[str, Any]:
-    if problem.task == "reach":
-        return asdict(problem.reach)
-    return {"terms": [_term(term) for term in problem.terms]}
+    if isinstance(problem.objective, ReachObjective):
+        return asdict(problem.objective)
+    return {"terms": [_term(term) for term in problem.objective.terms]}
 
 
 def _term(term: Term) -> dict[str, Any]:
@@ -155,6 +159,8 @@ def _measurements(channel: ChannelSetup) -> dict[str, Any]:
     table = _plain(asdict(given))
     if isinstance(channel.measurements, LoggedMeasurements):
         table["columns"] = dict(zip(("x", "y", "power"), table["columns"], strict=True))
+    if channel.share_measurements:
+        table["shared"] = True
     return {**table, "spacing_m": channel.measure_spacing_m}
 
 
@@ -180,6 +186,10 @@ def obstacle_table(obstacle: Obstacle) -> dict[str, Any]:
     """Return an obstacle as an entry of ``world.obstacles``."""
     polygon = obstacle.polygon
     table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
+    if obstacle.known_from_s > 0.0:
+        table["known_from_s"] = obstacle.known_from_s
+    if obstacle.until_s < math.inf:
+        table["until_s"] = obstacle.until_s
     holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]
     return {**table, "holes": holes} if holes else table
 

@@ -173,6 +173,11 @@ class MeasurementsTable(Table):
         description="On the way a robot measures only at this distance in metres from every "
         "earlier measurement.",
     )
+    shared: bool = Field(
+        default=ChannelSetup.share_measurements,
+        description="Whether every robot has the measurements of all robots after each step (true "
+        "or false).",
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> MeasurementsTable:

@@ -47,7 +47,14 @@ class RobotTable(Table):
         "seed; not for the task reach.",
     )
     goal_m: Pair | None = Field(
-        default=None, description="Goal [x, y] in metres, for the task reach."
+        default=None,
+        description="Goal [x, y] in metres, for the task reach and terms of kind goal.",
+    )
+    weights: list[Annotated[float, Field(ge=0, le=1e9)]] | None = Field(
+        default=None,
+        min_length=1,
+        description="For tasks other than reach: weight of each of objective.terms for this robot, "
+        "in their order, in place of their own. A term of weight 0 is none of its terms.",
     )
     speed_max_m_s: float = Field(gt=0, le=1000, description="Largest speed in m/s.")
     dynamics: DynamicsName = Field(
@@ -104,6 +111,7 @@ class RobotTable(Table):
             dynamics=self._dynamics(),
             start_rest=self._start_rest(),
             start_spread_m=self.start_spread_m,
+            weights=tuple(self.weights or ()),
         )
 
     def _dynamics(self) -> Dynamics | None:
@@ -133,6 +141,7 @@ def robot_table(robot: Robot) -> dict[str, Any]:
         "start_spread_m": robot.start_spread_m or None,
         "goal_m": robot.goal_m,
         "speed_max_m_s": robot.speed_max_m_s,
+        "weights": list(robot.weights) or None,
     }
     match robot.dynamics:
         case None:

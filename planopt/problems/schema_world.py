@@ -11,6 +11,7 @@ from planopt.problems.schema_moving import MovingTable
 from planopt.problems.tables import FileName, Pair, Quad, Table
 from planopt.world.occupancy_files import is_grid
 from planopt.world.occupancy_grid import UnknownCells
+from planopt.world.workspace import Obstacle
 
 
 class ObstacleTable(Table):
@@ -36,6 +37,20 @@ class ObstacleTable(Table):
         default=[], description="Rings of holes in polygon, each a list of [x, y] in metres."
     )
     wkt: str | None = Field(default=None, min_length=1, description="A POLYGON in metres.")
+    known_from_s: float = Field(
+        default=Obstacle.known_from_s,
+        ge=0,
+        le=1e9,
+        description="Time of the run in seconds from which on it stands there; no plan made before "
+        "knows of it.",
+    )
+    until_s: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e9,
+        description="Time in seconds from which on it is gone, which nobody knows before; without "
+        "it, it stays.",
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> ObstacleTable:
@@ -52,6 +67,8 @@ class ObstacleTable(Table):
             raise PydanticCustomError(
                 "one_of", "has unknown, which goes only with the file of an occupancy grid"
             )
+        if self.until_s is not None and self.until_s <= self.known_from_s:
+            raise PydanticCustomError("one_of", "has until_s that is not after known_from_s")
         if self.name is not None and self.file is not None:
             raise PydanticCustomError(
                 "one_of", "has a name, which goes only with polygon and wkt, beside file"

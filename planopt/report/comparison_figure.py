@@ -255,8 +255,9 @@ def _draw_step_times(
     for setting, look in looks.items():
         mine = [row for row in rows if axis.setting(row) == setting]
         x = np.array([places[str(axis.place(row))] + look.shift for row in mine])
-        median = 1e3 * np.array([row.p50_step_s for row in mine])
-        slow = 1e3 * np.array([row.p95_step_s for row in mine])
+        # Of runs without a step there are none, which draws nothing.
+        median = 1e3 * np.array([row.p50_step_s for row in mine], dtype=float)
+        slow = 1e3 * np.array([row.p95_step_s for row in mine], dtype=float)
         panel.errorbar(
             x,
             median,

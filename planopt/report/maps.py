@@ -14,6 +14,7 @@ from planopt.report.style import (
     FRAME,
     GREEN,
     LABEL_PT,
+    NOTE_PT,
     OBSTACLE,
     OBSTACLE_EDGE,
     ORANGE,
@@ -37,17 +38,44 @@ X_LABEL, Y_LABEL = "x [m]", "y [m]"
 
 
 def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
-    """Draw obstacles and bounds, with axes in metres of equal scale over the whole workspace."""
+    """Draw obstacles and bounds, with axes in metres of equal scale over the whole workspace.
+
+    Obstacles that come or go are hatched, and say when.
+    """
     from matplotlib.collections import PathCollection
 
     obstacles = PathCollection(
-        [outline(obstacle.polygon) for obstacle in workspace.obstacles],
+        [outline(obstacle.polygon) for obstacle in workspace.lasting],
         facecolors=OBSTACLE,
         edgecolors=OBSTACLE_EDGE,
         linewidths=0.4,
         zorder=OBSTACLE_Z,
     )
     panel.add_collection(obstacles, autolim=False)
+    timed = PathCollection(
+        [outline(obstacle.polygon) for obstacle in workspace.timed],
+        facecolors="none",
+        edgecolors=FRAME,
+        linewidths=0.9,
+        linestyles="dashed",
+        hatch="///",
+        zorder=OBSTACLE_Z,
+    )
+    panel.add_collection(timed, autolim=False)
+    for obstacle in workspace.timed:
+        x, y = shapely.get_coordinates(obstacle.polygon.representative_point())[0]
+        until = "" if np.isinf(obstacle.until_s) else f" until {obstacle.until_s:g} s"
+        panel.text(
+            x,
+            y,
+            f"from {obstacle.known_from_s:g} s{until}",
+            fontsize=NOTE_PT,
+            ha="center",
+            va="center",
+            clip_on=True,
+            zorder=PLACE_Z,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none"},
+        )
     x_min, y_min, x_max, y_max = workspace.bounds_m
     panel.plot(
         [x_min, x_max, x_max, x_min, x_min],

@@ -207,8 +207,10 @@ def _cells(horizon: int, rows: dict[str, Row], shown: Sequence[str]) -> list[str
             else (MISSING if one.verified_rate is None else f"{100.0 * one.verified_rate:.1f}")
             for metric in shown
         ),
-        f"{1e3 * one.p50_step_s:.1f}",
-        f"{1e3 * one.p95_step_s:.1f}",
+        *(
+            MISSING if seconds is None else f"{1e3 * seconds:.1f}"
+            for seconds in (one.p50_step_s, one.p95_step_s)
+        ),
     ]
 
 

@@ -42,7 +42,7 @@ class Row:
     verified_rate
         Share of released steps that were verified, over all runs; None where nothing is verified.
     p50_step_s, p95_step_s
-        Median and 95 % quantile of the planning time of a step, over all runs.
+        Median and 95 % quantile of the planning time of a step, over all runs; None without steps.
     paired_difference, difference_low, difference_high
         Mean over seeds of this metric less that of the reference setting, where both exist, and
         its 95 % Student interval; None if there is none. Metrics in dB have no ratios.
@@ -64,8 +64,8 @@ class Row:
     count: int
     paired_ratio: float | None
     verified_rate: float | None
-    p50_step_s: float
-    p95_step_s: float
+    p50_step_s: float | None
+    p95_step_s: float | None
     paired_difference: float | None = None
     difference_low: float | None = None
     difference_high: float | None = None

@@ -10,6 +10,8 @@ import pytest
 from scenes import WALL, belief_of, small_problem
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
+import planopt.planning.judge as judge_module
+import planopt.planning.proof.rules.single_steps as steps_module
 import planopt.planning.start_polish as polish_module
 from planopt.errors import InputError
 from planopt.planning.check.check import check
@@ -76,6 +78,45 @@ def test_time_enough_changes_nothing(plan, problem):
     free, timed = plan(problem), plan(with_budget(problem, 1e5))
     np.testing.assert_array_equal(free.positions_m, timed.positions_m)
     assert (free.rung, free.termination) == (timed.rung, timed.termination)
+
+
+def test_after_the_deadline_nothing_more_is_judged(monkeypatch):
+    """Where nothing is verified every start is tried; without time the first, and stopping."""
+    calls: list[None] = []
+    judge = judge_module.judge
+
+    def object_to(*arguments):
+        calls.append(None)
+        return replace(judge(*arguments), verdict=Verdict.VIOLATED)
+
+    monkeypatch.setattr(judge_module, "judge", object_to)
+    free, count = terms_plan(TERMS), len(calls)
+    hurried = terms_plan(with_budget(TERMS, NO_TIME))
+    assert free.verdict is hurried.verdict is Verdict.VIOLATED
+    assert len(calls) - count <= 2 < count
+
+
+def test_candidates_share_the_search_within_reach(monkeypatch):
+    """Those that miss the bound at the same steps are judged by one search, with one finding."""
+    searched: list[tuple[int, ...]] = []
+    search = steps_module.best_margins_by_step
+
+    def counted(*arguments):
+        searched.append(tuple(arguments[5].tolist()))
+        return search(*arguments)
+
+    monkeypatch.setattr(steps_module, "best_margins_by_step", counted)
+    situation, belief = situation_of(terms_problem(TRACKING, p_min=0.9999))
+    judge, _ = judge_of(situation, belief)
+    deaf = replace(judge.problem.stations[0], threshold_dbm=0.0)
+    judge = replace(judge, problem=replace(judge.problem, stations=(deaf,)))
+    first, second = judge.standing(5), judge.standing(5)
+    assert first.certificate is not None and second.certificate is not None
+    assert len(first.certificate.best_margin_db) == 5
+    assert first.certificate.best_margin_db == second.certificate.best_margin_db
+    assert searched == [(1, 2, 3, 4, 5)]
+    replace(judge, position_m=judge.position_m + 0.5).standing(5)
+    assert len(searched) == 2
 
 
 def test_a_polish_that_takes_too_long_ends(monkeypatch):

@@ -61,6 +61,9 @@ OTHER_LABELS = {
 }
 """What else could stand there."""
 
+LATER = ("crossings",)
+"""A key that plans saved before it was there may lack."""
+
 MALFORMED = ("problem.schema", "problem.task")
 """Keys of a problem that no other value is valid for: an error, as for any damaged file."""
 
@@ -228,7 +231,7 @@ def test_a_key_that_is_gone_or_new_is_seen(folder: Path) -> None:
     ways = {tuple(way[:stop]) for _, way in leaves(data) for stop in range(1, len(way) + 1)}
     missed: list[str] = []
     for way in sorted(ways, key=str):
-        if way[0] == "problem_file" or not isinstance(way[-1], str):
+        if way[0] == "problem_file" or not isinstance(way[-1], str) or way == LATER:
             continue
         changed = json.loads(json.dumps(data))
         del get_at(changed, list(way[:-1]))[way[-1]]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
 
 from planopt.planning.certificate import (
     MOST_EXCUSED,
@@ -54,6 +57,17 @@ def test_nothing_is_made_up():
     assert said([refused])[0].endswith("nothing excuses it")
     slack = replace(FAR, best_margin_db=())
     assert said([slack])[0].endswith("within constraints.slack_max_db")
+
+
+def test_ways_that_the_verifier_cannot_compare_excuse_nothing():
+    """Its grid has no path: infinite costs are in no excuse, no sum and no file."""
+    for way_m, best_m in ((np.inf, np.inf), (np.inf, 7.0), (8.0, np.inf)):
+        lost = replace(PRICED, path_cost_m=way_m, best_cost_m=best_m)
+        assert lost.excess_m is None
+        assert said([lost])[0].endswith("nothing excuses it")
+        json.dumps([asdict(one) for one in excused_steps([lost])], allow_nan=False)
+        costs = dearest([lost, PRICED])
+        assert (costs["path_cost_m"], costs["best_cost_m"]) == (8.0, 7.5)
 
 
 def test_steps_have_their_numbers_and_a_reason():

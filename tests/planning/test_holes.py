@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scenes import bad_band, belief_of, small_problem
 
+import planopt
 from planopt.planning.explain.crossing import explain_crossing
 from planopt.planning.holes import goal_in_words, holes_along, holes_in_words
+from planopt.planning.plan import Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 
@@ -94,6 +97,28 @@ def test_why_a_hole_is_crossed(open_above_m: float, goal_m: tuple[float, float])
         assert found.outside_m == 0.0 and round_m < found.kept_m < 1.1 * round_m
         assert f"keeps it all along is {found.kept_m:.0f} m" in str(found)
     assert found.kept_m + 10.0 * found.outside_m >= found.cost_m - 4.0
+
+
+def test_plans_say_what_they_cross_and_why(tmp_path):
+    """The same numbers as in words, judged when they are there; older files lack the key."""
+    problem = planopt.load("open_field")
+    strict = replace(problem, constraints=replace(problem.constraints, p_min=0.999))
+    solution = planopt.solve(strict, horizon=2)
+    (told,) = planopt.explain(solution)
+    replace(solution, explanation=(told,)).save(tmp_path)
+    file = tmp_path / "plan.json"
+    data = json.loads(file.read_text())
+    (crossing,) = data["crossings"]
+    for key in ("robot", "outage_price", "cost_m", "kept_m", "outside_m", "at_goal"):
+        assert crossing[key] == getattr(told, key)
+    wrong = {"robot": "nobody", "outage_price": 11.0, "at_goal": True, "outside_m": 1e6}
+    for key, value in wrong.items():
+        file.write_text(json.dumps({**data, "crossings": [{**crossing, key: value}]}))
+        assert any("crossings" in reason for reason in planopt.check(tmp_path).reasons), key
+    file.write_text(json.dumps({**data, "crossings": [crossing, crossing]}))
+    assert planopt.check(tmp_path).verdict is Verdict.VIOLATED
+    file.write_text(json.dumps({key: data[key] for key in data if key != "crossings"}))
+    assert planopt.check(tmp_path).verdict is Verdict.VERIFIED
 
 
 def test_no_hole_no_crossing():

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
+from planopt import check, solve
 from planopt.errors import InputError
+from planopt.objectives.terms.tracking import LONGEST_ADDITIVE, TrackingTerm
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
+from planopt.problems.overrides import with_overrides
+from planopt.problems.save import problem_to_dict
 
 
 def term_context(**keys):
@@ -45,7 +51,7 @@ def test_a_terminal_weight_is_the_last_steps():
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"criterion": "determinant"}, "is no criterion of the form additive"),
+        ({"criterion": "determinant", "form": "additive"}, "is no criterion of the form additive"),
         ({"step_weights": [0.0]}, "no step counts"),
         ({"step_weights": [-1.0]}, "step_weights"),
         ({"terminal_weight": 0.0}, "terminal_weight"),
@@ -56,6 +62,35 @@ def test_keys_that_do_not_fit_are_refused(keys, words):
     """With the key's name."""
     with pytest.raises(InputError, match=words):
         terms_problem({**TRACKING, **keys})
+
+
+def test_the_form_follows_the_horizon(tmp_path):
+    """Plans are those of the form that auto is; the problem keeps the word that it was given."""
+    forms = {"auto": TRACKING, "additive": {**TRACKING, "form": "additive"}}
+    forms["sampled"] = {**TRACKING, "form": "sampled"}
+
+    def planned(name, horizon):
+        return solve(terms_problem(forms[name], horizon=horizon, name="lattice"), seed=0)
+
+    for horizon, form in ((LONGEST_ADDITIVE, "additive"), (LONGEST_ADDITIVE + 1, "sampled")):
+        found, stated = planned("auto", horizon), planned(form, horizon)
+        assert found.plans[0].objective == stated.plans[0].objective
+        np.testing.assert_array_equal(found.plans[0].positions_m, stated.plans[0].positions_m)
+    assert problem_to_dict(found.problem)["objective"]["terms"][0]["form"] == "auto"
+    found.save(tmp_path / "plan")
+    assert check(tmp_path / "plan").reasons == ()
+    short = with_overrides(found.problem, horizon=LONGEST_ADDITIVE)
+    assert found.problem.terms[0].form == "sampled" and short.terms[0].form == "additive"
+
+
+def test_the_form_of_other_laws_and_criteria():
+    """Where the law of connection is fitted nothing is drawn; a determinant needs drawing."""
+    term = TrackingTerm(0.008, 0.08, 1.0)
+    assert term.planned(40, calibrated=True).form == "additive"
+    squares = replace(term, criterion="determinant")
+    assert squares.planned(1, calibrated=False).form == "sampled"
+    stated = replace(term, form="additive")
+    assert stated.planned(40, calibrated=False) is stated
 
 
 @pytest.mark.parametrize("criterion", ["determinant", "norm"])

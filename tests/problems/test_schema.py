@@ -320,7 +320,10 @@ def test_terms_are_read_in_order(tables: Tables, built: Build) -> None:
     assert problem.task == "track"
     assert problem.sense == "max"
     assert problem.cost_to_go is None
-    assert problem.terms == (TrackingTerm(0.008, 0.08, 1.0), LearningTerm("A", weight=0.5))
+    assert problem.objective.terms == (
+        TrackingTerm(0.008, 0.08, 1.0),
+        LearningTerm("A", weight=0.5),
+    )
     assert problem.targets[0].velocity_m_s == (0.1, 0.0)
     again = problem_from_dict(problem_to_dict(problem), file=problem.file)
     assert again.objective == problem.objective

@@ -1,5 +1,7 @@
 """The station's filter against FilterPy, dense formulas, least squares, and long silences."""
 
+from datetime import datetime, timedelta
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -48,6 +50,45 @@ def test_equals_filterpy_with_missing_measurements(share):
         state = update(predict(MODEL, state), measured, noise, arrived)
         np.testing.assert_allclose(state.mean, reference.x[:, 0], rtol=1e-10, atol=1e-10)
         np.testing.assert_allclose(state.covariance, reference.P, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.filterwarnings("ignore")  # Theirs.
+def test_equals_stone_soup_with_missing_measurements():
+    """Its information filter, where it is installed: information matrix and vector."""
+    pytest.importorskip("stonesoup", reason="Stone Soup is not installed")
+    from stonesoup.models.measurement.linear import LinearGaussian
+    from stonesoup.models.transition.linear import LinearGaussianTimeInvariantTransitionModel
+    from stonesoup.predictor.information import InformationKalmanPredictor
+    from stonesoup.types.detection import Detection
+    from stonesoup.types.hypothesis import SingleHypothesis
+    from stonesoup.types.prediction import InformationStatePrediction
+    from stonesoup.types.state import InformationState as TheirState
+    from stonesoup.updater.information import InformationKalmanUpdater
+
+    motion = LinearGaussianTimeInvariantTransitionModel(
+        transition_matrix=MODEL.transition, covariance_matrix=MODEL.process_covariance
+    )
+    predictor = InformationKalmanPredictor(motion)
+    state, start = information_state(MEAN, COVARIANCE), datetime(2026, 1, 1)
+    theirs = TheirState(state.vector[:, None], state.matrix, timestamp=start)
+    arrivals = 0
+    for step, (measured, noise, arrived) in enumerate(zip(*packets(40, 0.3), strict=True), 1):
+        now = start + timedelta(seconds=step * MODEL.step_s)
+        theirs = predictor.predict(theirs, timestamp=now)
+        for robot in np.flatnonzero(arrived):
+            model = LinearGaussian(4, (0, 1), noise[robot])
+            seen = Detection(measured[robot][:, None], timestamp=now, measurement_model=model)
+            updater = InformationKalmanUpdater(measurement_model=model)
+            found = updater.update(SingleHypothesis(theirs, seen))
+            # What is known after one robot's packet is what the next one's is added to.
+            theirs = InformationStatePrediction(found.state_vector, found.precision, now)
+            arrivals += 1
+        state = update(predict(MODEL, state), measured, noise, arrived)
+        np.testing.assert_allclose(state.matrix, theirs.precision, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(
+            state.vector, np.ravel(theirs.state_vector), rtol=1e-7, atol=1e-7
+        )
+    assert arrivals > 20
 
 
 def test_prediction_is_the_seeds():

@@ -109,6 +109,9 @@ def block_data(
     windows = earlier_windows(coordinates, blocks, BESIDE)
     rows = np.flatnonzero(chosen)
     width = bands.width_db[rows]
+    around = surrounding_windows(
+        coordinates, tuple(own for own in blocks if chosen[own].any()), SITE_BESIDE
+    )
     return BlockData(
         known,
         origins,
@@ -122,9 +125,8 @@ def block_data(
             rows,
             type(bands)(bands.upper_db[rows] - model.offset_db[rows], width),
             displaced[rows],
-            surrounding_windows(
-                coordinates, tuple(own for own in blocks if chosen[own].any()), SITE_BESIDE
-            ),
+            around,
+            _distances_m(origins, around),
         )
         if len(rows)
         else None,

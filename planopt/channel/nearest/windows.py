@@ -19,12 +19,13 @@ the whole block.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import lower_factor, lower_inverse, solve_lower
+from planopt.channel.cholesky import factor_and_whitened, lower_inverse
 from planopt.channel.intervals.sites import (
     MAX_SITE_VARIANCE_DB2,
     Intervals,
@@ -193,12 +194,19 @@ class IntervalRows:
         ``(m,)`` variance of path loss from errors of their positions.
     windows
         Around every block that has some of them.
+    distances_m
+        Within each window, position errors included; None where they are asked for once only.
     """
 
     rows: NDArray[np.intp]
     known: Intervals
     displaced_db2: NDArray[np.float64]
     windows: tuple[Window, ...]
+    distances_m: tuple[NDArray[np.float64], ...] | None = None
+
+
+def _distances_m(intervals: IntervalRows) -> Sequence[NDArray[np.float64] | None]:
+    return intervals.distances_m or [None] * len(intervals.windows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +287,8 @@ def window_sites(
     place_of = np.full(len(mean_db), -1)
     place_of[rows] = np.arange(len(rows))
     covariances = [
-        own_covariance_db2(origins.at(one.rows), parameters) for one in intervals.windows
+        own_covariance_db2(origins.at(one.rows), parameters, distance_m)
+        for one, distance_m in zip(intervals.windows, _distances_m(intervals), strict=True)
     ]
     # How far each has moved, and the logarithm of the factor and its slope by windows.
     moves, parts = np.zeros(len(mean_db)), np.zeros((len(covariances), 2))
@@ -339,12 +348,12 @@ def _cavities(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and variance of the measurements `inside` the last `own` of a window, given the others.
 
-    The variance is that of the measurement, its noise included.
+    The variance is that of the measurement, its noise included; `covariance` is overwritten.
     """
-    lower = lower_factor(covariance)
+    lower, whitened = factor_and_whitened(covariance, about_db)
     beside = len(lower) - own
-    whitened = solve_lower(lower, about_db)[beside:]
-    inverse = lower_inverse(lower[beside:, beside:])
+    whitened = whitened[beside:]
+    inverse = lower_inverse(np.tril(lower[beside:, beside:]))
     variance = 1.0 / np.einsum("ij,ij->j", inverse, inverse)[inside]
     weighted = (whitened @ inverse)[inside]
     return about_db[beside:][inside] - weighted * variance, variance

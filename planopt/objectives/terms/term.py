@@ -95,6 +95,10 @@ class Term:
         """Fields that a saved table must not have."""
         return frozenset()
 
+    def planned(self, horizon: int, *, calibrated: bool) -> Term:
+        """Return the term as plans take it: of so many steps, with the law of connection fitted."""
+        return self
+
     @property
     def structure(self) -> Structure:
         """How the value of a path couples its places."""

@@ -46,7 +46,10 @@ from planopt.objectives.tracking_scenarios import (
 from planopt.plain_values import make_plain
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
-TrackingForm = Literal["additive", "information", "covariance", "sampled"]
+TrackingForm = Literal["auto", "additive", "information", "covariance", "sampled"]
+
+LONGEST_ADDITIVE = 10
+"""Steps up to which ``auto`` is ``additive``: beyond it gambles on packets beside the target."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,9 @@ class TrackingTerm(Term):
     noise_curvature, noise_floor_m2, sweet_spot_m
         Curvature (a number), least variance in m^2 and best distance in m of the sensor.
     form
-        ``additive``: P(connected) / g(r), summed over the steps. The others follow the station's
+        ``auto``: ``additive`` up to `LONGEST_ADDITIVE` steps, ``sampled`` beyond and for other
+        criteria than the trace. ``additive``: P(connected) / g(r), summed over the steps. The
+        others follow the station's
         filter: ``information`` bounds the expected gain of information from above, ``covariance``
         removes covariance as if losses were independent in time, ``sampled`` averages over joint
         losses.
@@ -96,9 +101,10 @@ class TrackingTerm(Term):
         Field(
             description="additive (P(connected) over the variance, summed over steps), or by the "
             "station's filter: information (an upper bound), covariance (losses as if independent "
-            "in time) or sampled (joint losses)."
+            "in time) or sampled (joint losses); auto: additive up to a horizon of "
+            f"{LONGEST_ADDITIVE}, sampled beyond and for other criteria than trace."
         ),
-    ] = "additive"
+    ] = "auto"
     beyond_steps: Annotated[
         int,
         Field(
@@ -136,10 +142,25 @@ class TrackingTerm(Term):
     def __post_init__(self) -> None:
         make_plain(self)
 
+    def planned(self, horizon: int, *, calibrated: bool) -> TrackingTerm:
+        """Return the term with the form that ``auto`` is.
+
+        Of a law of connection that is fitted nothing can be drawn.
+        """
+        if self.form != "auto":
+            return self
+        drawn = self.criterion != "trace" or (horizon > LONGEST_ADDITIVE and not calibrated)
+        return replace(self, form="sampled" if drawn else "additive")
+
+    @property
+    def follows_filter(self) -> bool:
+        """Whether the value is of the station's filter, and no sum over steps."""
+        return self.form not in ("auto", "additive")
+
     @property
     def structure(self) -> Structure:
         """Steps add up in the additive form only."""
-        return "stagewise" if self.form == "additive" else "full"
+        return "full" if self.follows_filter else "stagewise"
 
     @property
     def needs_power(self) -> bool:
@@ -154,7 +175,7 @@ class TrackingTerm(Term):
     @property
     def counts_others(self) -> bool:
         """The filter is told less by a packet beside another; in the additive form all add up."""
-        return self.form != "additive"
+        return self.follows_filter
 
     @property
     def pays_standing(self) -> bool:
@@ -175,7 +196,7 @@ class TrackingTerm(Term):
 
     def check(self, setting: TermSetting) -> None:
         """The criterion is one of the form, and some step counts."""
-        if self.criterion != "trace" and self.form != "sampled":
+        if self.criterion != "trace" and self.form not in ("auto", "sampled"):
             raise InputError(
                 f"{self.criterion} is no criterion of the form {self.form}",
                 key="criterion",
@@ -273,7 +294,7 @@ class TrackingTerm(Term):
         if self.form == "sampled":
             return self._ranked(paths)
         settings, chance = self.settings(paths.at), paths.chance
-        if self.form != "additive":
+        if self.follows_filter:
             filtered = first_steps(self.filtered(paths.at), paths.shape[1])
             gain = information_gain if self.form == "information" else covariance_gain
             return gain(chance, sensing_of(paths.ways_m, filtered), filtered)
@@ -292,7 +313,7 @@ class TrackingTerm(Term):
         settings = self.settings(path.at)
         chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
         sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)
-        if self.form == "additive":
+        if not self.follows_filter:
             return tracking_reward_derivatives(chance, sensing, settings.weight)
         if self.form == "information":
             return information_gain_derivatives(chance, sensing, self.filtered(path.at))

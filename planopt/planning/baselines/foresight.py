@@ -103,11 +103,12 @@ def require_foreseeable(problem: Problem) -> None:
         or len(problem.stations) > 1
         or several
         or problem.workspace.moving
+        or problem.workspace.timed
         or any(robot.dynamics is not None for robot in problem.robots)
     ):
         raise InputError(
             f"is {problem.planner.name}, a bound on tracking for one station, by single "
-            "integrators without separation_m and moving obstacles",
+            "integrators without separation_m and obstacles that move, come or go",
             file=problem.file,
             key="planner.name",
             remedy="use auto",

@@ -10,6 +10,7 @@ takes the shortest way out.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
@@ -30,6 +31,15 @@ RINGS, HEADINGS = 10, 48
 """Places within a step: on so many circles in so many directions, and the robot's own."""
 
 
+Score = Callable[[Situation, NDArray[np.float64]], NDArray[np.float64]]
+"""From paths (c, N, 2) to what each is worth (c,)."""
+
+
+def as_ranked(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what paths (c, N, 2) are worth by the terms of the problem; ``(c,)``."""
+    return LocalRanking(situation, ways_m)(ways_m)
+
+
 class OneStepPlanner:
     """Plans greedily for one robot of a problem whose objective is a sum of terms.
 
@@ -39,10 +49,12 @@ class OneStepPlanner:
         With one robot.
     ground
         Its geometry.
+    score
+        What a path is worth.
     """
 
-    def __init__(self, problem: Problem, ground: Ground) -> None:
-        self._problem, self._ground = problem, ground
+    def __init__(self, problem: Problem, ground: Ground, score: Score = as_ranked) -> None:
+        self._problem, self._ground, self._score = problem, ground, score
         self._measures = any(term.learns for term in problem.terms)
         # An expression of one's own is for a whole path: it is valued as if the robot then stood.
         self._whole = any(term.whole_horizon for term in problem.terms)
@@ -86,4 +98,4 @@ class OneStepPlanner:
         if self._whole:
             rest = self._problem.planner.horizon - int(ways.shape[1])
             ways = np.concatenate([ways, np.repeat(ways[:, -1:], rest, axis=1)], axis=1)
-        return ends[int(np.argmax(LocalRanking(situation, ways)(ways)))]
+        return ends[int(np.argmax(self._score(situation, ways)))]

@@ -1,8 +1,9 @@
 """Strategies of communication of [GM11] for tracking: what a plan takes connection to depend on.
 
 The planner is the one of the whole package with another channel in its place: path loss without
-shadowing, a disc in which all packets arrive, or a link that is never lost. The verifier judges
-what comes of it by all that is known, as always.
+shadowing, a disc in which all packets arrive, or a link that is never lost. One step ahead there
+is also what multipath is known to be at places that were measured. The verifier judges what comes
+of it by all that is known, as always.
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.measurements import Measurements
+from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
+from planopt.objectives.measuring import SAME_PLACE_M
 from planopt.planning.baselines.baseline import released
 from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -28,6 +32,7 @@ from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
+from planopt.targets.sensor import sensing_information
 
 EDGE_STD_DB = 0.1
 """Deviation of power at the edge of a disc: connection is certain or ruled out but for a rim of
@@ -54,6 +59,38 @@ def unaware(parameters: ChannelParameters) -> ChannelParameters:
     return replace(parameters, k_pl_db=parameters.k_pl_db + CERTAIN_DB)
 
 
+def require_tracking(problem: Problem) -> None:
+    """Raise an InputError unless a problem tracks a target for one station."""
+    if not any(term.sensor for term in problem.terms) or len(problem.stations) > 1:
+        raise InputError(
+            f"is {problem.planner.name}, which tracks a target for one station",
+            file=problem.file,
+            key="planner.name",
+            remedy="use auto",
+        )
+
+
+def remembered_reward(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the information that the last step of paths (c, N, 2) is expected to send; ``(c,)``.
+
+    Multipath keeps its value at a place. Nearer than the measuring distance to an earlier
+    measurement a packet therefore arrives if what was measured reaches the threshold, and else not.
+    """
+    ends, stage = ways_m[:, -1], ways_m.shape[1] - 1
+    power, threshold = situation.power(ends), situation.thresholds_dbm[0]
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    measured = situation.posterior.measurements
+    if len(measured):
+        nearest, away = PlaceTree(measured.positions_m).nearest(ends, 1)
+        known = away[:, 0] < max(situation.problem.channel.measure_spacing_m, SAME_PLACE_M)
+        chance = np.where(known, measured.power_dbm[nearest[:, 0]] >= threshold, chance)
+    target = situation.target_m
+    if target is None:
+        raise AssertionError("tracking has a target")
+    sensor = next(term.sensor for term in situation.problem.terms if term.sensor is not None)
+    return chance * sensing_information(sensor, ends, target[stage])
+
+
 class StrategyPlanner:
     """Plans for one robot that tracks a target, on a channel that it assumes.
 
@@ -73,13 +110,7 @@ class StrategyPlanner:
     """
 
     def __init__(self, problem: Problem, ground: Ground, assumed: Assumed) -> None:
-        if not any(term.sensor for term in problem.terms) or len(problem.stations) > 1:
-            raise InputError(
-                f"is {problem.planner.name}, which tracks a target for one station",
-                file=problem.file,
-                key="planner.name",
-                remedy="use auto",
-            )
+        require_tracking(problem)
         self._problem, self._ground, self._assumed = problem, ground, assumed
         inner = replace(problem, planner=replace(problem.planner, name="auto"))
         self._planner = HorizonPlanner(inner, ground)

@@ -85,24 +85,36 @@ def given_again(problem: Problem, seed: int) -> tuple[Given | None, list[str]]:
 def taken_on_the_way(
     problem: Problem,
     belief: SavedBelief,
-    track_m: NDArray[np.float64],
+    tracks_m: NDArray[np.float64],
     true_dbm: NDArray[np.float64],
 ) -> Taken:
-    """Where a run along `track_m` (steps + 1, 2) measures: not near an earlier measurement."""
+    """Where robots measure, one after the other: not near an earlier measurement.
+
+    Parameters
+    ----------
+    problem, belief
+        The problem, and the file of a robot's belief.
+    tracks_m, true_dbm
+        ``(robots, steps + 1, 2)`` places of the robots whose measurements it has, and
+        ``(robots, steps + 1)`` the true power there.
+    """
     known = [[*own.measurements.positions_m[: own.first]] for own in belief.stations]
     spacing = closing_m(problem.channel.measure_spacing_m)
-    said = np.diff([*belief.known_before_step, len(belief.measurements)]) > 0
+    said = np.diff([*belief.known_before_step, len(belief.measurements)])
     counts: list[int] = []
-    steps: list[int] = []
-    for step, place in enumerate(track_m[1:], start=1):
+    taken: list[tuple[int, int]] = []
+    for step in range(1, tracks_m.shape[1]):
         counts.append(len(known[0]))
-        nearest = max(_nearest_m(places, place) for places in known)
-        is_tie = abs(nearest - spacing) <= NEARNESS_TIE_M
-        if said[step - 1] if is_tie else nearest >= spacing:
-            for places in known:
-                places.append(place)
-            steps.append(step)
-    return Taken(track_m[steps], true_dbm[steps], np.array(counts, dtype=np.int64))
+        for robot, place in enumerate(tracks_m[:, step]):
+            nearest = max(_nearest_m(places, place) for places in known)
+            is_tie = abs(nearest - spacing) <= NEARNESS_TIE_M
+            some_left = len(known[0]) < counts[-1] + said[step - 1]
+            if some_left if is_tie else nearest >= spacing:
+                for places in known:
+                    places.append(place)
+                taken.append((robot, step))
+    robots, steps = np.array(taken, dtype=np.intp).reshape(-1, 2).T
+    return Taken(tracks_m[robots, steps], true_dbm[robots, steps], np.array(counts, np.int64))
 
 
 def _nearest_m(places_m: list[NDArray[np.float64]], place_m: NDArray[np.float64]) -> float:

@@ -25,6 +25,7 @@ from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import UNSOLVED, provenance_faults
 from planopt.planning.check.rebuilt import Asked, Effort, Place, rebuilt_plan
 from planopt.planning.explain.case import Case
+from planopt.planning.explain.explanation import Crossing
 from planopt.planning.files.belief_file import first_posteriors, last_posteriors
 from planopt.planning.files.drive_table import drive_of
 from planopt.planning.files.read_saved import Saved
@@ -41,7 +42,7 @@ from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.holes import holes_on
 from planopt.planning.loop.target_watch import aim_of, watch_target
-from planopt.planning.plan import Plan, Termination
+from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.roads import build_roads
@@ -54,6 +55,9 @@ from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.pending import counts_others
 from planopt.problems.problem import Problem
 from planopt.robots.braked_motion import braked_motion
+
+LATER_KEY = "crossings"
+"""Key that plans of format 2 did not have at first; for one version it may be missing."""
 
 
 def check_plan(
@@ -84,6 +88,8 @@ def check_plan(
         # What was asked is not judged: library_remarks says what there is to say.
         "problem_file": saved.data["problem_file"],
     }
+    if LATER_KEY not in saved.data:
+        found.pop(LATER_KEY)
     reasons += in_words(PLAN_FILE, disagreements(saved.data, found))
     again = joined_steps([steps_of_plan(plan) for plan in solution.plans])
     reasons += steps_reasons(joined_steps(saved.steps), again)
@@ -178,7 +184,35 @@ def rebuilt_solution(
         plans.append(plan)
     reasons += [f"{PLAN_FILE}, key robots: {fault}" for fault in order_faults(problem, aims)]
     belief = belief_again(learnt, posteriors)
-    return Solution(problem, record.seed, belief, tuple(plans), tuple(aims), explanation), reasons
+    crossings, faults = _crossings_again(problem, record, plans)
+    reasons += faults
+    told = (*explanation, *crossings)
+    return Solution(problem, record.seed, belief, tuple(plans), tuple(aims), told), reasons
+
+
+def _crossings_again(
+    problem: Problem, record: PlanRecord, plans: Sequence[Plan]
+) -> tuple[list[Crossing], list[str]]:
+    """Return what the file says of crossings, and what of it cannot be so.
+
+    The ways beside the plan are the search's, which the verifier does without: their lengths and
+    costs are taken as they stand.
+    """
+    verified = {plan.robot: plan for plan in plans if plan.verdict is Verdict.VERIFIED}
+    found: list[Crossing] = []
+    faults: list[str] = []
+    for number, one in enumerate(record.crossings):
+        where = f"{PLAN_FILE}, key crossings[{number}]"
+        plan = verified.get(one.robot)
+        if plan is None or not plan.holes or one.robot in {other.robot for other in found}:
+            faults.append(f"{where}: no verified plan of {one.robot} crosses a hole, or once more")
+            continue
+        if one.outside_m > one.kept_m:
+            faults.append(f"{where}.outside_m: is longer than the way, kept_m {one.kept_m:g}")
+        price, p_min = problem.reach.outage_price, problem.constraints.p_min
+        lengths = one.cost_m, price, one.kept_m, one.outside_m
+        found.append(Crossing(one.robot, plan.holes, *lengths, p_min))
+    return found, faults
 
 
 def pending_faults(
@@ -213,12 +247,17 @@ def pending_faults(
 def order_faults(problem: Problem, aims: Sequence[Aim]) -> list[str]:
     """Return what is wrong with how many plans each robot says it was told in one step.
 
-    Robots plan in turn, whoever begins: one of them was told no plan, another one plan, and so on.
+    Robots plan in turn, whoever begins: one of them was told no plan, another one plan, and so on,
+    those left out that do not count what the others measure.
     """
-    told = sorted(len(aim.pending.planned_m) for aim in aims)
-    if not counts_others(problem) or problem.planner.rounds > 1 or told == list(range(len(told))):
+    told = [len(aim.pending.planned_m) for aim in aims]
+    owns = [problem_of_robot(problem, number) for number in range(len(aims))]
+    counted = [count for own, count in zip(owns, told, strict=True) if counts_others(own)]
+    in_order = len(set(counted)) == len(counted) and all(count < len(told) for count in counted)
+    if not counted or problem.planner.rounds > 1 or in_order:
         return []
-    return [f"robots were told {told} plans, should be {list(range(len(told)))} in some order"]
+    should = list(range(len(told)))
+    return [f"robots were told {sorted(counted)} plans, should be {should} in some order"]
 
 
 def of_robot(problem: Problem, robot: str, objections: Sequence[str]) -> list[str]:

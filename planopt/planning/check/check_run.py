@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ from planopt.planning.plan import Plan, Rung
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.goal_paths import GoalGrid
 from planopt.planning.roads import build_roads
-from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.robot_problem import problem_at, problem_of_robot
 from planopt.planning.run import Run
 from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.team.team_certificate import worst_of_robots
@@ -176,7 +177,7 @@ def rebuilt_run(
         are taken as they stand.
     """
     problem, numbers = saved.problem, range(len(saved.problem.robots))
-    place = Place.of(problem)
+    places = places_of(problem, len(saved.steps[0].steps))
     tracks = np.array([steps.positions_m for steps in saved.steps])
     true = np.array(
         [
@@ -189,12 +190,14 @@ def rebuilt_run(
     watches = watched(watch_target(problem, seeds.target), tracks, connected, seeds.target)
     released = [_released(saved, record, number) for number in numbers]
     driven = [
-        _driven(saved, record, number, place, watches, released, connected[:, number])
+        _driven(saved, record, number, places, watches, released, connected[:, number])
         for number in numbers
     ]
+    shares = problem.channel.share_measurements
+    measuring = [list(numbers) if shares else [number] for number in numbers]
     taken = [
-        taken_on_the_way(problem, belief, track, true_dbm)
-        for belief, track, true_dbm in zip(saved.beliefs, tracks, true, strict=True)
+        taken_on_the_way(problem, belief, tracks[those], true[those])
+        for belief, those in zip(saved.beliefs, measuring, strict=True)
     ]
     ended, reasons = _ended(problem, connected, driven, [one.learnt for one in taken])
     for step, aims in enumerate(zip(*(one.aims for one in driven), strict=True)):
@@ -223,7 +226,7 @@ def rebuilt_run(
         ),
         first_measurements=saved.beliefs[0].first,
         target=target_log(watches, connected),
-        channel=_channel(saved, place, truths, driven[0].posteriors),
+        channel=_channel(saved, places[0], truths, driven[0].posteriors),
         costs=_costs(saved, truths, list(tracks), ended[0]),
     )
     reasons += [reason for one in driven for reason in one.reasons]
@@ -291,13 +294,13 @@ def _driven(
     saved: Saved,
     record: RunRecord,
     number: int,
-    place: Place,
+    places: Sequence[Place],
     watches: Sequence[TargetWatch | None],
     released_by: Sequence[Sequence[_Released]],
     connected: NDArray[np.bool_],
 ) -> _Driven:
     """Every plan of robot number `number` on what it knew, beside all that were released."""
-    own = problem_of_robot(saved.problem, number)
+    own, place = problem_of_robot(saved.problem, number), places[0]
     robot, belief, track = own.robots[0], saved.beliefs[number], saved.steps[number].positions_m
     key = f"{RUN_FILE}, key plans[{number}].released"
     table, dynamics = saved.file.parent / STEPS_FILE, robot.dynamics
@@ -305,7 +308,7 @@ def _driven(
     states = track if driven is None else driven.states
     reasons: list[str] = []
     if driven is None:
-        met = obstacles_met(own, place.index, track)
+        met = _obstacles_met(saved.problem, places, track)
         reasons += of_robot(saved.problem, robot.name, met)
     if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
@@ -314,6 +317,9 @@ def _driven(
     aims: list[Aim] = []
     goal_grid: GoalGrid | None = None
     for step, said in enumerate(record.plans[number].released, start=1):
+        if places[step - 1] is not place:
+            place, goal_grid = places[step - 1], None
+            own = problem_of_robot(problem_at(saved.problem, step - 1), number)
         known = posteriors[-1] = posteriors_at(belief, posteriors[-1], step)
         released = released_by[number][step - 1]
         proofs = [plan.certificate for plan in plans]
@@ -322,7 +328,7 @@ def _driven(
         others = others_of([made[step - 1].motion for made in released_by], number)
         moving = beside(saved.problem, history.steps, others)
         aim = aim_again(said.aim, aim_of(watches[step - 1], number, own.planner.horizon))
-        if counts_others(saved.problem):
+        if counts_others(own):
             driven_m = [made.positions_m[1:step] for made in saved.steps]
             told = replace(aim.pending, driven_m=places_of_others(driven_m, number))
             aim = replace(aim, pending=told)
@@ -350,6 +356,29 @@ def _driven(
         posteriors.append(known)
     posteriors[-1] = last_posteriors(belief, posteriors[-1])
     return _Driven(states, plans, aims, posteriors, reasons)
+
+
+def places_of(problem: Problem, steps: int) -> list[Place]:
+    """Return the geometry that each of so many steps is planned in, the same where it stays."""
+    now = problem_at(problem, 0)
+    found = [Place.of(now)]
+    for step in range(1, steps):
+        then = problem_at(now, step)
+        found.append(found[-1] if then is now else Place.of(then))
+        now = then
+    return found
+
+
+def _obstacles_met(
+    problem: Problem, places: Sequence[Place], track_m: NDArray[np.float64]
+) -> list[str]:
+    """A reason for every place of a track that was not clear of the obstacles known then."""
+    changes = [k for k in range(1, len(places)) if places[k] is not places[k - 1]]
+    reasons: list[str] = []
+    for first, last in pairwise([0, *changes, len(track_m) - 1]):
+        met = obstacles_met(problem, places[first].index, track_m[first : last + 1], first)
+        reasons += [reason for reason in met if reason not in reasons]
+    return reasons
 
 
 def _leads_elsewhere(planned: NDArray[np.float64], states: NDArray[np.float64], step: int) -> bool:
@@ -394,10 +423,13 @@ def _ended(
 ) -> tuple[tuple[Outcome, str], list[str]]:
     """How the run ended and why in words, and what is wrong with where it did."""
     steps = len(connected)
+    now = problem
     for step in range(steps + 1):
+        # What a step shows is judged in the workspace that it was planned in.
+        now = problem_at(now, max(step - 1, 0))
         robots = [
             Progress(
-                problem_of_robot(problem, number),
+                problem_of_robot(now, number),
                 list(one.states[: step + 1]),
                 measured[:step],
                 one.plans[:step],
@@ -405,7 +437,7 @@ def _ended(
             )
             for number, (one, measured) in enumerate(zip(driven, learnt, strict=True))
         ]
-        ended = run_ending(problem, connected[:step], robots)
+        ended = run_ending(now, connected[:step], robots)
         if ended is not None:
             late = f"{STEPS_FILE}: the run goes on after step {step}, {ended[1]}"
             return ended, [late] if step < steps else []

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.explain.explanation import Crossing
 from planopt.planning.ground import first_moves
-from planopt.planning.plan import Plan
+from planopt.planning.plan import Plan, Verdict
 from planopt.planning.proof.broad_prediction import broad_prediction
+from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.problems.problem import Problem
@@ -19,6 +20,28 @@ from planopt.world.road_map import shortest_ways, way_from
 
 BY_ALL_MEANS = 1e4
 """Price at which contact counts first and length second."""
+
+
+def crossings(
+    problem: Problem, plans: Sequence[Plan], posteriors: Sequence[ChannelPosterior]
+) -> tuple[Crossing, ...]:
+    """Return what verified plans to goals cross and why, one for each robot that crosses a hole.
+
+    Parameters
+    ----------
+    problem
+        With all robots.
+    plans
+        Of each robot, in the problem's order.
+    posteriors
+        What is believed of each station.
+    """
+    found = [
+        explain_crossing(problem_of_robot(problem, number), posteriors, plan)
+        for number, plan in enumerate(plans)
+        if plan.verdict is Verdict.VERIFIED
+    ]
+    return tuple(one for one in found if one is not None)
 
 
 def explain_crossing(

@@ -21,7 +21,7 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.explain.case import Case
-from planopt.planning.explain.crossing import explain_crossing
+from planopt.planning.explain.crossing import crossings
 from planopt.planning.explain.explanation import Crossing, Relaxation, towards
 from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
@@ -263,14 +263,11 @@ def explain(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
     solution
         From :func:`planopt.solve`.
     """
-    found: list[Relaxation | Crossing] = []
+    found: list[Relaxation] = []
     problem = solution.problem
     motions = [planned_motion(problem, plan) for plan in solution.plans]
     for number, plan in enumerate(solution.plans):
         if plan.verdict is Verdict.VERIFIED:
-            own = problem_of_robot(problem, number)
-            crossing = explain_crossing(own, solution.belief.posteriors, plan)
-            found += [] if crossing is None else [crossing]
             continue
         moving = beside(problem, 0, others_of(motions, number))
         case = Case(problem, number, solution.belief.posteriors, plan, moving)
@@ -279,7 +276,7 @@ def explain(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
             return _planned(changed, solution, number)
 
         found += explain_no_verified_plan(case, plan_again)
-    return tuple(found)
+    return (*found, *crossings(problem, solution.plans, solution.belief.posteriors))
 
 
 @one_blas_thread()

@@ -5,6 +5,7 @@ The files of a folder are replaced together (:mod:`planopt.files.result_folder`)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,8 +89,10 @@ def save_run(run: Run, folder: Path, *, pictures_follow: bool = False) -> None:
     data = {**run_json(run), "plans": released_plans_json(run)}
     with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
         write_text(new / STEPS_FILE, steps_text(steps))
-        for name, belief, one in zip(belief_files(problem), run.beliefs, run.runs, strict=True):
-            write_belief_of_run(new / name, belief, run.first_measurements, one.log.positions_m)
+        tracks = [one.log.positions_m for one in run.runs]
+        for name, belief, track in zip(belief_files(problem), run.beliefs, tracks, strict=True):
+            theirs = tracks if problem.channel.share_measurements else [track]
+            write_belief_of_run(new / name, belief, run.first_measurements, theirs)
         for name, table in run_tables(run).items():
             write_text(new / name, table_text(table))
         write_result(data, problem, new / RUN_FILE)
@@ -124,18 +127,18 @@ def write_belief_of_plan(path: Path, belief: Belief) -> None:
 
 
 def write_belief_of_run(
-    path: Path, belief: Belief, first: int, track_m: NDArray[np.float64]
+    path: Path, belief: Belief, first: int, tracks_m: Sequence[NDArray[np.float64]]
 ) -> None:
     """Save what was known at the end of a run, and how much of it before each step.
 
     Parameters as in :func:`known_before_steps`.
     """
-    further = [known_before_steps(own, own.fit.measurements, track_m) for own in belief.further]
-    write_belief(path, belief, known_before_steps(belief, first, track_m), further)
+    further = [known_before_steps(own, own.fit.measurements, tracks_m) for own in belief.further]
+    write_belief(path, belief, known_before_steps(belief, first, tracks_m), further)
 
 
 def known_before_steps(
-    belief: Belief, first: int, track_m: NDArray[np.float64]
+    belief: Belief, first: int, tracks_m: Sequence[NDArray[np.float64]]
 ) -> NDArray[np.int64]:
     """How many measurements each step was planned on; ``(steps,)``.
 
@@ -148,14 +151,15 @@ def known_before_steps(
         At the end of the run.
     first
         How many of its measurements were there before the run.
-    track_m
-        ``(steps + 1, 2)`` the places, the start first.
+    tracks_m
+        ``(steps + 1, 2)`` the places, the start first, of each robot that they are of.
     """
     taken = belief.posterior.measurements.positions_m
     count = first
     known: list[int] = []
-    for place in track_m[1:]:
+    for places in list(zip(*tracks_m, strict=True))[1:]:
         known.append(count)
-        if count < len(taken) and np.array_equal(taken[count], place):
-            count += 1
+        for place in places:
+            if count < len(taken) and np.array_equal(taken[count], place):
+                count += 1
     return np.array(known, dtype=np.int64)

@@ -15,11 +15,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from planopt.planning.certificate import Certificate, Excused
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
 from planopt.planning.holes import Hole
-from planopt.planning.plan import Pivot, Plan, Termination, Verdict
+from planopt.planning.plan import Pivot, Plan, Termination, Verdict, share_gained
 from planopt.planning.solution import Solution
 from planopt.planning.team.team_certificate import worst_of_robots
 from planopt.planning.worth.aim import Aim
@@ -92,6 +92,15 @@ class RelaxationRecord(BaseModel):
     robot: str
 
 
+class CrossingRecord(Record):
+    """What a way to a goal that crosses coverage holes costs, and what keeping contact takes."""
+
+    robot: str
+    cost_m: NotNegative
+    kept_m: NotNegative
+    outside_m: NotNegative
+
+
 class RobotPlanRecord(RobotRecord):
     """One robot's plan: its trajectory, and what only its planner knows."""
 
@@ -113,6 +122,7 @@ class PlanRecord(Record):
 
     seed: int = Field(ge=0)
     explanation: list[RelaxationRecord]
+    crossings: list[CrossingRecord] = Field(default_factory=list[CrossingRecord])
     robots: list[RobotPlanRecord] = Field(min_length=1)
     problem_file: dict[str, Any]
 
@@ -136,12 +146,13 @@ def solution_json(solution: Solution) -> dict[str, Any]:
     only = plans[0] if len(plans) == 1 else None
     lattice = sum(plan.lattice_objective for plan in plans)
     gain = sum(plan.gain for plan in plans)
+    objective = sum(plan.objective for plan in plans)
     return {
         **_question(problem, solution.seed),
         "termination": _worst([plan.termination for plan in plans]).value,
         "verdict": solution.verdict.value,
         "sense": problem.sense,
-        "objective": finite(sum(plan.objective for plan in plans)),
+        "objective": finite(objective),
         "bound": None,
         "gap": None,
         "wall_s": finite(sum(plan.wall_s for plan in plans)),
@@ -155,11 +166,12 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         ],
         "rung": _worst([plan.rung for plan in plans]).value,
         "lattice_objective": finite(lattice),
-        "polish_gain": finite(gain / abs(lattice) if lattice else 0.0),
+        "polish_gain": finite(share_gained(gain, lattice, objective)),
         "message": only.message
         if only is not None
         else "; ".join(f"{plan.robot}: {plan.message}" for plan in plans if plan.message),
         "explanation": explanation_json(solution.explanation),
+        "crossings": crossings_json(solution.explanation),
     }
 
 
@@ -178,6 +190,7 @@ def no_plan_json(
         **dict.fromkeys(("rung", "lattice_objective", "polish_gain")),
         "message": message,
         "explanation": explanation_json(explanation),
+        "crossings": [],
     }
 
 
@@ -268,7 +281,7 @@ def _question(problem: Problem, seed: int) -> dict[str, Any]:
 
 
 def explanation_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
-    """Every change that would help as a table; coverage holes are among the plans' keys."""
+    """Every change that would help as a table."""
     return [
         {
             "robot": one.robot,
@@ -283,6 +296,22 @@ def explanation_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
         }
         for one in explanation
         if isinstance(one, Relaxation)
+    ]
+
+
+def crossings_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
+    """Why each way to a goal crosses coverage holes; where they are is in the robots' `holes`."""
+    return [
+        {
+            "robot": one.robot,
+            "outage_price": one.outage_price,
+            "cost_m": one.cost_m,
+            "kept_m": one.kept_m,
+            "outside_m": one.outside_m,
+            "at_goal": one.at_goal,
+        }
+        for one in explanation
+        if isinstance(one, Crossing)
     ]
 
 

@@ -27,7 +27,7 @@ from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import Run
 from planopt.planning.scene import Scene, build_scenes
-from planopt.planning.stepping import Stepper, plan_step
+from planopt.planning.stepping import Stepper, planning
 from planopt.planning.team.team_seeds import team_seeds
 from planopt.planning.worth.region import workspace_region
 from planopt.problems.overrides import with_overrides
@@ -102,7 +102,7 @@ def simulate(
     robots = Stepper(
         problem,
         prepared.belief,
-        plan_step(problem, scenes if reaches else None, seeds, foreseen),
+        planning(problem, scenes if reaches else None, seeds, foreseen),
         target,
     )
     # The error over the whole workspace is dear, and tells little of a way to a goal.

@@ -205,8 +205,8 @@ def terms_ending(
 ) -> tuple[Outcome, str] | None:
     """How a run ends after its last step so far, and why in words; None if it goes on.
 
-    It ends once all robots are connected, or at their goals, if that is asked; once no robot will
-    ever do anything again, which is a failure unless nothing is left to learn; and after
+    It ends once all robots of which that is asked are connected, or at their goals; once no robot
+    will ever do anything again, which is a failure unless nothing is left to learn; and after
     `planner.max_steps`. A run whose robots do not all go on by then has stalled too.
 
     Parameters
@@ -219,10 +219,11 @@ def terms_ending(
         All of them.
     """
     steps, asked = len(connected), problem.terms[0]
-    if asked.ends_connected and bool(connected[-1].all()):
+    waiting = [robot.problem.terms[0].ends_connected for robot in robots]
+    if asked.ends_connected and bool(connected[-1, waiting].all()):
         return Outcome.COMPLETED, f"connected after step {steps}"
-    leads = any(term.steers == "goal" for term in problem.terms)
-    if leads and all(_has_arrived(robot) for robot in robots):
+    led = [r for r in robots if any(term.steers == "goal" for term in r.problem.terms)]
+    if led and all(_has_arrived(robot) for robot in led):
         return Outcome.REACHED, f"within goal_radius_m of the goal after step {steps}"
     last = steps >= problem.planner.max_steps
     stuck = [
@@ -231,19 +232,18 @@ def terms_ending(
         if (why := _stuck(problem, connected[:, number], robot)) is not None
     ]
     if stuck and (last or len(stuck) == len(robots)):
-        if learns(problem):
-            stuck = [
-                (robot, why)
-                for robot, why in stuck
-                if _has_left(robot, _told(problem, robots, robot))
-            ]
+        stuck = [
+            (robot, why)
+            for robot, why in stuck
+            if not learns(robot.problem) or _has_left(robot, _told(problem, robots, robot))
+        ]
         if stuck:
             return Outcome.STALLED, _in_words(problem, stuck)
         if not last:
             return Outcome.COMPLETED, f"nothing left to learn after step {steps}"
     if not last:
         return None
-    if leads:
+    if led:
         return Outcome.STEP_LIMIT, f"not arrived after planner.max_steps {steps}"
     if asked.ends_connected:
         return Outcome.STEP_LIMIT, f"not connected after planner.max_steps {steps}"
@@ -262,10 +262,10 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
     The inputs of a plan for tracking change while a robot stands; it does its task as long as
     packets arrive. For other terms standing still may be the best, if plans are verified.
     """
-    recent, asked = slice(-STALL_STEPS, None), problem.terms[0]
+    recent, asked = slice(-STALL_STEPS, None), robot.problem.terms[0]
     if asked.pays_standing and connected[recent].any():
         return None
-    if asked.may_stand and not learns(problem):
+    if asked.may_stand and not learns(robot.problem):
         verdicts = [plan.verdict for plan in robot.plans[recent]]
         if any(verdict is Verdict.VERIFIED for verdict in verdicts):
             return None
@@ -301,9 +301,9 @@ def _has_left(robot: Progress, told: Pending) -> bool:
 
 def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
     """Who stands or circles, and why."""
-    unmeasured = "; places are left to measure" if learns(problem) else ""
+    unmeasured = any(learns(robot.problem) for robot, _ in stuck)
     whys = [
         f"{robot.problem.robots[0].name}: {why}" if len(problem.robots) > 1 else why
         for robot, why in stuck
     ]
-    return "; ".join(whys) + unmeasured
+    return "; ".join(whys) + ("; places are left to measure" if unmeasured else "")

@@ -13,7 +13,6 @@ from planopt.planning.holes import Hole, holes_along
 from planopt.planning.loop.log import (
     ChannelLog,
     Metrics,
-    Outcome,
     RobotRun,
     StepLog,
     TargetLog,
@@ -62,27 +61,26 @@ ANY = (-np.inf, np.inf)
 def metrics_of(
     log: StepLog,
     plans: Sequence[Plan],
-    outcome: Outcome,
     learnt: Sequence[bool],
-    arrival: int = -1,
+    arrival: int | None,
 ) -> Metrics:
     """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
 
-    A robot that reached its goal arrived after step number `arrival`. Shares are over the steps
-    driven, the start not counted; the polish gain is the mean over the steps. After no step what
-    tells of steps is NaN.
+    A robot that reached its goal arrived after step number `arrival`, which is None without a goal
+    or arrival. Shares are over the steps driven, the start not counted; the polish gain is the
+    mean over the steps that have one. After no step what tells of steps is NaN.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
     gains = [plan.polish_gain for plan in plans]
     nothing = float("nan")
     return Metrics(
-        goal_time_s=float(log.t_s[arrival]) if outcome is Outcome.REACHED else nothing,
+        goal_time_s=float(log.t_s[arrival]) if arrival is not None else nothing,
         path_m=float(lengths.sum()),
         true_connected_share=float(connected.mean()) if connected.size else nothing,
         longest_outage_m=longest_outage_m(lengths, connected) if connected.size else nothing,
         predicted_min_connectivity=float(log.connectivity[1:].min()) if connected.size else nothing,
-        polish_gain=float(np.mean(gains)) if gains else nothing,
+        polish_gain=_mean_of_known(gains),
         measured_steps=sum(learnt),
     )
 
@@ -107,8 +105,10 @@ def run_metrics(
     """
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
-    if problem.robots[0].goal_m is not None:
-        found["goal_time_s"] = float(max(m.goal_time_s for m in each))
+    led = [robot.goal_m is not None for robot in problem.robots]
+    if any(led):
+        times_s = [m.goal_time_s for m, goes in zip(each, led, strict=True) if goes]
+        found["goal_time_s"] = float(max(times_s))
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
         found["final_trace_p"] = float(target.station_variance_m2[-1])
@@ -130,7 +130,7 @@ def run_metrics(
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
-    found["polish_gain"] = float(np.mean([m.polish_gain for m in each]))
+    found["polish_gain"] = _mean_of_known([m.polish_gain for m in each])
     found["measured_steps"] = float(sum(m.measured_steps for m in each))
     found |= rule_metrics(problem, [run.log for run in runs])
     step_s = problem.planner.step_s
@@ -141,6 +141,12 @@ def run_metrics(
         clearances = least_moving_clearances_m(problem, motions)
         found["min_moving_clearance_m"] = float(clearances.min())
     return found | dict(costs)
+
+
+def _mean_of_known(values: Sequence[float]) -> float:
+    """The mean of what is no NaN; NaN of nothing."""
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def nis_interval(count: int) -> tuple[float, float]:

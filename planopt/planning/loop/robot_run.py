@@ -106,14 +106,14 @@ def robot_run(
     """
     log = step_log(problem, track_m, true_dbm, plans)
     drive = driven(problem.robots[0], plans)
-    reached = ended[0] is Outcome.REACHED
-    arrival = _arrival(problem, track_m if drive is None else drive.states) if reached else -1
+    reached = ended[0] is Outcome.REACHED and problem.robots[0].goal_m is not None
+    arrival = _arrival(problem, track_m if drive is None else drive.states) if reached else None
     return RobotRun(
         robot=problem.robots[0].name,
         outcome=ended[0],
         reason=ended[1],
         log=log,
-        metrics=metrics_of(log, plans, ended[0], learnt, arrival),
+        metrics=metrics_of(log, plans, learnt, arrival),
         drive=drive,
     )
 

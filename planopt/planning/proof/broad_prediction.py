@@ -7,6 +7,7 @@ deviation, they are those of the normal law with the mixture's deviation and tha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,8 +20,10 @@ from planopt.channel.prediction import Prediction, bound_quantile, connection_pr
 from planopt.planning.proof.serving import Serving
 from planopt.problems.problem import Problem
 
-HALVINGS = 60
-"""Bisections of a quantile: from hundreds of dB to rounding."""
+MOST_ROUNDS = 60
+"""Steps towards a quantile at most: so many bisections lead from hundreds of dB to rounding."""
+NEWTON_STEP_DB = 1e-8
+"""After a step of Newton's method as short as this the next would be within rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,21 +55,38 @@ def mixture_quantile_dbm(
 ) -> NDArray[np.float64]:
     """The power that a mixture of normal laws exceeds with probability `p_min`; ``(n,)``.
 
-    Between the least and the greatest of the parts' own; the lower end of the bisection.
+    Between the least and the greatest of the parts' own, by Newton's method, and by bisection where
+    that leaves what is known to hold the quantile.
     """
-    own = np.stack([p.mean_db - bound_quantile(p_min) * p.deviation_db for p in parts])
+    means = np.stack([part.mean_db for part in parts])
+    deviations = np.stack([part.deviation_db for part in parts])
+    own = means - bound_quantile(p_min) * deviations
     low: NDArray[np.float64] = own.min(axis=0)
     high: NDArray[np.float64] = own.max(axis=0)
-    for _ in range(HALVINGS):
-        middle: NDArray[np.float64] = 0.5 * (low + high)
-        chance = np.zeros(len(middle))
-        for weight, part in zip(weights.tolist(), parts, strict=True):
-            # Of (mean - power) above zero.
-            chance += weight * connection_probability(part.mean_db - middle, part.deviation_db, 0.0)
-        kept = chance >= p_min
-        low = np.where(kept, middle, low)
-        high = np.where(kept, high, middle)
-    return low
+    found: NDArray[np.float64] = 0.5 * (low + high)
+    for _ in range(MOST_ROUNDS):
+        # Of (mean - power) above zero.
+        excess = weights @ connection_probability(means - found, deviations, 0.0) - p_min
+        low, high = np.where(excess >= 0.0, found, low), np.where(excess < 0.0, found, high)
+        density = weights @ _normal_density(found - means, deviations)
+        step = np.divide(excess, density, out=np.full(len(found), np.inf), where=density > 0.0)
+        middle = 0.5 * (low + high)
+        better = np.where((low <= found + step) & (found + step <= high), found + step, middle)
+        moved = np.abs(better - found)
+        found = better
+        if (moved <= NEWTON_STEP_DB).all():
+            break
+    return found
+
+
+def _normal_density(
+    away_db: NDArray[np.float64], deviation_db: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Density of normal laws; zero where the deviation is."""
+    spread = deviation_db > 0.0
+    score = np.divide(away_db, deviation_db, out=np.zeros_like(away_db), where=spread)
+    bell = np.exp(-0.5 * score**2) / math.sqrt(2.0 * math.pi)
+    return np.divide(bell, deviation_db, out=np.zeros_like(away_db), where=spread)
 
 
 Broad = BroadPrediction | Serving

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
@@ -12,6 +15,9 @@ from planopt.planning.proof.broad_prediction import Broad, broad_prediction
 from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid
 from planopt.problems.problem import Problem
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+
+_Asked = tuple[bytes, tuple[int, ...]]
+"""A state, and steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +45,11 @@ class Circumstances:
     _goal_costs: list[tuple[ChannelPosterior, GoalGrid, GoalCosts]] = field(
         default_factory=list[tuple[ChannelPosterior, GoalGrid, GoalCosts]], init=False, repr=False
     )
+    _best_margins: list[tuple[ChannelPosterior, _Asked, tuple[float, ...]]] = field(
+        default_factory=list[tuple[ChannelPosterior, _Asked, tuple[float, ...]]],
+        init=False,
+        repr=False,
+    )
 
     @property
     def laid_grid(self) -> GoalGrid | None:
@@ -57,6 +68,25 @@ class Circumstances:
             grid = self.goal_grid or build()
             kept[:] = [(posterior, grid, value(grid))]
         return kept[0][1:]
+
+    def best_margins(
+        self,
+        posterior: ChannelPosterior,
+        state: NDArray[np.float64],
+        steps: tuple[int, ...],
+        search: Callable[[], tuple[float, ...]],
+    ) -> tuple[float, ...]:
+        """What the verifier's search within reach of a state finds by some steps, made once.
+
+        Candidates that miss the bound at the same steps all ask for it.
+        """
+        asked = state.tobytes(), steps
+        for other, key, found in self._best_margins:
+            if other is posterior and key == asked:
+                return found
+        found = search()
+        self._best_margins.append((posterior, asked, found))
+        return found
 
 
 def circumstances_of(

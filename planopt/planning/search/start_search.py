@@ -343,7 +343,7 @@ class StartSearch:
         self._field.refresh(situation, reach)
         if shifted_m is not None:
             situation.soon(shifted_m)
-        paths = self._lattice_paths(situation, 1)
+        paths = self._lattice_paths(situation, 1, budget)
         if shifted_m is not None:
             paths += [shifted_m, without_waiting(situation.position_m, shifted_m)]
         if situation.steering is not None:
@@ -356,7 +356,7 @@ class StartSearch:
             paths += self._coupled.find_ways(situation, paths, budget)
         if self._ends > 1 and not budget.searched:
             # Besides what is found otherwise, so that being thorough loses no start.
-            paths += self._lattice_paths(situation, self._ends)
+            paths += self._lattice_paths(situation, self._ends, budget)
         paths = self._apart(situation, paths)
         worth = PathWorth(situation)
         starts = [Start(path, worth(path), rule_missing(situation, path)) for path in paths]
@@ -385,16 +385,18 @@ class StartSearch:
         ]
         return kept or paths
 
-    def _lattice_paths(self, situation: Situation, ends: int) -> list[NDArray[np.float64]]:
+    def _lattice_paths(
+        self, situation: Situation, ends: int, budget: Budget
+    ) -> list[NDArray[np.float64]]:
         """The best paths on the lattice, under every guide that suits the rule of connectivity."""
         return planned_rule(self._problem.constraints.rule).find_guided(
             situation,
-            lambda guide: self._guided_paths(situation, guide, ends),
+            lambda guide: self._guided_paths(situation, guide, ends, budget),
             lambda path: rule_missing(situation, path) == 0.0,
         )
 
     def _guided_paths(
-        self, situation: Situation, guide: Guide, ends: int
+        self, situation: Situation, guide: Guide, ends: int, budget: Budget
     ) -> list[NDArray[np.float64]]:
         """The best paths under a guide; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
@@ -420,7 +422,7 @@ class StartSearch:
             found = search(rewards)
             apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
             paths = [path_to(found, end) for end in best_ends(found, ends, apart)]
-            if not paths or not self._loses(rewards, paths[0], guide):
+            if not paths or budget.searched or not self._loses(rewards, paths[0], guide):
                 break
         return [self._field.places_m(path) for path in paths]
 

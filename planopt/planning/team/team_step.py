@@ -114,7 +114,7 @@ def _in_order(
             beside(problem, moment.driven, others),
             reserved[number].places_m[: problem.planner.horizon + 1],
             moment.histories[number],
-            _pending(problem, moment, number, {other: made[other][0] for other in made}),
+            _pending(crew, moment, number, {other: made[other][0] for other in made}),
         )
     plans = [made[number][0] for number in range(len(crew))]
     aims = [made[number][1] for number in range(len(crew))]
@@ -122,10 +122,10 @@ def _in_order(
 
 
 def _pending(
-    problem: Problem, moment: TeamMoment, number: int, made: Mapping[int, Plan]
+    crew: Sequence[Member], moment: TeamMoment, number: int, made: Mapping[int, Plan]
 ) -> Pending:
     """What robot `number` is told of where the others measure: by the plans `made`, and before."""
-    if not counts_others(problem):
+    if not counts_others(crew[number].problem):
         return NOTHING_PENDING
     planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
     return Pending(planned, places_of_others(moment.driven_m, number))
@@ -142,13 +142,14 @@ def _again_in_turn(
 
     With F the worth of all plans together, F(p_i | others) = F(all) - F(others). A plan is
     exchanged only for a verified one, and a verified one only for one of larger F(p_i | others), so
-    that F(all) never falls among verified plans.
+    that F(all) never falls among verified plans. Robots that weigh terms differently have no
+    common F: each then exchanges its plan for one that is better by its own weights.
     """
     plans, aims = list(plans), list(aims)
     for number, member in enumerate(crew):
         others = {n: planned_motion(problem, p) for n, p in enumerate(plans) if n != number}
         moving = beside(problem, moment.driven, others)
-        pending = _pending(problem, moment, number, dict(enumerate(plans)))
+        pending = _pending(crew, moment, number, dict(enumerate(plans)))
         reserved = reserved_motion(problem, number, moment.states[number], moment.warm[number])
         plan, aim = member.plan(
             moment.beliefs[number],

@@ -8,7 +8,12 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from planopt.channel.intervals.censoring import intervals
-from planopt.channel.measurement_covariance import measured_origins, own_covariance_db2
+from planopt.channel.measurement_covariance import (
+    Origins,
+    measured_origins,
+    own_covariance_db2,
+    own_distance_m,
+)
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.windows import (
     IntervalRows,
@@ -40,6 +45,16 @@ def settled(measurements, mean_db, start=None, tolerance=1e-6, block=48, beside=
         start,
         tolerance,
     )
+
+
+def test_distances_at_hand_change_nothing():
+    """The same sites whether the distances within windows are given or found."""
+    origins = Origins(np.array([[0.0, 0.0], [3.0, 4.0], [10.0, 0.0]]), np.array([0.5, 0.0, 1.0]))
+    found = own_covariance_db2(origins, CHANNEL)
+    distance_m = own_distance_m(origins)
+    before = distance_m.copy()
+    np.testing.assert_allclose(own_covariance_db2(origins, CHANNEL, distance_m), found, rtol=1e-14)
+    np.testing.assert_array_equal(distance_m, before)
 
 
 def density(measurements, mean_db, sites):

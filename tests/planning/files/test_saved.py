@@ -95,7 +95,7 @@ def test_what_is_read_is_what_was_saved(plan_folder: Path, solution: Solution) -
 def test_each_step_knows_what_was_measured_before_it(simulation: Run) -> None:
     """A step's count grows by one after a step that ended where something was measured."""
     track = simulation.run.log.positions_m
-    known = known_before_steps(simulation.belief, simulation.first_measurements, track)
+    known = known_before_steps(simulation.belief, simulation.first_measurements, [track])
     taken = simulation.belief.posterior.measurements.positions_m[simulation.first_measurements :]
     track = simulation.run.log.positions_m[1:]
     measured = [bool((taken == place).all(axis=1).any()) for place in track]

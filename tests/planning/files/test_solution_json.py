@@ -86,6 +86,14 @@ def test_polish_gain_is_the_saved_share(solution: Solution) -> None:
     assert solution_json(replace(solution, plans=(plan,)))["polish_gain"] == 0.0
 
 
+@pytest.mark.parametrize("lattice", [0.0, 1e-9, -1e-9])
+def test_a_gain_on_next_to_nothing_has_no_share(solution: Solution, lattice: float) -> None:
+    """A lattice path that is worth almost nothing is no base: null, of a plan and of all."""
+    plan = replace(solution.plan, lattice_objective=lattice, objective=-5.0)
+    data = json.loads(strict_text(solution_json(replace(solution, plans=(plan,)))))
+    assert data["polish_gain"] is None and data["robots"][0]["polish_gain"] is None
+
+
 def test_no_plan_has_the_same_keys(solution: Solution) -> None:
     """Where there is no plan every key is there, null where there is nothing."""
     there, none = solution_json(solution), no_plan_json(solution.problem, 7, "cut off")

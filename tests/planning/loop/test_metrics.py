@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planopt.planning.loop.log import Outcome, StepLog
+from planopt.planning.loop.log import StepLog
 from planopt.planning.loop.metrics import longest_outage_m, metrics_of
 from planopt.planning.plan import Rung, Verdict
 
@@ -40,7 +40,7 @@ PLANS = [SimpleNamespace(polish_gain=gain) for gain in (0.1, 0.0)]
 def test_metrics_by_hand():
     """Four steps, two of them connected, the start's own state not counted."""
     log = log_of(PLACES, [False, True, False, False, True], [0.1, 0.9, 0.6, 0.7, 0.8])
-    metrics = metrics_of(log, PLANS, Outcome.REACHED, [True, False, True, True])
+    metrics = metrics_of(log, PLANS, [True, False, True, True], 4)
     assert metrics.goal_time_s == 2.0
     assert metrics.path_m == 9.0
     assert metrics.true_connected_share == 0.5
@@ -50,11 +50,18 @@ def test_metrics_by_hand():
     assert metrics.measured_steps == 3
 
 
-@pytest.mark.parametrize("outcome", [o for o in Outcome if o is not Outcome.REACHED])
-def test_no_time_to_a_goal_that_was_not_reached(outcome):
+def test_steps_without_a_share_are_left_out_of_the_mean_gain():
+    """One of three has none; where no step has one the run has none."""
+    log = log_of(PLACES, [True] * 5)
+    none = SimpleNamespace(polish_gain=np.nan)
+    assert metrics_of(log, [*PLANS, none], [], None).polish_gain == pytest.approx(0.05)
+    assert np.isnan(metrics_of(log, [none], [], None).polish_gain)
+
+
+def test_no_time_to_a_goal_that_was_not_reached():
     """It is NaN, and everything else as before."""
     log = log_of(PLACES, [True] * 5)
-    metrics = metrics_of(log, PLANS, outcome, [])
+    metrics = metrics_of(log, PLANS, [], None)
     assert np.isnan(metrics.goal_time_s)
     assert metrics.path_m == 9.0
     assert metrics.true_connected_share == 1.0
@@ -63,7 +70,7 @@ def test_no_time_to_a_goal_that_was_not_reached(outcome):
 
 def test_a_run_of_no_step():
     """At the goal from the start: no time, no way, and nothing to tell of steps."""
-    metrics = metrics_of(log_of([[1, 2]], [False], [np.nan]), [], Outcome.REACHED, [])
+    metrics = metrics_of(log_of([[1, 2]], [False], [np.nan]), [], [], 0)
     assert metrics.goal_time_s == 0.0
     assert metrics.path_m == 0.0
     assert np.isnan(metrics.true_connected_share) and np.isnan(metrics.longest_outage_m)

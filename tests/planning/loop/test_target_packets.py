@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from planopt import check, load, simulate
+from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.planning.loop.target_watch import counted, watch_target
 from planopt.targets.information_filter import predict
@@ -108,3 +110,28 @@ def test_a_receiver_that_hears_its_own_floor_is_refused():
     truth = replace(problem.channel.truth, floor_db=-90.0)
     with pytest.raises(InputError, match=r"stations\[0\].receive_threshold_dbm"):
         simulate(replace(problem, channel=replace(problem.channel, truth=truth)), seed=1)
+
+
+def test_robots_that_share_know_what_all_have_measured(tmp_path):
+    """One belief of all: the first measurements, and those of all robots in turn."""
+    problem = with_receiver(None)
+    shared = replace(problem, channel=replace(problem.channel, share_measurements=True))
+    own, run = simulate(problem, seed=2), simulate(shared, seed=2)
+    alone = [len(belief.posterior.measurements) for belief in own.beliefs]
+    together = {len(belief.posterior.measurements) for belief in run.beliefs}
+    assert len(together) == 1 and together.pop() > max(alone)
+    found = run.beliefs[0].posterior
+    again = condition(found.parameters, found.measurements, theta="known")
+    places = np.random.default_rng(0).uniform(5.0, 75.0, (40, 2))
+    np.testing.assert_allclose(found.predict(places).mean_db, again.predict(places).mean_db)
+    tracks = np.stack([one.log.positions_m[1:] for one in run.runs], axis=1).reshape(-1, 2)
+    on_the_way = found.measurements.positions_m[run.first_measurements :]
+    order = [np.flatnonzero((tracks == place).all(axis=1))[0] for place in on_the_way]
+    assert order == sorted(order) and len({number % 3 for number in order}) == 3
+    run.save(tmp_path / "run")
+    assert check(tmp_path / "run").reasons == ()
+    file = tmp_path / "run" / "run.json"
+    data = json.loads(file.read_text())
+    assert data["problem_file"]["channel"]["measurements"].pop("shared") is True
+    file.write_text(json.dumps(data))
+    assert check(tmp_path / "run").reasons != ()

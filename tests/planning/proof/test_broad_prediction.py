@@ -49,6 +49,19 @@ def test_quantile_of_a_mixture(p_min):
     np.testing.assert_allclose(above, p_min, atol=1e-12)
 
 
+def test_quantile_where_parts_are_far_apart_or_certain():
+    """Newton's method would leave such laws: bisection holds it, and no NaN comes of it."""
+    weights = np.array([0.6, 0.4])
+    parts = [
+        Prediction(np.array([-90.0, -80.0, -80.0]), np.array([0.01, 0.0, 0.0])),
+        Prediction(np.array([-30.0, -70.0, -70.0]), np.array([0.01, 3.0, 0.0])),
+    ]
+    found = mixture_quantile_dbm(weights, parts, 0.7)
+    assert found[0] == pytest.approx(-90.0 + 0.01 * norm.isf(0.5), abs=1e-9)
+    # The certain part counts whole at what it is, and not above.
+    assert found[1:] == pytest.approx([-80.0, -80.0], abs=1e-6)
+
+
 def test_margin_is_that_of_the_mixture():
     """At any place: zero margin where the mixture's chance of connection is p_min."""
     problem = all_uncertain(terms_problem(TRACKING, p_min=0.9))

@@ -173,7 +173,9 @@ def test_a_verified_plan_replaces_one_that_is_not():
     )
 
     def member(plan):
-        return SimpleNamespace(plan=lambda *_: (plan, None), worth=lambda made, *_: made.objective)
+        return SimpleNamespace(
+            problem=problem, plan=lambda *_: (plan, None), worth=lambda made, *_: made.objective
+        )
 
     crew = [member(plan) for plan in plans]
     found, _ = team_step._again_in_turn(problem, crew, moment, [bad, plans[1]], [None, None])

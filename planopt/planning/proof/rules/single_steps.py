@@ -126,15 +126,20 @@ def judge_single_steps(
             is_compared=priced.is_compared,
             result=result,
         )
-    best = best_margins_by_step(
-        index,
-        problem.workspace.bounds_m,
-        _margins_of(problem, posterior, under.broad),
-        state[:2],
-        problem.step_length_m,
-        missed,
-        constraints.clearance_m,
-        may_reach_from(problem, state),
+    best = under.best_margins(
+        posterior,
+        state,
+        steps,
+        lambda: best_margins_by_step(
+            index,
+            problem.workspace.bounds_m,
+            _margins_of(problem, posterior, under.broad),
+            state[:2],
+            problem.step_length_m,
+            missed,
+            constraints.clearance_m,
+            may_reach_from(problem, state),
+        ),
     )
     reasons = [
         f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "

@@ -23,8 +23,7 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.search.coupled_starts import driven_ways
-from planopt.planning.search.rough_clearance import rough_clearance
+from planopt.planning.search.coupled_starts import driven_ways, rough_clearance
 from planopt.planning.search.start_search import Start
 from planopt.planning.worth.situation import Situation
 

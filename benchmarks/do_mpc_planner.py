@@ -19,7 +19,7 @@ from planopt.errors import InputError
 from planopt.planning.ground import Ground
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung
-from planopt.planning.programme.ipopt_status import termination_of
+from planopt.planning.programme.ipopt import termination_of
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import TrackingTerm
 from planopt.problems.planner_kinds import PlannerKind, register_planner

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.pursuit.association import AssociationModel, associate
-from planopt.pursuit.detection import (
+from planopt.pursuit.association import (
+    AssociationModel,
     Detections,
     Detector,
     Reports,
+    associate,
     draw_detections,
     merge_reports,
     reports_at,

@@ -24,12 +24,10 @@ from numpy.typing import NDArray
 
 from planopt import Problem, load, simulate
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
+from planopt.planning.loop.metrics import LOST_RATIO
 from planopt.problems.objective_forms import TermsObjective
 from planopt.problems.target import Packets
 from planopt.studies.compare import mean_interval
-
-LOST_RATIO = 3.0
-"""Of tr P to that of the first estimate."""
 
 
 @dataclass(frozen=True)

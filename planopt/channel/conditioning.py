@@ -1,4 +1,12 @@
-"""What a posterior keeps of its measurements: rows of a factor, or sums over neighbours."""
+"""What a posterior keeps of its measurements: rows of a factor, or sums over neighbours.
+
+Path loss by generalised least squares from products of whitened columns.
+
+Path loss of a conditioned channel by least squares, with the error it has under the model.
+
+Least squares weighs every measurement alike. That is not the best estimate where shadowing is
+correlated, but it does not depend on xi, beta and omega.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +16,83 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.least_squares_theta import least_squares_theta
+from planopt.channel.estimation.identifiability import MIN_REGRESSOR_SPREAD_DB
+from planopt.channel.estimation.least_squares import receiver_columns
 from planopt.channel.factor import append_rows, with_room
 from planopt.channel.mean_model import regressors
+from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.neighbour_information import (
     extended_information,
     neighbour_information,
 )
-from planopt.channel.theta_estimate import theta_estimate
+from planopt.channel.parameters import ChannelParameters, Station
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
+
+
+def least_squares_theta(
+    measurements: Measurements,
+    values_db: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    station: Station,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None where it is not identified.
+
+    Censored measurements are left out, since a limit has no residual. Offsets of receivers are
+    estimated along with theta.
+
+    Parameters
+    ----------
+    measurements, values_db
+        n of them, and ``(n,)`` their powers.
+    lower
+        ``(n, n)`` Cholesky factor of U.
+    station
+        The fixed station.
+    """
+    exact = ~measurements.censored
+    known = measurements.take(exact)
+    gamma = regressors(known.positions_m, station)
+    if not len(known) or float(np.ptp(gamma[:, 1])) < MIN_REGRESSOR_SPREAD_DB:
+        return None
+    columns = np.column_stack([gamma, receiver_columns(known)])
+    inverse = np.linalg.pinv(columns)[: gamma.shape[1]]
+    half = inverse @ lower[exact]
+    return inverse @ values_db[exact], half @ half.T
+
+
+WEAK_THETA_DEVIATION = (20.0, 1.0)
+"""Prior deviation of K_PL (dB) and n_PL, used only where the measurements do not identify theta."""
+
+MAX_INFORMATION_CONDITION = 1e10
+"""Theta counts as identified while the condition number of its information, in units of
+`WEAK_THETA_DEVIATION`, is below this."""
+
+
+def theta_estimate(
+    parameters: ChannelParameters, products: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Estimate theta and its covariance M (equation 1.7).
+
+    Parameters
+    ----------
+    parameters
+        Its theta, theta_0, is the centre of the weak prior.
+    products
+        ``(3, 3)`` C' U^-1 C of the columns C = [y - Gamma theta_0, Gamma]: about theta_0, where
+        the digits are.
+    """
+    # In units of the weak prior.
+    unit = np.array(WEAK_THETA_DEVIATION)
+    information = unit[:, None] * products[1:, 1:] * unit
+    spread = np.linalg.eigvalsh(information)
+    if spread[0] * MAX_INFORMATION_CONDITION <= spread[1]:
+        information += np.eye(2)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    moved = unit * (covariance @ (unit * products[1:, 0]))
+    theta = np.array([parameters.k_pl_db, parameters.n_pl]) + moved
+    return theta, unit[:, None] * covariance * unit
 
 
 def with_rows(grown: ChannelPosterior, before: ChannelPosterior) -> ChannelPosterior:

@@ -12,7 +12,7 @@ from planopt.planning.run import Run
 from planopt.planning.solution import Solution
 from planopt.report.belief_map import draw_belief
 from planopt.report.calibration_figure import draw_calibration
-from planopt.report.comparison_figure import draw_comparison
+from planopt.report.comparison_figure import draw_comparison, draw_traces
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_posterior_map
 from planopt.report.reliability_figure import draw_reliability
@@ -46,8 +46,11 @@ def animate(run: Run, folder: Path) -> None:
 
 
 def picture_comparison(comparison: Comparison, folder: Path) -> None:
-    """The table as a chart, and predicted against true connection where there was a step."""
+    """The table as a chart, and what there is: traces over time, and reliability of connection."""
     save_figure(draw_comparison(comparison), folder / "comparison.png")
+    traces = draw_traces(comparison)
+    if traces is not None:
+        save_figure(traces, folder / "traces.png")
     if comparison.reliability:
         names = ", ".join(one.name for one in (comparison.problem, *comparison.others))
         title = f"{names}: connection over {len(comparison.runs)} runs"

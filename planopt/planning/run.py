@@ -211,6 +211,10 @@ class RunSummary:
         Name of the problem.
     sweep
         Keys of the problem that a study changed, with their values.
+    traces
+        ``(steps + 1,)`` each, by name: ``trace_p``, the trace in m^2 of the station's covariance of
+        the target's position, and of the channel ``rms_db``, ``rms_without_multipath_db`` and
+        ``path_loss_variance_db2``; empty on the way to a goal.
     """
 
     horizon: int
@@ -228,6 +232,20 @@ class RunSummary:
     connected: NDArray[np.bool_]
     problem: str = ""
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    traces: Mapping[str, NDArray[np.float64]] = field(
+        default_factory=dict[str, NDArray[np.float64]]
+    )
+
+
+CHANNEL_TRACES = ("rms_db", "rms_without_multipath_db", "path_loss_variance_db2")
+
+
+def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
+    """Return what was known over the steps of a run, by name."""
+    found = {} if run.target is None else {"trace_p": run.target.station_variance_m2}
+    if run.channel is not None:
+        found |= {name: getattr(run.channel, name) for name in CHANNEL_TRACES}
+    return found
 
 
 def summary_of(run: Run) -> RunSummary:
@@ -248,4 +266,5 @@ def summary_of(run: Run) -> RunSummary:
         connectivity=np.concatenate([one.log.connectivity[1:] for one in run.runs]),
         connected=np.concatenate([one.log.connected[1:] for one in run.runs]),
         problem=problem.name,
+        traces=_traces(run),
     )

@@ -12,7 +12,8 @@ from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import MARKERS, SERIES, dress, head, legend_below, plain_log_ticks
 from planopt.report.tables import interval_words
-from planopt.studies.comparison import Comparison, Row, sweep_words
+from planopt.studies.compare import mean_interval
+from planopt.studies.comparison import Comparison, Row, runs_by_setting, sweep_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -154,6 +155,75 @@ def draw_comparison(comparison: Comparison) -> Figure:
         f"{interval_words(comparison, 'cut at the frame')}, single runs faint",
     )
     return figure
+
+
+DASHES = ("solid", "dashed", "dotted", "dashdot")
+
+LOG_RATIO = 30.0
+"""Traces whose means span this ratio or more have a logarithmic axis."""
+
+
+def draw_traces(comparison: Comparison) -> Figure | None:
+    """Draw what was known over time: each setting's mean, and its 95 % interval as a band.
+
+    Means are over the runs of a setting, for as many steps as all of them drove. None where no run
+    has a trace.
+    """
+    from matplotlib.gridspec import GridSpec
+
+    every = [trace for run in comparison.runs for trace in run.traces.items()]
+    names = list(dict.fromkeys(name for name, values in every if (values > 0.0).any()))
+    if not names:
+        return None
+    figure = new_figure(11.0, 3.2 * len(names) + 1.0)
+    cells = GridSpec(len(names), 1, figure=figure)
+    entries: list[Artist] = []
+    for row, name in enumerate(names):
+        panel = add_panel(figure, cells[row, 0])
+        entries = _draw_trace(panel, comparison, name)
+    legend_below(figure, entries, 2)
+    problems = ", ".join(one.name for one in (comparison.problem, *comparison.others))
+    words = interval_words(comparison, "bands, cut at the frame")
+    head(figure, f"{problems}: {len(comparison.runs)} runs; mean, {words}")
+    return figure
+
+
+def _draw_trace(panel: Panel, comparison: Comparison, name: str) -> list[Artist]:
+    """Draw one trace of all settings; the lines, for the legend."""
+    entries: list[Artist] = []
+    means: list[np.ndarray[Any, np.dtype[np.float64]]] = []
+    for number, runs in enumerate(runs_by_setting(comparison.runs)):
+        traces = [run.traces[name] for run in runs if name in run.traces]
+        if not traces:
+            continue
+        steps = min(map(len, traces))
+        along = np.arange(steps, dtype=np.float64)
+        table = np.array([trace[:steps] for trace in traces])
+        means.append(table.mean(axis=0))
+        look = {"color": SERIES[number % len(SERIES)]}
+        dashes = DASHES[number // len(SERIES) % len(DASHES)]
+        label = _setting_words(comparison, runs[0])
+        entries += panel.plot(along, means[-1], linestyle=dashes, label=label, **look)
+        found = [mean_interval(column, (0.0, math.inf)) for column in table.T]
+        bounds = [(low, high) for low, high in found if low is not None and high is not None]
+        if len(bounds) == steps:
+            low, high = np.array(bounds).T
+            panel.fill_between(along, low, high, alpha=0.15, linewidth=0.0, **look)
+    shown = metric_name(name)
+    dress(panel, shown.words, "steps driven [1]", f"{shown.words} [{shown.unit}]")
+    low, high = min(map(np.min, means)), max(map(np.max, means))
+    if low > 0.0 and high >= LOG_RATIO * low:
+        panel.set_yscale("log")
+        plain_log_ticks(panel.yaxis)
+        panel.set_ylim(0.7 * low, 2.0 * high)
+    return entries
+
+
+def _setting_words(comparison: Comparison, run: RunSummary) -> str:
+    """Say what a run is a setting of, as short as the comparison allows."""
+    parts = [run.problem] if comparison.others else []
+    parts += [words for words in [sweep_words(run, left_out=None)] if words]
+    return ", ".join([*parts, f"horizon {run.horizon}", f"planner {run.planner}"])
 
 
 def _draw_metric(

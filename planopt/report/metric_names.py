@@ -44,6 +44,8 @@ METRIC_NAMES = {
     "data_mbit": MetricName("delivered data", "Mbit", 1.0, 2),
     "predicted_min_connectivity": MetricName("least P(connected) of driven steps", "1", 1.0, 3),
     "time_averaged_trace_p": MetricName("time-averaged tr P", "m2", 1.0, 3),
+    "trace_p": MetricName("tr P", "m2", 1.0, 3),
+    "target_lost": MetricName("target lost", "%", 100.0, 1),
     "final_trace_p": MetricName("final tr P", "m2", 1.0, 3),
     "time_averaged_det_p": MetricName("time-averaged det P", "m4", 1.0, 4),
     "nees": MetricName("NEES of the station", "1", 1.0, 2),

@@ -6,24 +6,112 @@ but samples and the largest speed: between two samples that are d metres and t s
 robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse of all ways that are
 not too long; at equal times it is no farther from even motion on that line (Stewart's theorem). A
 plan must end in a state in which the robot can rest.
+
+What is given of dynamics from Python fits together.
+
+The classic Runge-Kutta method of fourth order, for anything that adds and scales.
+
+Components may be NumPy numbers, NumPy arrays or CasADi expressions.
+
+A CasADi function for components of any kind: expressions, numbers, arrays, real or complex.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.errors import InputError
 from planopt.robots.carrot import Carrot
-from planopt.robots.check_casadi_map import check_casadi_map
-from planopt.robots.component_function import ComponentFunction
 from planopt.robots.dynamics import Components, Disc
-from planopt.robots.runge_kutta import runge_kutta
 from planopt.world.ways import PointWay, StepWay
+
+
+class ComponentFunction:
+    """A function of (state, input), called with the components of both.
+
+    Parameters
+    ----------
+    function
+        A ``casadi.Function`` of two column vectors. Its directional derivative stands for the
+        imaginary part, to first order: that is what complex differentiation needs.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self._function = function
+        self._states = function.size1_in(0)
+        self._results = function.size1_out(0)
+        x, u, dx, du = (
+            ca.SX.sym(name, function.size1_in(at))
+            for name, at in (("x", 0), ("u", 1), ("dx", 0), ("du", 1))
+        )
+        slope = ca.jtimes(function(x, u), ca.vertcat(x, u), ca.vertcat(dx, du))
+        self._directional = ca.Function("directional", [x, u, dx, du], [slope])
+
+    def __call__(self, state: Components, control: Components) -> Components:
+        """Return the function's components, of the kind and shape of those given, also if empty."""
+        if any(isinstance(value, ca.SX | ca.MX) for value in (*state, *control)):
+            return tuple(ca.vertsplit(self._function(ca.vertcat(*state), ca.vertcat(*control))))
+        both = np.broadcast_arrays(*(np.asarray(value) for value in (*state, *control)))
+        shape, table = both[0].shape, np.array([value.ravel() for value in both])
+        if table.size == 0:  # CasADi takes no columns for one column
+            return tuple(np.zeros(shape, dtype=table.dtype) for _ in range(self._results))
+        split = self._states
+        real = np.ascontiguousarray(np.real(table))
+        value = np.array(self._function(real[:split], real[split:]))
+        if np.iscomplexobj(table):
+            step = np.ascontiguousarray(np.imag(table))
+            slope = self._directional(real[:split], real[split:], step[:split], step[split:])
+            value = value + 1j * np.array(slope)
+        return tuple(row.reshape(shape) for row in value)
+
+
+Derivative = Callable[[Components, Components], Components]
+"""From state and input to how fast each component of the state changes, per second."""
+
+
+def runge_kutta(
+    derivative: Derivative, state: Components, control: Components, step_s: float, substeps: int
+) -> list[Components]:
+    """The states after each of `substeps` equal parts of a step of constant input.
+
+    Parameters
+    ----------
+    derivative
+        The continuous model.
+    state, control
+        At the start of the step.
+    step_s
+        Duration of the whole step.
+    substeps
+        How many parts; the error falls with their fourth power.
+    """
+    part = step_s / substeps
+    found: list[Components] = []
+    for _ in range(substeps):
+        first = derivative(state, control)
+        second = derivative(_moved(state, first, 0.5 * part), control)
+        third = derivative(_moved(state, second, 0.5 * part), control)
+        fourth = derivative(_moved(state, third, part), control)
+        slope: Any = tuple(
+            (a + 2.0 * b + 2.0 * c + d) / 6.0
+            for a, b, c, d in zip(first, second, third, fourth, strict=True)
+        )
+        state = _moved(state, slope, part)
+        found.append(state)
+    return found
+
+
+def _moved(state: Components, slope: Components, duration_s: float) -> Components:
+    return tuple(x + duration_s * dx for x, dx in zip(state, slope, strict=True))
+
 
 DENSER = 8
 """How many times as many samples a way is proven from as planned with."""
@@ -227,3 +315,46 @@ class CasadiMap:
         if self.continuous:
             return runge_kutta(self._evaluated, state, control, step_s, count)
         return [self._evaluated(state, control)]
+
+
+def check_casadi_map(dynamics: CasadiMap) -> None:
+    """Raise the first fault of its function, names, bounds and parts.
+
+    Raises
+    ------
+    InputError
+        With the attribute as its key.
+    """
+    states, inputs = len(dynamics.state_names), len(dynamics.input_names)
+    sizes = [dynamics.function.size1_in(i) for i in range(dynamics.function.n_in())]
+    if sizes != [states, inputs] or dynamics.function.size1_out(0) != states:
+        raise InputError(
+            f"takes {sizes} and gives {dynamics.function.size1_out(0)} numbers, should take "
+            f"[{states}, {inputs}] and give {states}",
+            key="function",
+            remedy="one number for each of state_names and input_names",
+        )
+    if dynamics.state_names[:2] != ("x_m", "y_m"):
+        raise InputError(
+            f"begin with {', '.join(dynamics.state_names[:2])}, should begin with x_m, y_m",
+            key="state_names",
+            remedy="put the place first",
+        )
+    for key, bounds, count in (
+        ("state_bounds", dynamics.state_bounds, states),
+        ("input_bounds", dynamics.input_bounds, inputs),
+    ):
+        if len(bounds) != count or not all(low <= high for low, high in bounds):
+            raise InputError(
+                f"should be {count} pairs, the lower bound first", key=key, remedy="see names"
+            )
+    if len(dynamics.rest_input) != inputs:
+        raise InputError(f"should be {inputs} numbers", key="rest_input", remedy="see names")
+    if not (dynamics.speed_max_m_s > 0.0 and math.isfinite(dynamics.speed_max_m_s)):
+        raise InputError("should be above 0", key="speed_max_m_s", remedy="a bound of speed")
+    if dynamics.substeps < 1 or (dynamics.substeps > 1 and not dynamics.continuous):
+        raise InputError(
+            f"is {dynamics.substeps}, should be at least 1, and 1 of a discrete map",
+            key="substeps",
+            remedy="set continuous = True for a derivative",
+        )

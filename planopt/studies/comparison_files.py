@@ -41,7 +41,7 @@ COMPARISON = ResultFiles(
     "comparison",
     (
         *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
-        *("comparison.png", "reliability.png"),
+        *("comparison.png", "reliability.png", "traces.png"),
     ),
 )
 """The files of a comparison with its pictures."""
@@ -175,6 +175,8 @@ def _run(line: str) -> RunSummary:
     data["metrics"] = {name: "nan" if v is None else v for name, v in data["metrics"].items()}
     if data["verified_rate"] is None:
         data["verified_rate"] = "nan"
+    # Comparisons that were saved before there were any.
+    data.setdefault("traces", {})
     return decoded(RunSummary, data)
 
 

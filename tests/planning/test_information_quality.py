@@ -8,8 +8,7 @@ from terms_scene import LEARNING, judge_of, situation_of, terms_problem
 
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.search.coupled_starts import straight_starts
-from planopt.planning.search.rough_clearance import rough_clearance
+from planopt.planning.search.coupled_starts import rough_clearance, straight_starts
 from planopt.planning.search.start_search import Start
 
 

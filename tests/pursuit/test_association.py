@@ -8,10 +8,11 @@ from objects_on_grid import walk
 from scipy.stats import norm
 
 from planopt.errors import InputError
-from planopt.pursuit.association import AssociationModel, associate
-from planopt.pursuit.detection import (
+from planopt.pursuit.association import (
+    AssociationModel,
     Detector,
     Reports,
+    associate,
     draw_detections,
     merge_reports,
     reports_at,

@@ -5,7 +5,7 @@ import pytest
 from objects_on_grid import walk
 
 from planopt.errors import InputError
-from planopt.pursuit.detection import Detector, draw_detections, merge_reports, reports_at
+from planopt.pursuit.association import Detector, draw_detections, merge_reports, reports_at
 from planopt.pursuit.knowledge import snapshot
 from planopt.pursuit.service import SnapshotService
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, panel_of
 
-from planopt.report.comparison_figure import draw_comparison, looks_of
+from planopt.report.comparison_figure import draw_comparison, draw_traces, looks_of
 
 GEODESIC, CONNECTED = ("", "geodesic", "auto"), ("", "connected", "lattice")
 
@@ -94,3 +94,38 @@ def test_unknown_metric_and_one_setting(comparison):
     lone = replace(comparison, runs=comparison.runs[:2], rows=(row,))
     figure = drawn(draw_comparison(lone))
     assert "heart rate [as is]" in labels_of(figure)
+
+
+def with_traces(comparison, count):
+    """Runs of two settings on `count` seeds, tr P some longer than others."""
+    (first, *_) = comparison.runs
+    steps = np.arange(9)
+    runs = tuple(
+        replace(
+            first,
+            horizon=horizon,
+            seed=seed,
+            traces={"trace_p": (2.0 + 0.1 * seed) * 0.5 ** (horizon * steps[: 9 - seed % 2])},
+        )
+        for horizon in (1, 2)
+        for seed in range(count)
+    )
+    return replace(comparison, runs=runs)
+
+
+def test_traces_are_means_over_runs_with_bands(comparison):
+    """As far as all runs go; the band is the Student interval, and none from too few runs."""
+    assert draw_traces(comparison) is None
+    panel = panel_of(drawn(draw_traces(with_traces(comparison, 6))), "tr P")
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("steps driven [1]", "tr P [m2]")
+    assert panel.get_yscale() == "log"
+    starts = 2.0 + 0.1 * np.arange(6)
+    half = 2.5706 * starts.std(ddof=1) / np.sqrt(6)
+    for line, band, horizon in zip(panel.lines, panel.collections, (1, 2), strict=True):
+        fall = 0.5 ** (horizon * np.arange(8))
+        np.testing.assert_allclose(line.get_ydata(), starts.mean() * fall)
+        corners = band.get_paths()[0].vertices[:, 1]
+        assert corners.max() == pytest.approx(starts.mean() + half, rel=1e-4)
+        assert corners.min() == pytest.approx((starts.mean() - half) * fall[-1], rel=1e-4)
+    few = panel_of(drawn(draw_traces(with_traces(comparison, 3))), "tr P")
+    assert len(few.lines) == 2 and not few.collections

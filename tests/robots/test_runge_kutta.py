@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from planopt.robots.runge_kutta import runge_kutta
+from planopt.robots.casadi_map import runge_kutta
 from planopt.robots.unicycle import Unicycle, cosine, sine
 
 

@@ -2,21 +2,261 @@
 
 Methods with a common start are restarted in epochs, and an estimate holds until the next epoch has
 ended; the running count never restarts.
+
+Counting by minima: every agent draws numbers, and all learn the smallest of each.
+
+The minimum of n exponential variables is n times smaller than one of them. No leader, no
+identities; lost and repeated messages do no harm. The estimate is random, with an exact confidence
+interval.
+
+Counting without a common start: the count follows agents that join and leave.
+
+Every agent averages with its neighbours and adds a little in each round; the leader takes away as
+much of its own value. ``x <- W x + eps (1 - x_leader e_leader)`` comes to rest only where the
+leader holds n exactly, from wherever it starts, and all others hold a little more.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import spsolve  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import gammaincinv  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.coverage.counting.consensus import average_round, elect_leader, inverted
-from planopt.coverage.counting.minima import Minima, draw_minima, minima_estimates, minima_round
-from planopt.coverage.counting.running import running_round
-from planopt.coverage.network import Loss, Network
+from planopt.coverage.counting.consensus import (
+    Count,
+    average_round,
+    disagreement,
+    elect_leader,
+    inverted,
+)
+from planopt.coverage.network import Loss, Network, gets_through, is_connected
 from planopt.errors import InputError
+
+
+def running_round(
+    values: NDArray[np.float64],
+    network: Network,
+    leader: int,
+    innovation: float,
+    *,
+    loss: Loss = 0.0,
+    generator: np.random.Generator | None = None,
+) -> NDArray[np.float64]:
+    """Let every agent update its running count once.
+
+    Parameters
+    ----------
+    values
+        ``(n,)`` each agent's count, not rounded; an agent that joins may start with anything.
+    network
+        Who talks to whom now.
+    leader
+        Number of the agent that leads now.
+    innovation
+        eps, above 0 and at most 1: smaller ones leave all agents nearer to n, and take longer to
+        follow: about n / eps rounds.
+    loss, generator
+        Links that fail, as in :func:`planopt.coverage.counting.consensus.average_round`.
+
+    Raises
+    ------
+    InputError
+        A number is out of range.
+    """
+    if not 0.0 < innovation <= 1.0:
+        raise InputError(f"{innovation!r} is out of range", key="innovation")
+    if not 0 <= leader < network.count:
+        raise InputError(f"there is no agent {leader}", key="leader")
+    after = average_round(values, network, loss=loss, generator=generator) + innovation
+    after[leader] -= innovation * values[leader]
+    return after
+
+
+def running_limit(network: Network, leader: int, innovation: float) -> NDArray[np.float64]:
+    """Return the counts ``(n,)`` at which updates without losses come to rest.
+
+    The leader's is n, the others' are larger by at most innovation times a number of the network.
+
+    Raises
+    ------
+    InputError
+        The network is not connected.
+    """
+    every = np.arange(network.count)
+    matrix = disagreement(network, np.where(every == leader, innovation, 0.0))
+    return _solved(network, matrix, np.full(network.count, innovation))
+
+
+def largest_innovation(network: Network, leader: int) -> float:
+    """Return the innovation below which every agent's count at rest rounds to n.
+
+    Raises
+    ------
+    InputError
+        The network is not connected.
+    """
+    n = network.count
+    if n == 1:
+        return 1.0
+    # At rest with innovation eps agent i holds n + eps y_i, with y_leader = 0.
+    others = np.arange(n) != leader
+    grounded = cast("csr_array", disagreement(network, np.zeros(n))[others][:, others])
+    return min(0.5 / float(_solved(network, grounded, np.ones(n - 1)).max()), 1.0)
+
+
+def _solved(network: Network, matrix: csr_array, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solution of a sparse system that a connected network has."""
+    if not is_connected(network):
+        raise InputError("the network is not connected", key="links")
+    return np.asarray(spsolve(matrix, right), dtype=np.float64)
+
+
+LEAST_DRAWS = 3
+"""With fewer numbers the estimate has no finite variance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Minima:
+    """The smallest numbers that each agent has heard of.
+
+    Attributes
+    ----------
+    values
+        ``(n, m)`` one for each of m numbers.
+    """
+
+    values: NDArray[np.float64]
+
+
+def draw_minima(agents: int, draws: int, generator: np.random.Generator) -> Minima:
+    """Draw each agent's numbers from the exponential distribution of mean 1.
+
+    Parameters
+    ----------
+    agents
+        How many agents draw.
+    draws
+        How many numbers each of them draws; the estimate's relative standard deviation is
+        ``1 / sqrt(draws - 2)``.
+    generator
+        Source of the numbers.
+
+    Raises
+    ------
+    InputError
+        There are too few draws.
+    """
+    if draws < LEAST_DRAWS:
+        raise InputError(f"{draws} draws", key="draws", remedy=f"give {LEAST_DRAWS} or more")
+    return Minima(generator.standard_exponential((agents, draws)))
+
+
+def minima_round(
+    minima: Minima,
+    network: Network,
+    *,
+    loss: Loss = 0.0,
+    generator: np.random.Generator | None = None,
+) -> Minima:
+    """Let every agent send its numbers to its neighbours once and keep the smallest.
+
+    Parameters
+    ----------
+    minima
+        What agents know.
+    network
+        Who talks to whom.
+    loss
+        Probability that a message over a link is lost, in each direction by itself.
+    generator
+        Draws the losses.
+    """
+    sender, receiver = network.directed
+    heard = gets_through(len(sender), loss, generator)
+    sender, receiver = sender[heard], receiver[heard]
+    after = minima.values.copy()
+    np.minimum.at(after, receiver, minima.values[sender])
+    return Minima(after)
+
+
+def count_by_minima(
+    network: Network,
+    draws: int,
+    rounds: int,
+    generator: np.random.Generator,
+    *,
+    loss: Loss = 0.0,
+) -> Count:
+    """Count agents by the minima of exponential numbers.
+
+    Parameters
+    ----------
+    network
+        Who talks to whom.
+    draws
+        Numbers that each agent draws.
+    rounds
+        As many as the network's diameter suffice without losses.
+    generator
+        Draws numbers and losses.
+    loss
+        Probability that a message over a link is lost, in each direction by itself.
+
+    Raises
+    ------
+    InputError
+        A number is out of range.
+    """
+    if rounds < 0:
+        raise InputError(f"{rounds} rounds", key="rounds")
+    minima = draw_minima(network.count, draws, generator)
+    for _ in range(rounds):
+        minima = minima_round(minima, network, loss=loss, generator=generator)
+    return Count(minima_estimates(minima), rounds, 2 * rounds * len(network.links))
+
+
+def minima_estimates(minima: Minima) -> NDArray[np.float64]:
+    """Return each agent's unbiased estimate ``(m - 1) / sum of minima``; (n,)."""
+    return (minima.values.shape[1] - 1) / minima.values.sum(axis=1)
+
+
+def count_interval(
+    estimates: NDArray[np.float64], draws: int, confidence: float = 0.95
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the exact confidence interval of counts.
+
+    n times the sum of m minima has the gamma distribution of shape m.
+
+    Parameters
+    ----------
+    estimates
+        ``(n,)`` from :func:`minima_estimates`.
+    draws
+        Numbers m that were drawn.
+    confidence
+        Probability that the interval holds the number of agents.
+
+    Returns
+    -------
+    low, high
+        ``(n,)`` each.
+
+    Raises
+    ------
+    InputError
+        The confidence is not between 0 and 1.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise InputError(f"{confidence!r} is no probability", key="confidence")
+    tail = 0.5 * (1.0 - confidence)
+    low, high = (float(gammaincinv(draws, p)) / (draws - 1) for p in (tail, 1.0 - tail))
+    return estimates * low, estimates * high
+
 
 Method = Literal["known", "leader", "minima", "running"]
 """Agents are told their number, or count by averaging from a leader, by minima, or running."""
@@ -38,7 +278,7 @@ class Counting:
         Numbers that each agent draws, for ``minima``.
     innovation
         Of the running count: smaller ones leave all agents nearer to the number, and follow slower
-        (:func:`planopt.coverage.counting.running.largest_innovation`).
+        (:func:`planopt.coverage.counting.tally.largest_innovation`).
 
     Raises
     ------

@@ -35,6 +35,7 @@ POSSIBLE = {
     "predicted_min_connectivity": (0.0, 1.0),
     "time_averaged_trace_p": (0.0, np.inf),
     "final_trace_p": (0.0, np.inf),
+    "target_lost": (0.0, 1.0),
     "time_averaged_det_p": (0.0, np.inf),
     "nees": (0.0, np.inf),
     "nis": (0.0, np.inf),
@@ -54,6 +55,9 @@ POSSIBLE = {
     "cost_ratio": (0.0, np.inf),
 }
 """Least and largest value that a metric can have; one that is not here can have `ANY`."""
+
+LOST_RATIO = 3.0
+"""A target was lost where tr P was ever so many times that of the first estimate."""
 
 ANY = (-np.inf, np.inf)
 
@@ -112,6 +116,8 @@ def run_metrics(
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
         found["final_trace_p"] = float(target.station_variance_m2[-1])
+        largest_m2 = float(target.station_variance_m2.max())
+        found["target_lost"] = float(largest_m2 > LOST_RATIO * target.station_variance_m2[0])
         found["delivered"] = float(target.delivered.mean())
         found["time_averaged_det_p"] = float(target.station_determinant_m4[1:].mean())
         found["nees"] = float(target.nees[1:].mean())

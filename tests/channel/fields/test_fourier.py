@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planopt.channel.fields.fourier import even_spectrum, fast_even_length, transform_corner
+from planopt.channel.fields.field import even_spectrum, fast_even_length, transform_corner
 
 
 def test_even_spectrum():

@@ -18,20 +18,22 @@ from planopt.coverage.counting.consensus import (
     rounds_until_exact,
     second_modulus,
 )
-from planopt.coverage.counting.minima import (
-    count_by_minima,
-    count_interval,
-    draw_minima,
-    minima_estimates,
-    minima_round,
-)
 from planopt.coverage.counting.push_sum import (
     PushSum,
     count_by_push_sum,
     push_sum_round,
     start_push_sum,
 )
-from planopt.coverage.counting.running import largest_innovation, running_limit, running_round
+from planopt.coverage.counting.tally import (
+    count_by_minima,
+    count_interval,
+    draw_minima,
+    largest_innovation,
+    minima_estimates,
+    minima_round,
+    running_limit,
+    running_round,
+)
 from planopt.coverage.network import Network, adjacency, diameter, hops, is_connected
 from planopt.errors import InputError
 

@@ -11,7 +11,9 @@ import pytest
 from planopt import check, load, simulate
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
+from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.loop.target_watch import counted, watch_target
+from planopt.planning.run import summary_of
 from planopt.targets.information_filter import predict
 
 STEPS = 6
@@ -135,3 +137,16 @@ def test_robots_that_share_know_what_all_have_measured(tmp_path):
     assert data["problem_file"]["channel"]["measurements"].pop("shared") is True
     file.write_text(json.dumps(data))
     assert check(tmp_path / "run").reasons != ()
+
+
+def test_a_target_is_lost_above_three_times_the_first_trace():
+    """Once is enough; the trace over time goes into summaries of the run."""
+    run = simulate(with_receiver(None), seed=1)
+    assert run.metrics["target_lost"] == 0.0
+    np.testing.assert_array_equal(summary_of(run).traces["trace_p"], run.target.station_variance_m2)
+    for largest, lost in ((2.99, 0.0), (3.01, 1.0)):
+        trace = run.target.station_variance_m2.copy()
+        trace[3] = largest * trace[0]
+        target = replace(run.target, station_variance_m2=trace)
+        found = run_metrics(run.problem, run.runs, target, None, {})
+        assert found["target_lost"] == lost

@@ -7,8 +7,8 @@ import pytest
 
 from planopt.planning.plan import Termination
 from planopt.planning.programme.cone_rows import step_cones
-from planopt.planning.programme.convex_step import TERMINATIONS, Model, convex_step
 from planopt.planning.programme.kkt import Bounds
+from planopt.planning.programme.scp import TERMINATIONS, Model, convex_step
 
 N, OTHER, SLACKS = 4, 6, 2
 LONGEST = 1.5

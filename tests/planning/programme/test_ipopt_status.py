@@ -7,7 +7,7 @@ import casadi as ca
 import pytest
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.ipopt_status import TERMINATIONS, termination_of
+from planopt.planning.programme.ipopt import TERMINATIONS, termination_of
 
 # IpReturnCodes_inc.h of IPOPT 3.14, in the spelling of CasADi's return_status.
 KNOWN = """

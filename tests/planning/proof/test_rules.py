@@ -16,8 +16,8 @@ from planopt.channel.joint import sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.rules.joint import ACCURACY, SEED, joint_result, path_prediction
 from planopt.planning.proof.rules.outage import longest_run
+from planopt.planning.proof.rules.path_draws import ACCURACY, SEED, joint_result, path_prediction
 from planopt.planning.proof.rules.probable_data import share_at_least
 from planopt.planning.proof.rules.proven import asked_steps
 from planopt.planning.proof.verify import judge

@@ -62,7 +62,7 @@ MUTANTS = (
         "broad.probability(self.positions_m[1:], 0)",
     ),
     (DRAWS, "serving_power_dbm(np.stack(each)", "serving_power_dbm(np.stack(each[:1])"),
-    (DRAWS, "threshold_dbm - slack_db", "threshold_dbm + slack_db"),
+    (DRAWS, "threshold_dbm - slack_db).sum", "threshold_dbm + slack_db).sum"),
     (DRAWS, "least_dbm >=", "least_dbm <"),
     (DRAWS, "broad).min(axis=1)", "broad).max(axis=1)"),
     (DRAWS, "path_m, threshold), number", "path_m, threshold), 0"),

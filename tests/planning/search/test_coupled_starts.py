@@ -14,9 +14,8 @@ from planopt.channel.posterior import condition
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.programme import path_nlp
 from planopt.planning.proof.verify import Verdict
-from planopt.planning.search.coupled_starts import CoupledStarts, straight_starts
+from planopt.planning.search.coupled_starts import CoupledStarts, rough_clearance, straight_starts
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.search.rough_clearance import rough_clearance
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 

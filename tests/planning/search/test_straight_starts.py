@@ -13,9 +13,9 @@ from planopt.planning.search.coupled_starts import (
     HEADINGS,
     TURNS_RAD,
     driven_ways,
+    rough_clearance,
     straight_starts,
 )
-from planopt.planning.search.rough_clearance import rough_clearance
 from planopt.world.clearance import clearance_m, inside_bounds, swept_clearance_m
 
 

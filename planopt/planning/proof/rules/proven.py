@@ -1,4 +1,7 @@
-"""What each rule of connectivity means: the half of a rule by which plans are judged."""
+"""What each rule of connectivity means: the half of a rule by which plans are judged.
+
+Rules on expectations: the average share of connected steps, and the expected data delivered.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.planning.history import History, data_of_steps_mbit
 from planopt.planning.proof.broad_prediction import Broad
-from planopt.planning.proof.rules.expected import average_result, data_result
+from planopt.planning.proof.rules.asked import data_asked_mbit
 from planopt.planning.proof.rules.outage import longest_run, outage_result
 from planopt.planning.proof.rules.path_draws import joint_by_slack, path_draws_dbm
 from planopt.planning.proof.rules.probable_data import probable_data_result
@@ -22,6 +25,36 @@ from planopt.planning.proof.serving import Serving
 from planopt.planning.rule_result import RuleResult
 from planopt.problems.connectivity_rule import ConnectivityRule
 from planopt.problems.problem import Problem
+
+
+def average_result(
+    problem: Problem, history: History, probability: NDArray[np.float64]
+) -> RuleResult:
+    """Share of the steps of the run so far and the plan that are connected, in expectation.
+
+    Parameters
+    ----------
+    problem, history
+        What is asked, and what has happened.
+    probability
+        ``(N,)`` of connection after each planned step, by what is known today (equation 3.1).
+    """
+    connected = history.connected_steps + float(probability.sum())
+    steps = history.steps + len(probability)
+    return RuleResult(
+        "average", connected / steps, problem.constraints.p_min, "probability", "mean"
+    )
+
+
+def data_result(problem: Problem, history: History, probability: NDArray[np.float64]) -> RuleResult:
+    """Expected data delivered by the plan before the deadline, and what keeps pace with it.
+
+    Parameters as in :func:`average_result`. An expectation is a sum, however the steps' powers
+    belong together.
+    """
+    each, asked = data_asked_mbit(problem, history, len(probability))
+    return RuleResult("data", float(each @ probability), asked, "Mbit", "expectation")
+
 
 BySlack = Callable[[float], RuleResult]
 """What a path achieves as a function of how many dB lower the threshold is taken."""

@@ -59,6 +59,7 @@ NAMES = [
     "pursuit_obstacles",
     "pursuit_several",
     "pursuit_static",
+    "scout_courier",
     "two_station_courier",
 ]
 

@@ -172,6 +172,21 @@ def test_a_run_that_cannot_end_says_who_is_left():
     assert run.reason == "courier1 not arrived after 3 steps"
 
 
+SHUT = (BELOW, shapely.box(6, 13, 8, 17), shapely.box(32, 13, 34, 17))
+SWAP = [((12, 15), (28, 15)), ((28, 15), (12, 15))]
+
+
+def test_robots_that_shut_each_other_in_never_arrive_and_never_come_too_near():
+    """No courses exist in a closed street that nobody passes anybody in; with a niche they do."""
+    shut = couriers((*SHUT, shapely.box(8, 17, 32, 30)), SWAP, max_steps=18)
+    run, tracks = driven(shut)
+    assert run.outcome in (Outcome.STALLED, Outcome.STEP_LIMIT)
+    assert "courier0" in run.reason and "courier1" in run.reason
+    assert least_m(tracks) >= SEPARATION_M - 1e-3
+    room = couriers((*SHUT, NICHE[1]), SWAP)
+    assert driven(room)[0].outcome is Outcome.REACHED
+
+
 def test_no_path_names_the_robot():
     """The wall cuts off one goal of two."""
     wall = shapely.box(20, 0, 21, 30)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ class History:
     crossing_cost_m, crossing_excess_m
         On the way to a goal: what the first steps of plans that miss the bound have cost, and by
         how much more than the cheapest paths from where they were planned.
+    missed_m
+        ``(n, 2)`` where earlier steps ended without connection.
     """
 
     steps: int = 0
@@ -40,6 +42,9 @@ class History:
     has_circled: bool = False
     crossing_cost_m: float = 0.0
     crossing_excess_m: float = 0.0
+    missed_m: NDArray[np.float64] = field(
+        default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False
+    )
 
 
 CIRCLING_STEPS = 15
@@ -83,6 +88,7 @@ def history_of(
         outage_steps=count - since,
         outage_m=float(legs[since:].sum()),
         delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
+        missed_m=track_m[1:-1][~connected[:-1]],
         crossing_cost_m=sum(each.step_cost_m or 0.0 for each in priced),
         crossing_excess_m=sum(each.step_excess_m or 0.0 for each in priced),
         has_circled=not problem.workspace.moving

@@ -12,6 +12,7 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 
 import planopt.planning.judge as judge_module
 import planopt.planning.proof.rules.single_steps as steps_module
+import planopt.planning.search.start_search as search_module
 import planopt.planning.start_polish as polish_module
 from planopt.errors import InputError
 from planopt.planning.check.check import check
@@ -94,6 +95,25 @@ def test_after_the_deadline_nothing_more_is_judged(monkeypatch):
     hurried = terms_plan(with_budget(TERMS, NO_TIME))
     assert free.verdict is hurried.verdict is Verdict.VIOLATED
     assert len(calls) - count <= 2 < count
+
+
+def test_without_time_one_guide_is_followed(monkeypatch):
+    """A rule on all steps together asks for searches at two levels; there is time for one."""
+    made: list[None] = []
+
+    class Counted(search_module.RewardSearch):
+        def __init__(self, *arguments):
+            made.append(None)
+            super().__init__(*arguments)
+
+    monkeypatch.setattr(search_module, "RewardSearch", Counted)
+    rule = replace(TERMS.constraints.rule, connectivity="joint")
+    joint = replace(TERMS, constraints=replace(TERMS.constraints, rule=rule))
+    terms_plan(joint)
+    free = len(made)
+    hurried = terms_plan(with_budget(joint, NO_TIME))
+    assert hurried.positions_m.shape == (TERMS.planner.horizon + 1, 2)
+    assert (free, len(made) - free) == (2, 1)
 
 
 def test_candidates_share_the_search_within_reach(monkeypatch):

@@ -388,11 +388,22 @@ class StartSearch:
     def _lattice_paths(
         self, situation: Situation, ends: int, budget: Budget
     ) -> list[NDArray[np.float64]]:
-        """The best paths on the lattice, under every guide that suits the rule of connectivity."""
+        """The best paths on the lattice, under every guide that suits the rule of connectivity.
+
+        Once there are some, further guides are followed until searches end.
+        """
+        found = False
+
+        def search(guide: Guide) -> list[NDArray[np.float64]]:
+            nonlocal found
+            if found and budget.searched:
+                return []
+            paths = self._guided_paths(situation, guide, ends, budget)
+            found = found or bool(paths)
+            return paths
+
         return planned_rule(self._problem.constraints.rule).find_guided(
-            situation,
-            lambda guide: self._guided_paths(situation, guide, ends, budget),
-            lambda path: rule_missing(situation, path) == 0.0,
+            situation, search, lambda path: rule_missing(situation, path) == 0.0
         )
 
     def _guided_paths(

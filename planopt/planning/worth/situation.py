@@ -199,7 +199,8 @@ class Situation:
         """Which places a search for connection tries.
 
         None near measurements without connection: multipath is known there. Nor where the robot
-        is, unless its last step was connected.
+        is, unless its last step was connected, or was before without one: near a measurement with
+        connection it takes no other.
         """
         history = self.circumstances.history
         lost = history.steps == 0 or history.outage_steps > 0
@@ -213,7 +214,11 @@ class Situation:
             )
         ]
         spacing = max(self.problem.channel.measure_spacing_m, SAME_PLACE_M)
-        return MeasuringRule(spacing, tuple(known))
+        rule = MeasuringRule(spacing, tuple(known))
+        unmeasured = history.missed_m[rule.is_open(history.missed_m)]
+        if not len(unmeasured):
+            return rule
+        return MeasuringRule(spacing, tuple(np.vstack([places, unmeasured]) for places in known))
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
         """Chance of a connection at a place (2,), whatever else is predicted."""

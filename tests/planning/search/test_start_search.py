@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from terms_scene import CONNECT, judge_of, situation_of, terms_problem
 
+from planopt.planning.history import history_of
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.search.start_search import StartSearch, without_waiting
 from planopt.planning.worth.path_worth import PathWorth
@@ -36,3 +37,23 @@ def test_a_search_does_not_begin_with_the_waiting_of_the_last_plan() -> None:
     assert search.find_starts(situation, waits)[0].worth >= worth(offered)
     # No other search has it.
     assert search.find_starts(situation, None)[0].worth < worth(offered)
+
+
+def test_places_missed_beside_connected_measurements_are_tried_once() -> None:
+    """No measurement is taken there, so that the run itself has to remember them."""
+    problem = terms_problem(CONNECT)
+    situation, _ = situation_of(problem)
+    at, power = situation.posterior.measurements, situation.posterior.measurements.power_dbm
+    connected = at.positions_m[power >= problem.stations[0].threshold_dbm]
+    below = at.positions_m[power < problem.stations[0].threshold_dbm]
+    beside = connected + 0.1
+    apart = np.linalg.norm(beside[:, None] - below, axis=2).min(axis=1)
+    place = beside[apart > problem.channel.measure_spacing_m][:1]
+    assert len(place) == 1 and situation.tries.is_open(place).all()
+    track = np.vstack([situation.position_m, place, situation.position_m, situation.position_m])
+    for last, tried in (([False, False, False], False), ([True, False, False], True)):
+        history = history_of(problem, track, np.array(last))
+        after = replace(situation, circumstances=replace(situation.circumstances, history=history))
+        assert after.tries.is_open(place).all() == tried
+    far = situation.position_m + 12.0
+    assert after.tries.is_open(far[None]) == situation.tries.is_open(far[None])

@@ -92,12 +92,22 @@ def test_what_is_gone_is_in_nobodys_way():
     )
 
 
-def test_a_goal_that_is_cut_off_on_the_way_ends_the_run():
-    """With the reason, which names both ends."""
-    wall = shapely.box(25.0, 0.0, 26.0, 30.0)
-    run, _ = driven(fenced(4.0, polygon=wall))
-    assert run.outcome is Outcome.NO_PLAN
-    assert "cut off" in run.reason
+def test_a_goal_that_is_cut_off_on_the_way_ends_the_run(tmp_path):
+    """With the reason; the saved run is sound, and were the way left open, it would not be."""
+    problem = planopt.load("open_field")
+    goal = shapely.Point(problem.robots[0].goal_m)
+    ring = Obstacle("ring", goal.buffer(8.0).difference(goal.buffer(6.0)), 6.0)
+    workspace = replace(problem.workspace, timed=[ring])
+    run = planopt.simulate(replace(problem, workspace=workspace), horizon=3, seed=1)
+    assert run.outcome is Outcome.NO_PLAN and "cut off" in run.reason
+    assert len(run.plans[0]) == 3 and run.verified_rate == 1.0
+    run.save(tmp_path)
+    assert check(tmp_path).verdict is Verdict.VERIFIED
+    file = tmp_path / "run.json"
+    record = json.loads(file.read_text())
+    record["problem_file"]["world"]["obstacles"][-1]["known_from_s"] = 60.0
+    file.write_text(json.dumps(record))
+    assert check(tmp_path).verdict is not Verdict.VERIFIED
 
 
 def test_a_robot_in_a_new_obstacle_leaves_it_and_says_so():

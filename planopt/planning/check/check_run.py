@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,14 @@ from planopt.planning.check.check_belief import (
 from planopt.planning.check.check_plan import of_robot, order_faults, pending_faults
 from planopt.planning.check.check_steps import steps_reasons
 from planopt.planning.check.provenance import provenance_faults
-from planopt.planning.check.rebuilt import Asked, Effort, Place, rebuilt_plan
+from planopt.planning.check.rebuilt import (
+    Asked,
+    Effort,
+    Place,
+    obstacles_met_then,
+    places_of,
+    rebuilt_plan,
+)
 from planopt.planning.files.belief_file import first_posteriors, last_posteriors, posteriors_at
 from planopt.planning.files.drive_table import drive_of
 from planopt.planning.files.read_saved import Saved
@@ -44,6 +50,7 @@ from planopt.planning.files.run_tables import (
 from planopt.planning.files.saved import FORMAT, RUN_FILE
 from planopt.planning.files.solution_json import aim_again
 from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
+from planopt.planning.free_space import is_joined
 from planopt.planning.given import Given
 from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.history import history_of
@@ -199,7 +206,7 @@ def rebuilt_run(
         taken_on_the_way(problem, belief, tracks[those], true[those])
         for belief, those in zip(saved.beliefs, measuring, strict=True)
     ]
-    ended, reasons = _ended(problem, connected, driven, [one.learnt for one in taken])
+    ended, reasons = _ended(saved, connected, driven, [one.learnt for one in taken])
     for step, aims in enumerate(zip(*(one.aims for one in driven), strict=True)):
         faults = order_faults(problem, aims)
         reasons += [f"{RUN_FILE}, key plans[].released[{step}]: {fault}" for fault in faults]
@@ -308,7 +315,7 @@ def _driven(
     states = track if driven is None else driven.states
     reasons: list[str] = []
     if driven is None:
-        met = _obstacles_met(saved.problem, places, track)
+        met = obstacles_met_then(saved.problem, places, track)
         reasons += of_robot(saved.problem, robot.name, met)
     if np.abs(states[0] - robot.start_state).max() > EXACT:
         reasons.append(f"{STEPS_FILE}: {robot.name} does not start at robots[{number}].start_m")
@@ -358,29 +365,6 @@ def _driven(
     return _Driven(states, plans, aims, posteriors, reasons)
 
 
-def places_of(problem: Problem, steps: int) -> list[Place]:
-    """Return the geometry that each of so many steps is planned in, the same where it stays."""
-    now = problem_at(problem, 0)
-    found = [Place.of(now)]
-    for step in range(1, steps):
-        then = problem_at(now, step)
-        found.append(found[-1] if then is now else Place.of(then))
-        now = then
-    return found
-
-
-def _obstacles_met(
-    problem: Problem, places: Sequence[Place], track_m: NDArray[np.float64]
-) -> list[str]:
-    """A reason for every place of a track that was not clear of the obstacles known then."""
-    changes = [k for k in range(1, len(places)) if places[k] is not places[k - 1]]
-    reasons: list[str] = []
-    for first, last in pairwise([0, *changes, len(track_m) - 1]):
-        met = obstacles_met(problem, places[first].index, track_m[first : last + 1], first)
-        reasons += [reason for reason in met if reason not in reasons]
-    return reasons
-
-
 def _leads_elsewhere(planned: NDArray[np.float64], states: NDArray[np.float64], step: int) -> bool:
     return bool(np.abs(planned[:2] - states[step - 1 : step + 1]).max() > EXACT)
 
@@ -415,14 +399,25 @@ def _plan_reasons(
     ]
 
 
+def _is_cut_off(problem: Problem, driven: Sequence[_Driven]) -> bool:
+    """Whether obstacles cut a robot off from its goal where it is at the end, exactly."""
+    for number, one in enumerate(driven):
+        own = problem_of_robot(problem, number)
+        x, y = one.states[-1][:2].tolist()
+        here = replace(own, robots=(replace(own.robots[0], start_m=(x, y)),))
+        if here.task == "reach" and not is_joined(here, here.constraints.clearance_m):
+            return True
+    return False
+
+
 def _ended(
-    problem: Problem,
+    saved: Saved,
     connected: NDArray[np.bool_],
     driven: Sequence[_Driven],
     learnt: Sequence[list[bool]],
 ) -> tuple[tuple[Outcome, str], list[str]]:
     """How the run ended and why in words, and what is wrong with where it did."""
-    steps = len(connected)
+    problem, steps = saved.problem, len(connected)
     now = problem
     for step in range(steps + 1):
         # What a step shows is judged in the workspace that it was planned in.
@@ -441,6 +436,9 @@ def _ended(
         if ended is not None:
             late = f"{STEPS_FILE}: the run goes on after step {step}, {ended[1]}"
             return ended, [late] if step < steps else []
+    no_plan = saved.data.get("outcome") == Outcome.NO_PLAN.value
+    if no_plan and _is_cut_off(problem_at(now, steps), driven):
+        return (Outcome.NO_PLAN, str(saved.data.get("message"))), []
     short = (
         f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
         f"{problem.planner.max_steps}, and neither its task nor a standstill ended it"

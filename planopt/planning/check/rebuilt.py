@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,12 @@ from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.mapping import Region
 from planopt.planning.files.run_json import ReleasedRecord
 from planopt.planning.files.solution_json import RobotPlanRecord
+from planopt.planning.ground_reasons import obstacles_met
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Pivot, Plan, Rung, Termination
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.verify import judge
+from planopt.planning.robot_problem import problem_at
 from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.reach_cost import ReachCost
@@ -49,6 +52,29 @@ class Place:
         """Return the geometry of a problem."""
         region = None if problem.task == "reach" else workspace_region(problem)
         return cls(index_obstacles(problem.workspace), region)
+
+
+def places_of(problem: Problem, steps: int) -> list[Place]:
+    """Return the geometry that each of so many steps is planned in, the same where it stays."""
+    now = problem_at(problem, 0)
+    found = [Place.of(now)]
+    for step in range(1, steps):
+        then = problem_at(now, step)
+        found.append(found[-1] if then is now else Place.of(then))
+        now = then
+    return found
+
+
+def obstacles_met_then(
+    problem: Problem, places: Sequence[Place], track_m: NDArray[np.float64]
+) -> list[str]:
+    """A reason for every place of a track that was not clear of the obstacles known then."""
+    changes = [k for k in range(1, len(places)) if places[k] is not places[k - 1]]
+    reasons: list[str] = []
+    for first, last in pairwise([0, *changes, len(track_m) - 1]):
+        met = obstacles_met(problem, places[first].index, track_m[first : last + 1], first)
+        reasons += [reason for reason in met if reason not in reasons]
+    return reasons
 
 
 @dataclass(frozen=True)

@@ -33,17 +33,22 @@ class Ground:
     road_map: RoadMap
 
 
-def build_ground(problem: Problem, anchor_m: NDArray[np.float64]) -> Ground:
+def build_ground(
+    problem: Problem, anchor_m: NDArray[np.float64], beside: Ground | None = None
+) -> Ground:
     """Build the geometry of a problem, with a node of the lattice at `anchor_m` (2,).
+
+    Robots of one workspace share the obstacles of the ground `beside` that another has.
 
     Raises
     ------
     InputError
         The step is too short, or too long, for the bounds.
     """
+    workspace = problem.workspace
     return Ground(
-        index_obstacles(problem.workspace),
-        pack_pieces(problem.workspace),
+        index_obstacles(workspace) if beside is None else beside.index,
+        pack_pieces(workspace) if beside is None else beside.pieces,
         build_roads(problem, anchor_m),
     )
 

@@ -54,7 +54,11 @@ class Scene:
         return self.ground.road_map
 
 
-def build_scene(problem: Problem, place_m: NDArray[np.float64] | None = None) -> Scene:
+def build_scene(
+    problem: Problem,
+    place_m: NDArray[np.float64] | None = None,
+    beside: Ground | None = None,
+) -> Scene:
     """Build the geometry of a problem's first robot.
 
     Parameters
@@ -63,6 +67,8 @@ def build_scene(problem: Problem, place_m: NDArray[np.float64] | None = None) ->
         Whose obstacles are those known now.
     place_m
         ``(2,)`` where the robot is now; None at the start.
+    beside
+        The ground of another robot in the same workspace, if there is one.
 
     Raises
     ------
@@ -71,7 +77,7 @@ def build_scene(problem: Problem, place_m: NDArray[np.float64] | None = None) ->
     """
     clearance, goal_m = problem.constraints.clearance_m, problem.goal_m
     goal = np.asarray(goal_m)
-    ground = build_ground(problem, goal)
+    ground = build_ground(problem, goal, beside)
     road_map = ground.road_map
     lattice = road_map.lattice
     row, column = nearest_node(lattice, goal)
@@ -116,7 +122,8 @@ def build_scenes(
     for number, robot in enumerate(problem.robots):
         try:
             here = None if places_m is None else places_m[number]
-            scenes.append(build_scene(problem_of_robot(problem, number), here))
+            beside = scenes[0].ground if scenes else None
+            scenes.append(build_scene(problem_of_robot(problem, number), here, beside))
         except NoPlanError as error:
             if len(problem.robots) == 1:
                 raise

@@ -20,6 +20,8 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.robot_problem import problem_at
 from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.robots.double_integrator import DoubleIntegrator
+from planopt.robots.unicycle import Unicycle
 from planopt.world.clearance import index_obstacles
 from planopt.world.moving_discs import NOTHING_MOVES
 
@@ -155,6 +157,29 @@ def test_robots_with_terms_plan_round_it_as_well():
     line = shapely.LineString(track[2:])
     assert run.verified_rate == 1.0
     assert line.distance(block) >= problem.constraints.clearance_m - 1e-6
+
+
+def test_couriers_keep_apart_where_the_map_changes():
+    """Two change places; a fence comes between them, and both go round it one after the other."""
+    problem = fenced(4.0, polygon=shapely.box(19.0, 5.0, 20.0, 30.0))
+    one = problem.robots[0]
+    back = replace(one, name="back", start_m=one.goal_m, goal_m=one.start_m)
+    constraints = replace(problem.constraints, separation_m=5.0)
+    run, lines = driven(replace(problem, robots=(one, back), constraints=constraints))
+    assert (run.outcome, run.verified_rate) == (Outcome.REACHED, 1.0)
+    assert run.metrics["min_separation_m"] >= 5.0 - 1e-6
+    fence = problem.workspace.timed[0].polygon
+    assert min(line.distance(fence) for line in lines) >= constraints.clearance_m - 1e-6
+
+
+@pytest.mark.parametrize("dynamics", [Unicycle(2.0, 1.0), DoubleIntegrator(2.0, 1.0)])
+def test_robots_with_dynamics_plan_round_it_as_well(dynamics):
+    """They were on a way through it, can stop in time, and arrive."""
+    problem = fenced(5.0)
+    robot = replace(problem.robots[0], dynamics=dynamics, start_rest=())
+    run, (line,) = driven(replace(problem, robots=(robot,)))
+    assert (run.outcome, run.verified_rate) == (Outcome.REACHED, 1.0)
+    assert not line.intersects(FENCE)
 
 
 def test_an_own_loop_tells_of_obstacles_and_steps_as_a_simulation():

@@ -177,10 +177,11 @@ def build_crew(
         The problem names a planner that does not plan its terms.
     """
     region = workspace_region(problem)
-    return tuple(
-        _member(problem, number, region, generator, foreseen_m)
-        for number, generator in enumerate(seeds.planners)
-    )
+    crew: list[Member] = []
+    for number, generator in enumerate(seeds.planners):
+        beside = crew[0].ground if crew else None
+        crew.append(_member(problem, number, region, generator, foreseen_m, beside))
+    return tuple(crew)
 
 
 def _member(
@@ -189,10 +190,11 @@ def _member(
     region: Region,
     generator: np.random.Generator,
     foreseen_m: Sequence[NDArray[np.float64]] | None,
+    beside: Ground | None,
 ) -> Member:
     own = problem_of_robot(problem, number)
     start = own.robots[0].start_state
-    ground = build_ground(own, start[:2])
+    ground = build_ground(own, start[:2], beside)
     if foreseen_m is None:
         planner = planner_for(own, ground, generator)
     else:

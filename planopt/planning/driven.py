@@ -20,11 +20,10 @@ from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.programme.motion_task import MotionTask
 from planopt.planning.programme.offenders import LINE_REACH_STEPS
 from planopt.planning.proof.apart import judge_apart
-from planopt.planning.proof.motion import judge_motion
-from planopt.planning.proof.swept_motion import swept_motion
+from planopt.planning.proof.motion import judge_motion, swept_motion
 from planopt.planning.search.start_search import Start
 from planopt.planning.shifted import shifted_drive
-from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.path_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out

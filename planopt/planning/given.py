@@ -24,6 +24,7 @@ from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements, Table, as_received
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
+from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
     FunctionTruth,
@@ -34,7 +35,6 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
-from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.problems.target import Target
 from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import cell_centres_m

@@ -17,8 +17,7 @@ from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.search.start_search import Start, StartSearch
 from planopt.planning.search.to_unmeasured import way_to_unmeasured
 from planopt.planning.shifted import shifted_path
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.path_worth import PathWorth, rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 

@@ -23,7 +23,7 @@ from planopt.planning.search.local_ranking import can_climb
 from planopt.planning.search.start_search import COUPLED_STARTS, Start
 from planopt.planning.shifted import shifted_path
 from planopt.planning.start_polish import StartPolish
-from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.path_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import bends_starts
 from planopt.problems.problem import Problem

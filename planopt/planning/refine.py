@@ -18,8 +18,7 @@ from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.margin_source import MarginFunction
 from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
 from planopt.planning.programme.pivot import Ahead
-from planopt.planning.programme.polish import OutagePrice, ReachTask, polish
-from planopt.planning.programme.polished import Polished
+from planopt.planning.programme.polish import OutagePrice, Polished, ReachTask, polish
 from planopt.planning.programme.reach_nlp import ReachNlp
 from planopt.planning.programme.stage_kernel import StageMargins, joined, margins_of
 from planopt.planning.proof.predictions import search_prediction

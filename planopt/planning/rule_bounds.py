@@ -15,7 +15,7 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.candidate import Candidate
 from planopt.planning.plan import Verdict
 from planopt.planning.programme.path_polish import PathTask
-from planopt.planning.programme.polished import Polished
+from planopt.planning.programme.polish import Polished
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import local_worth

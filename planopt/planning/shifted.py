@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, rolled_out
-from planopt.robots.single_integrator import dynamics_defect_m
+from planopt.robots.drive import Drive, dynamics_defect_m, rolled_out
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 
 

@@ -17,6 +17,7 @@ import shapely
 
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term, TermSetting
+from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
     FunctionTruth,
@@ -28,7 +29,6 @@ from planopt.problems.channel_setup import (
 from planopt.problems.check_motion import check_stopping
 from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import MOST_PROBABLE_DRAWN, check_rule
-from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.robots.braked_motion import standing_motion
 from planopt.world.clearance import (
     ObstacleIndex,

@@ -13,6 +13,7 @@ from typing import cast
 from pydantic import ValidationError
 
 from planopt.errors import InputError, require_text
+from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.build import build
 from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth, SampledMeasurements
 from planopt.problems.checks import check
@@ -21,7 +22,6 @@ from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
 from planopt.problems.schema import ProblemFile
-from planopt.problems.station_sources import log_of, raster_truth_of
 from planopt.problems.tables import Table
 from planopt.world.raster_files import raster_ending
 

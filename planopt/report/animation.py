@@ -21,7 +21,6 @@ from planopt.planning.loop.log import RobotRun, TargetLog
 from planopt.planning.plan import Plan
 from planopt.planning.run import Run
 from planopt.problems.problem import Problem
-from planopt.report.driven_line import driven_line
 from planopt.report.maps import (
     MARGIN_Z,
     PATH_Z,
@@ -45,8 +44,8 @@ from planopt.report.style import (
     head,
     legend_below,
 )
-from planopt.report.team_looks import robot_colour, robot_marker
 from planopt.report.team_map import team_window
+from planopt.report.team_series import driven_line, robot_colour, robot_marker
 from planopt.world.moving_obstacle import centres_at
 
 if TYPE_CHECKING:

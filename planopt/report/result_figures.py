@@ -5,6 +5,8 @@ One plan: its map, what it is predicted to receive on the way, and what is prove
 Several robots on one map: a run with its time series, or their plans of one moment.
 
 Panels of plans along the way, of one robot or several, and what is proven of them, in words.
+
+A plan's verdict and certificate in words.
 """
 
 from __future__ import annotations
@@ -18,17 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.planning.plan import Plan
+from planopt.planning.certificate import Certificate
+from planopt.planning.plan import Plan, Verdict
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
-from planopt.planning.team.least_distances import driven_motion
+from planopt.planning.team.team_certificate import driven_motion
+from planopt.problems.constraints import Constraints
 from planopt.problems.problem import Problem
 from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.maps import PATH_Z
 from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.plan_map import draw_plan_map
-from planopt.report.plan_words import apart_words, plan_words
 from planopt.report.run_figure import draw_run
 from planopt.report.style import (
     BAND_WORDS,
@@ -41,7 +44,6 @@ from planopt.report.style import (
     legend_below,
     spaced,
 )
-from planopt.report.team_looks import robot_colour, robot_marker
 from planopt.report.team_map import (
     draw_expected_target,
     draw_measured,
@@ -51,11 +53,76 @@ from planopt.report.team_map import (
     draw_tracks,
     layers_of,
 )
-from planopt.report.team_series import TIME, series_of
+from planopt.report.team_series import TIME, robot_colour, robot_marker, series_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
+
+MEANING = {
+    Verdict.VERIFIED: "constraints hold; contact is left only where unavoidable or worth its price",
+    Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
+    Verdict.VIOLATED: "a constraint does not hold",
+    Verdict.NONE: "there is no plan",
+}
+
+
+def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
+    """What was found and what an independent check says of it, a line each.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    constraints
+        What it had to keep.
+    """
+    proof = plan.certificate
+    clearance = (
+        f"least clearance {proof.min_clearance_m:.3f} m of the whole swept path, "
+        f"{constraints.clearance_m:g} m asked"
+        if math.isfinite(proof.min_clearance_m)
+        else "no obstacles to keep clear of"
+    )
+    lines = [
+        f"verdict: {spaced(plan.verdict)} ({MEANING[plan.verdict]})",
+        clearance,
+        *apart_words(proof),
+        f"least P(connected) {proof.min_connectivity:.3f}"
+        + (f", {constraints.step_p_min:g} asked" if constraints.step_p_min > 0.0 else "")
+        + f" (posterior: {proof.posterior})",
+        f"motion model kept to {proof.dynamics_defect:.2g} m; "
+        + (
+            "not polished"
+            if proof.kkt_residual is None
+            else f"KKT residual of the polish {proof.kkt_residual:.2g}"
+        ),
+        f"cost {plan.objective:.1f} s (lattice start {plan.lattice_objective:.1f} s); "
+        f"{spaced(plan.termination)} after {plan.iterations} iterations, "
+        f"{1e3 * plan.wall_s:.0f} ms; rung: {spaced(plan.rung)}",
+    ]
+    if proof.rule is not None:
+        lines.append(proof.rule.words)
+    if proof.relaxed_steps:
+        lines.append(
+            f"the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
+            f"missed by at most {max(proof.relaxation_db):.2f} dB"
+        )
+    return [*lines, *proof.reasons, *([plan.message] if plan.message else [])]
+
+
+def apart_words(proof: Certificate) -> list[str]:
+    """How far a plan keeps from other robots and from what moves; nothing where nothing does."""
+    parts = [
+        f"{distance:.3f} m from {what}"
+        for distance, what in (
+            (proof.min_separation_m, "other robots"),
+            (proof.min_moving_clearance_m, "moving obstacles"),
+        )
+        if distance is not None
+    ]
+    return [f"always at least {', '.join(parts)}"] if parts else []
+
 
 PlanDrawer = Callable[[Panel, Sequence[Plan]], None]
 

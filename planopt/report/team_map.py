@@ -12,7 +12,6 @@ from planopt.channel.belief import Belief
 from planopt.planning.loop.log import RobotRun, TargetLog
 from planopt.planning.plan import Plan
 from planopt.problems.problem import Problem
-from planopt.report.driven_line import driven_line
 from planopt.report.grid import Bounds, believed_rasters
 from planopt.report.maps import (
     LAYER_Z,
@@ -32,7 +31,7 @@ from planopt.report.style import (
     PROBABILITY_MAP,
     WHITE,
 )
-from planopt.report.team_looks import robot_colour, robot_marker
+from planopt.report.team_series import driven_line, robot_colour, robot_marker
 from planopt.world.raster import Raster
 
 if TYPE_CHECKING:

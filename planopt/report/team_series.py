@@ -1,28 +1,99 @@
-"""A team's run over time: the target, the channel, the connections, and what planning did."""
+"""A team's run over time: the target, the channel, the connections, and what planning did.
+
+How several robots are told apart: a colour and a marker each, the same in map and curves.
+
+The curve that a robot drives from place to place, for pictures.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planopt.planning.loop.log import ChannelLog, RobotRun
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.run import Run
-from planopt.planning.team.least_distances import driven_motion
+from planopt.planning.team.team_certificate import driven_motion
+from planopt.problems.problem import Problem
 from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.panel import Panel
 from planopt.report.run_series import RUNG_LOOKS
 from planopt.report.style import (
     BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
     PREDICTED,
+    PURPLE,
+    SKY,
+    VERMILLION,
     WHITE,
     dress,
     legend_above,
     plain_log_ticks,
     spaced,
 )
-from planopt.report.team_looks import name_rows, robot_colour, robot_marker
+from planopt.robots.drive import Drive
+
+if TYPE_CHECKING:
+    from planopt.report.panel import Panel
+
+POINTS = 16
+"""Of the curve of a step."""
+
+
+def driven_line(
+    problem: Problem, places_m: NDArray[np.float64], drive: Drive | None, first: int = 0
+) -> tuple[NDArray[np.float64], list[int]]:
+    """Points (k, 2) of a line through places, and which of them are the places.
+
+    Parameters
+    ----------
+    problem
+        Whose steps they are of.
+    places_m
+        ``(n + 1, 2)``.
+    drive
+        How the robot drives from place to place; None if straight.
+    first
+        Begin with the place of this number.
+    """
+    if drive is None or len(drive.inputs) <= first:
+        return places_m[first:], list(range(len(places_m) - first))
+    ways = drive.dynamics.ways(drive.states[first:-1], drive.inputs[first:], problem.planner.step_s)
+    line, marks = [places_m[first : first + 1]], [0]
+    for way in ways:
+        points, _ = way.points_m()
+        chosen = np.linspace(0, len(points) - 1, min(POINTS, len(points))).round().astype(int)
+        line.append(points[chosen[1:]])
+        marks.append(marks[-1] + len(chosen) - 1)
+    return np.concatenate(line), marks
+
+
+ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
+ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
+"""Of different numbers, so that colour and marker together repeat late."""
+
+
+def robot_colour(number: int) -> str:
+    """Colour of robot number `number`, 0 is the first."""
+    return ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+
+
+def robot_marker(number: int) -> str:
+    """Marker of robot number `number`."""
+    return ROBOT_MARKERS[number % len(ROBOT_MARKERS)]
+
+
+def name_rows(panel: Panel, problem: Problem) -> None:
+    """Give every robot a row of a strip, the first on top."""
+    count = len(problem.robots)
+    panel.set_yticks([float(row) for row in range(count)], [r.name for r in problem.robots])
+    panel.set_ylim(count - 0.4, -0.6)
+
 
 Drawer = Callable[[Panel, Run], None]
 

@@ -1,4 +1,9 @@
-"""How a robot drives along a path: its state after each step, and the input of each step."""
+"""How a robot drives along a path: its state after each step, and the input of each step.
+
+The single integrator q+ = q + h v with speed limit.
+
+The way within a step is straight.
+"""
 
 from __future__ import annotations
 
@@ -47,3 +52,16 @@ def rolled_out(
         after = dynamics.step(tuple(states[-1]), tuple(control), step_s)
         states.append(np.array(after, dtype=np.float64))
     return Drive(dynamics, np.array(states), np.asarray(inputs, dtype=np.float64))
+
+
+def dynamics_defect_m(
+    positions_m: NDArray[np.float64], start_m: NDArray[np.float64], step_length_m: float
+) -> float:
+    """Largest violation of the motion model over a path (n + 1, 2), in metres.
+
+    The path must begin where the robot is, and no step may be longer than the speed allows.
+    """
+    lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+    jump = float(np.linalg.norm(positions_m[0] - start_m))
+    # NumPy's maximum: Python's would lose a NaN.
+    return float(np.max(lengths - step_length_m, initial=jump))

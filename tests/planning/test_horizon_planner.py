@@ -29,7 +29,7 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.programme import ipopt
-from planopt.planning.programme.nlp_point import NlpPoint
+from planopt.planning.programme.nlp_functions import NlpPoint
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.search.start_search import StartSearch
 from planopt.planning.solve import solve

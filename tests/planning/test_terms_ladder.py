@@ -14,7 +14,7 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.ipopt import OPTIONS
-from planopt.planning.programme.nlp_point import NlpPoint
+from planopt.planning.programme.nlp_functions import NlpPoint
 from planopt.world.workspace import Obstacle
 
 CALL = ipopt.call_nlp

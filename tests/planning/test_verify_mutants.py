@@ -1,7 +1,7 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
 Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `goal_paths.py`,
-`reachability.py`, `grid.py`, `detours.py`, `shortest_ways.py` or `motion.py`. Good and bad plans
+`reachability.py`, `detours.py`, `shortest_ways.py` or `motion.py`. Good and bad plans
 are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
 which must say something else of at least one of them. A mutant that survives is a hole here.
 """
@@ -410,7 +410,7 @@ CASES: dict[str, Case] = {
 }
 
 VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
-GRID, PATHS = "planopt.planning.proof.grid", "planopt.planning.proof.goal_paths"
+GRID, PATHS = "planopt.planning.proof.reachability", "planopt.planning.proof.goal_paths"
 STEPS = "planopt.planning.proof.rules.single_steps"
 MOTION = "planopt.planning.proof.motion"
 DETOURS, ROUND = "planopt.planning.proof.reachability", "planopt.world.shortest_ways"

@@ -19,7 +19,7 @@ from planopt.report.animation import (
     save_animation,
     shown_steps,
 )
-from planopt.report.team_looks import robot_colour
+from planopt.report.team_series import robot_colour
 
 
 def coloured(frame: Image.Image, colour: str) -> int:

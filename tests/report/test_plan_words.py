@@ -7,7 +7,7 @@ import pytest
 from planopt.planning.plan import Verdict
 from planopt.planning.rule_result import RuleResult
 from planopt.problems.connectivity_rule import ConnectivityRule
-from planopt.report.plan_words import MEANING, plan_words
+from planopt.report.result_figures import MEANING, plan_words
 
 
 def test_all_numbers(plan, problem):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.robots.single_integrator import dynamics_defect_m
+from planopt.robots.drive import dynamics_defect_m
 
 PATH = np.array([[1.0, 1.0], [4.0, 1.0], [4.0, 5.0], [4.0, 5.0]])
 START = np.array([1.0, 1.0])

@@ -24,9 +24,9 @@ from planopt.planning.certificate import Certificate, dearest
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import given_again
 from planopt.planning.check.check_explanation import no_way_faults
-from planopt.planning.check.check_labels import label_reasons
 from planopt.planning.check.check_plan import check_plan
 from planopt.planning.check.check_run import check_run
+from planopt.planning.check.check_steps import label_reasons
 from planopt.planning.files.read_saved import Saved, read_object, saved_from
 from planopt.planning.files.run_json import RunRecord, no_run_json
 from planopt.planning.files.saved import FORMAT, PLAN_FILE

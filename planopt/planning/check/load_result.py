@@ -7,10 +7,10 @@ from pathlib import Path
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.check.check_belief import given_again, learnt_again
-from planopt.planning.check.check_labels import label_reasons
 from planopt.planning.check.check_plan import length_faults as plan_length_faults
 from planopt.planning.check.check_plan import rebuilt_solution
 from planopt.planning.check.check_run import length_faults, rebuilt_run
+from planopt.planning.check.check_steps import label_reasons
 from planopt.planning.files.read_saved import read_saved
 from planopt.planning.files.record import REMEDY
 from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord

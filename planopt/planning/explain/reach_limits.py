@@ -15,8 +15,7 @@ from planopt.planning.history import BEGINNING
 from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.proof.reach_of_dynamics import may_reach_from
-from planopt.planning.proof.reachability import best_margins_by_step
+from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
 from planopt.planning.proof.rules.asked import is_priced
 from planopt.planning.proof.rules.proven import asked_steps
 from planopt.problems.problem import Problem

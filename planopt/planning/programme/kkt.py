@@ -4,6 +4,8 @@ Nothing here comes from CasADi: gradients are written out again, so that a wrong
 programme shows as a residual. Sign convention: with rows g between bounds and variables x between
 bounds, ``grad f + J' lambda_g + lambda_x = 0``, multipliers positive at an active upper bound and
 negative at an active lower bound.
+
+Multipliers of a programme's rows by the names of the rows.
 """
 
 from __future__ import annotations
@@ -66,3 +68,28 @@ def kkt_residual(
 def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance to a bound; a missing bound counts as one unit away, so that 0 * inf is no NaN."""
     return np.where(np.isfinite(distance), np.abs(distance), 1.0)
+
+
+def named_multipliers(
+    rows: NDArray[np.float64], horizon: int, lines: int, bounds: int
+) -> dict[str, NDArray[np.float64]]:
+    """Those of :mod:`~planopt.planning.programme.path_rows`, which come first, and of connectivity.
+
+    Parameters
+    ----------
+    rows
+        Of all rows, in the programme's order.
+    horizon, lines
+        N, and separating lines a segment.
+    bounds
+        How many rows bound connectivity, the last ones.
+    """
+    speed, line_end, line_start = np.split(
+        rows[: horizon * (1 + 2 * lines) - lines], [horizon, horizon * (1 + lines)]
+    )
+    found = {
+        "speed": speed,
+        "line_end": line_end.reshape(horizon, lines),
+        "line_start": line_start.reshape(horizon - 1, lines),
+    }
+    return found | ({"connectivity": rows[len(rows) - bounds :]} if bounds else {})

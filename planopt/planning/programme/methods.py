@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from planopt.planning.programme.ipopt import ipopt_solve
-from planopt.planning.programme.nlp_point import SolveNlp
+from planopt.planning.programme.nlp_functions import SolveNlp
 from planopt.planning.programme.path_shape import PathShape
 
 Method = Literal["ipopt", "scp"]

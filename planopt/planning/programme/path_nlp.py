@@ -41,12 +41,11 @@ from planopt.planning.programme.curvature import (
     stage_rows,
     weighted_blocks,
 )
-from planopt.planning.programme.exact_solver import ExactNlp, exact_solver
 from planopt.planning.programme.goal_cost import PARAMETERS, goal_cost_s
-from planopt.planning.programme.ipopt import OPTIONS, time_limit
+from planopt.planning.programme.ipopt import OPTIONS, ExactNlp, exact_solver, time_limit
 from planopt.planning.programme.methods import Method, solve_by
 from planopt.planning.programme.motion_rows import motion_rows
-from planopt.planning.programme.nlp_point import SolveNlp
+from planopt.planning.programme.nlp_functions import SolveNlp
 from planopt.planning.programme.path_callback import PathCallbacks, path_callbacks
 from planopt.planning.programme.path_rows import path_rows
 from planopt.planning.programme.path_shape import PathShape

@@ -1,4 +1,7 @@
-"""Polish a start path with IPOPT: same homotopy class, continuous places, exact derivatives."""
+"""Polish a start path with IPOPT: same homotopy class, continuous places, exact derivatives.
+
+What a polish gives back.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,45 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from planopt.planning.programme.kkt import Bounds, kkt_residual
+from planopt.planning.plan import Termination
+from planopt.planning.programme.kkt import Bounds, kkt_residual, named_multipliers
 from planopt.planning.programme.margin_source import MarginFunction
-from planopt.planning.programme.named_multipliers import named_multipliers
-from planopt.planning.programme.nlp_point import NlpPoint
+from planopt.planning.programme.nlp_functions import NlpPoint
 from planopt.planning.programme.path_row_values import path_row_values
-from planopt.planning.programme.polished import Polished
 from planopt.planning.programme.reach_nlp import PIVOT_ROUNDING_M, STEP_ROUNDING_M, ReachNlp
 from planopt.planning.programme.stage_kernel import StageMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.separation import SeparatingLines
+
+
+@dataclass(frozen=True)
+class Polished:
+    """What came out.
+
+    Attributes
+    ----------
+    path_m
+        ``(N, 2)``; only worth something if a verifier says so.
+    slack_db
+        ``(N,)`` missing dB.
+    termination, iterations
+        Why the solver stopped, after how many iterations.
+    kkt_residual
+        Unscaled, computed without the solver's derivatives.
+    multipliers
+        By name: ``speed`` (N,), ``line_end`` (N, lines), ``line_start`` (N - 1, lines),
+        ``connectivity`` (N,).
+    inputs
+        ``(N, m)`` of a robot that cannot turn or stop at will; None of a single integrator.
+    """
+
+    path_m: NDArray[np.float64]
+    slack_db: NDArray[np.float64]
+    termination: Termination
+    iterations: int
+    kkt_residual: float
+    multipliers: dict[str, NDArray[np.float64]]
+    inputs: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ import casadi as ca
 
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.curvature import stage_rows, weighted_blocks
-from planopt.planning.programme.exact_solver import ExactNlp, exact_solver
+from planopt.planning.programme.ipopt import ExactNlp, exact_solver
 from planopt.planning.programme.margin_source import MarginSource
 from planopt.planning.programme.methods import Method, solve_by
-from planopt.planning.programme.nlp_point import SolveNlp
+from planopt.planning.programme.nlp_functions import SolveNlp
 from planopt.planning.programme.path_callback import PathCallbacks, path_callbacks
 from planopt.planning.programme.path_rows import path_rows
 from planopt.planning.programme.path_shape import PathShape

@@ -33,8 +33,13 @@ from numpy.typing import NDArray
 from planopt.planning.plan import Termination
 from planopt.planning.programme.cone_rows import NO_VARIABLE, ConeRows
 from planopt.planning.programme.kkt import Bounds
-from planopt.planning.programme.nlp_functions import NlpFunctions
-from planopt.planning.programme.nlp_point import NlpPoint, SolveNlp, lost_point, nlp_point
+from planopt.planning.programme.nlp_functions import (
+    NlpFunctions,
+    NlpPoint,
+    SolveNlp,
+    lost_point,
+    nlp_point,
+)
 
 CLARABEL: Any = clarabel
 """It has no type stubs."""

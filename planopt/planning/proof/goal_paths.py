@@ -20,7 +20,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.objectives.reach import charged_length_m
-from planopt.planning.proof.grid import grid_of
+from planopt.planning.proof.reachability import grid_of
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear, segment_clearance_m

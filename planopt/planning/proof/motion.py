@@ -3,6 +3,8 @@
 For the single integrator the way is straight from place to place. Any other robot says by states
 and inputs how it drives: from them every step is computed again by the robot's dynamics, and the
 way of stopping after the last step counts as swept, so that no next step is without a way.
+
+When a planned robot is where, for distances at equal times.
 """
 
 from __future__ import annotations
@@ -14,11 +16,27 @@ from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive
+from planopt.robots.braked_motion import braked_motion
+from planopt.robots.drive import Drive, dynamics_defect_m
 from planopt.robots.dynamics import Dynamics
-from planopt.robots.single_integrator import dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
+from planopt.world.timed_motion import TimedMotion
 from planopt.world.ways import Way
+
+
+def swept_motion(
+    problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None
+) -> TimedMotion:
+    """When the problem's first robot is where, on a finite path and while it stops after it.
+
+    Straight from place to place where `drive` can be none along the path, which the verifier
+    objects to.
+    """
+    dynamics = problem.robots[0].dynamics
+    if dynamics is None or drive is None or drive_fault(dynamics, positions_m, drive):
+        return TimedMotion(positions_m)
+    own = Drive(dynamics, drive.states, drive.inputs)
+    return braked_motion(positions_m, own, problem.planner.step_s)
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,22 @@ measured too), so a negative best margin says that the bound cannot be met there
 good as its grid.
 
 Which of the good places within reach by air are within reach round the obstacles.
+
+Where a robot may come to that cannot turn or stop at will, for searches of what is in reach.
+
+Grids of places over the workspace, and their connected parts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.planning.proof.grid import grid_of, parts_of
+from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear
 from planopt.world.shortest_ways import (
     ShortestWays,
@@ -23,6 +29,50 @@ from planopt.world.shortest_ways import (
     shortest_ways,
     way_lengths_m,
 )
+
+
+def grid_of(
+    bounds_m: tuple[float, float, float, float],
+    anchor_m: NDArray[np.float64],
+    spacing_m: float,
+    radius_m: float = np.inf,
+) -> NDArray[np.float64]:
+    """Places of a grid over the workspace, one of them the anchor, none far beyond the radius."""
+    low = np.maximum(np.array(bounds_m[:2]) - anchor_m, -radius_m)
+    high = np.minimum(np.array(bounds_m[2:]) - anchor_m, radius_m)
+    columns = _steps_within(float(low[0]), float(high[0]), spacing_m)
+    rows = _steps_within(float(low[1]), float(high[1]), spacing_m)
+    grid = np.empty((len(rows), len(columns), 2))
+    grid[..., 0] = anchor_m[0] + columns
+    grid[..., 1] = anchor_m[1] + rows[:, None]
+    return grid
+
+
+def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64]:
+    """Multiples of the spacing between two offsets."""
+    first, last = int(np.ceil(low / spacing)), int(np.floor(high / spacing))
+    return spacing * np.arange(first, last + 1, dtype=np.float64)
+
+
+def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Number the connected parts of a grid, corners connect; 0 where it is not passable."""
+    numbered = cast(
+        "tuple[object, int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
+    )
+    return np.asarray(numbered[0], dtype=np.int32)
+
+
+def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
+    """Where the problem's first robot may be some steps after `state`; None if anywhere near."""
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if dynamics is None:
+        return None
+
+    def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
+        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
+
+    return may_reach
+
 
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 Places = tuple[NDArray[np.float64], NDArray[np.float64]]

@@ -23,12 +23,11 @@ from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.motion import judge_motion
+from planopt.planning.proof.motion import judge_motion, swept_motion
 from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
 from planopt.planning.proof.rules.proven import PathCase
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
-from planopt.planning.proof.swept_motion import swept_motion
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive

@@ -31,7 +31,7 @@ from planopt.planning.search.timed_search import (
     timed_places,
 )
 from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
-from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.path_worth import rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem

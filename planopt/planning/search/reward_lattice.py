@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.search.lattice_window import (
+from planopt.planning.search.move_table import (
     REACH,
+    MoveTable,
     Window,
     window_around,
     window_shape,
     without_margin,
 )
-from planopt.planning.search.move_table import MoveTable
 from planopt.planning.search.moving_moves import MovingMoves
 from planopt.world.lattice import MOVES
 

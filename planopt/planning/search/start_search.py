@@ -22,8 +22,7 @@ from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.ground import Ground, first_moves
 from planopt.planning.programme.goal_cost import GoalCharge
 from planopt.planning.search.coupled_starts import CoupledStarts
-from planopt.planning.search.lattice_window import REACH, Window
-from planopt.planning.search.move_table import move_table
+from planopt.planning.search.move_table import REACH, Window, move_table
 from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
 from planopt.planning.search.node_field import NodeField
 from planopt.planning.search.reward_lattice import LatticeValues, RewardSearch
@@ -33,8 +32,7 @@ from planopt.planning.tolerances import (
     STANDSTILL_M,
     STEP_PAD_M,
 )
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.path_worth import PathWorth, rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.structure import bends_starts
@@ -266,7 +264,7 @@ class Start:
         What it is worth by all terms.
     missing_db
         By how much it misses the rule of connectivity, as
-        :func:`planopt.planning.worth.rule_worth.rule_missing` counts.
+        :func:`planopt.planning.worth.path_worth.rule_missing` counts.
     drive
         How a robot drives it that cannot turn or stop at will; None for any other.
     clear

@@ -2,6 +2,8 @@
 
 This is what plans are compared by and what is reported. Solvers work with
 :mod:`planopt.planning.worth.local_worth`, which is close to it and has derivatives.
+
+What a path's connectivity costs: by how much it misses the rule, and the price of its slack.
 """
 
 from __future__ import annotations
@@ -13,7 +15,12 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
-from planopt.planning.worth.rule_worth import slack_cost
+from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.proof.rules.proven import PathCase, asked_steps
+from planopt.planning.proof.rules.tolerance import is_missed
+from planopt.planning.proof.rules.whole_plan import whole_plan_result
+from planopt.planning.rule_result import RuleResult
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.situation import Situation
 
 
@@ -54,3 +61,53 @@ class PathWorth:
                 key=f"objective.terms[{number}].{error.key}",
                 remedy=error.remedy,
             ) from None
+
+
+SHARE_IN_DB = 100.0
+"""What all of what a rule over a whole plan asks counts in dB, where it is missed."""
+
+
+def slack_cost(at: Situation, path_m: NDArray[np.float64]) -> float:
+    """What the slack of a path (N, 2) costs, in the objective's unit."""
+    rule = at.problem.constraints.rule
+    if rule.slack_price == 0.0:
+        return 0.0
+    if rule.by_step:
+        return rule.slack_price * float(_missed_db(at, path_m).sum())
+    result = _result(at, path_m)
+    beyond = result.slack_db == 0.0 and is_missed(result)
+    return rule.slack_price * ((rule.slack_max_db or 0.0) if beyond else result.slack_db)
+
+
+def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
+    """By how much a path (N, 2) misses the rule beyond its slack; 0 where it does not.
+
+    In dB, of all steps together; of a rule over a whole plan as a share of what is asked times
+    `SHARE_IN_DB`.
+    """
+    constraints = at.problem.constraints
+    if not constraints.asks_connection:
+        return 0.0
+    if constraints.rule.by_step:
+        missed = _missed_db(at, path_m) - (constraints.rule.slack_max_db or 0.0)
+        return float(missed[missed > MARGIN_TOLERANCE_DB].sum())
+    result = _result(at, path_m)
+    if result.slack_db > 0.0 or not is_missed(result):
+        return 0.0
+    return SHARE_IN_DB * result.missing / max(result.asked, 1.0)
+
+
+def _missed_db(at: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By how much each step that is asked for misses the bound; (N,)."""
+    power, problem = at.power(path_m), at.problem
+    margins = margins_asked_db(problem, power)
+    missed = margins < -MARGIN_TOLERANCE_DB
+    asked = asked_steps(problem, at.circumstances.history, len(path_m))
+    return np.where(missed & asked, -margins, 0.0)
+
+
+def _result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
+    under, places_m = at.circumstances, np.vstack([at.position_m, path_m])
+    return whole_plan_result(
+        PathCase(at.problem, under.history, at.posterior, places_m, at.power(path_m), under.broad)
+    )

@@ -27,8 +27,7 @@ from planopt.planning.proof.goal_paths import (
     price_path,
 )
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.proof.reach_of_dynamics import may_reach_from
-from planopt.planning.proof.reachability import best_margins_by_step
+from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
 from planopt.planning.proof.rules.asked import is_priced
 from planopt.planning.proof.rules.proven import asked_steps
 from planopt.planning.rule_result import RuleResult

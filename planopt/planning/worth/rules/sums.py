@@ -14,7 +14,7 @@ from planopt.planning.history import BEGINNING, History
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rules.asked import connected_steps_asked, data_asked_mbit
 from planopt.planning.proof.rules.own import OwnRule
-from planopt.planning.worth.rule_worth import rule_missing
+from planopt.planning.worth.path_worth import rule_missing
 from planopt.planning.worth.rules.planned import (
     UNASKED,
     BestWithin,

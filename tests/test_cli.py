@@ -1,6 +1,7 @@
 """The command line: what each command prints, saves and returns."""
 
 import json
+import re
 import signal
 from pathlib import Path
 
@@ -247,3 +248,16 @@ def test_a_fault_of_ours_is_not_hidden(field: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("planopt.planning.solve.solve", broken)
     with pytest.raises(ZeroDivisionError):
         main(["solve", str(field)])
+
+
+def test_unverified_plans_of_a_run_are_told_with_a_reason(
+    field: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An average that no plan can have: reached or not, the text says why."""
+    text = field.read_text().replace("[constraints]", '[constraints]\nconnectivity = "average"')
+    field.write_text(re.sub(r"threshold_dbm = .*", "threshold_dbm = -30.0", text))
+    assert main(["simulate", str(field), "--horizon", "2"]) != 0
+    printed = capsys.readouterr().out
+    told = re.search(r"(\d+) of 3 plans are not verified; the last of them: (.+)", printed)
+    assert told is not None and told.group(1) == "3"
+    assert "constraints.p_min asks for" in told.group(2)

@@ -101,6 +101,7 @@ def _in_words(run: Run) -> str:
         f"{robots}, {run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
         f"{measured} of {steps} steps",
         shown,
+        *_unverified_in_words(run),
     ]
     if problem.task == "reach":
         lines += _costs_in_words(run)
@@ -109,6 +110,24 @@ def _in_words(run: Run) -> str:
             lines += holes_in_words(problem, run_holes(one), crossed)
     lines += reliability_lines(run_reliability(run.runs), "steps")
     return "\n".join([head, *(f"  {line}" for line in lines)])
+
+
+def _unverified_in_words(run: Run) -> list[str]:
+    """How many plans of each robot are not verified, and why the last of them is not."""
+    from planopt.planning.plan import Verdict
+
+    lines: list[str] = []
+    for plans in run.plans:
+        missing = [plan for plan in plans if plan.verdict is not Verdict.VERIFIED]
+        if missing:
+            last = missing[-1]
+            rule = last.certificate.rule
+            why = "" if rule is None else rule.words
+            lines.append(
+                f"{last.robot}: {len(missing)} of {len(plans)} plans are not verified; the last of "
+                f"them: {last.message or why or last.verdict.value}"
+            )
+    return lines
 
 
 def _costs_in_words(run: Run) -> list[str]:

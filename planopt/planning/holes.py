@@ -139,5 +139,5 @@ def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
         return []
     return [
         f"the goal {list(problem.goal_m)} is itself below constraints.p_min "
-        f"{problem.constraints.p_min:g}"
+        f"{problem.constraints.p_min:g}, by what is measured so far"
     ]

@@ -16,7 +16,7 @@ from planopt.planning.budget import Budget, budget_from, solve_limit_s
 from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
-from planopt.planning.holes import holes_on
+from planopt.planning.holes import MOST_IN_WORDS, goal_in_words, holes_on
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme.methods import METHODS
@@ -238,14 +238,16 @@ class ReachPlanner:
         constraints = self.problem.constraints
         places = np.vstack([situation.position_m, start.path_m, start.route_m])
         holes = holes_on(self.problem, situation.power(places), places)
-        longest = max(holes, key=lambda hole: hole.length_m, default=None)
-        where = "" if longest is None else f", which has a coverage hole of {longest.words}"
-        return (
+        told = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
+        named = [f"a coverage hole of {hole.words}" for hole in holes if hole in told]
+        if len(told) < len(holes):
+            named.append(f"{len(holes) - len(told)} shorter ones")
+        blocked = (
             f"no path to the goal {list(self.problem.goal_m)} keeps constraints.p_min "
             f"{constraints.p_min:g} with constraints.slack_max_db "
-            f"{constraints.rule.slack_max_db:g}: the cheapest leaves contact "
-            f"{len(holes)} time{'s' if len(holes) > 1 else ''}{where}"
+            f"{constraints.rule.slack_max_db:g}: the cheapest crosses {', '.join(named)}"
         )
+        return "; ".join([blocked, *goal_in_words(self.problem, holes)])
 
     def _climb(
         self,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planopt.planning.loop.log import StepLog
 from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.run import Run
-from planopt.report.maps import LAYER_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
+from planopt.report.maps import LAYER_Z, PATH_Z, draw_ground, draw_layer, draw_places
 from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
@@ -151,11 +151,10 @@ def _draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
             x,
             y,
             marker="D",
-            s=26.0,
-            facecolors="none",  # the path stays to be seen where many follow each other
-            edgecolors=PURPLE,
-            linewidths=1.2,
-            zorder=PLACE_Z,
+            s=60.0,
+            color=PURPLE,
+            linewidths=0.0,
+            zorder=PATH_Z - 0.1,  # beneath the path, which stays to be seen
             label="bound relaxed",
         )
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scenes import bad_band, belief_of, small_problem
 
 import planopt
+from planopt.errors import NoPlanError
 from planopt.planning.explain.crossing import explain_crossing
 from planopt.planning.holes import goal_in_words, holes_along, holes_in_words
 from planopt.planning.plan import Verdict
@@ -71,6 +73,20 @@ def test_a_plan_names_the_hole_ahead_of_it():
         assert np.allclose(plan.route_m[-1], PROBLEM.goal_m)
         told = " ".join(holes_in_words(PROBLEM, plan.holes))
         assert f"{hole.length_m:.0f} m" in told and "outage_price 10" in told
+
+
+@pytest.mark.parametrize(("high_m", "in_goal"), [(24.0, False), (41.0, True)])
+def test_a_hard_bound_says_what_is_crossed(high_m: float, in_goal: bool):
+    """Every hole of the cheapest path, and a goal in one."""
+    hard = replace(PROBLEM.constraints.rule, slack_max_db=0.0)
+    problem = replace(PROBLEM, constraints=replace(PROBLEM.constraints, rule=hard))
+    with pytest.raises(NoPlanError) as told:
+        ReachPlanner(problem, build_scene(problem)).plan(
+            belief_of(problem, bad_band(18.0, high_m)), np.array(problem.robots[0].start_m)
+        )
+    words = str(told.value)
+    assert re.search(r"the cheapest crosses a coverage hole of \d+ m from \(1[6-9]", words)
+    assert ("is itself below constraints.p_min" in words) == in_goal
 
 
 @pytest.mark.parametrize(

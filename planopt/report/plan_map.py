@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 WINDOW_MARGIN = 0.3
 """Room around the plan, as a share of its extent."""
 
+BORDER = 0.05
+"""Room beyond places and the bounds of the workspace, as a share of the window's side."""
+
 MIN_WINDOW_STEPS = 10.0
 """The window is never narrower than this many longest steps."""
 
@@ -52,14 +55,28 @@ INSET_BELOW = 0.6
 
 
 def window_about(problem: Problem, places_m: NDArray[np.float64]) -> Bounds:
-    """A square around places (n, 2)."""
+    """A square around places (n, 2), moved into the workspace as far as it fits."""
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     side = max(
         float((high - low).max()) * (1.0 + 2.0 * WINDOW_MARGIN),
         MIN_WINDOW_STEPS * problem.step_length_m,
     )
-    x, y = (low + high) / 2.0
-    return (x - side / 2.0, y - side / 2.0, x + side / 2.0, y + side / 2.0)
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    x = _window_begin(float(low[0]), float(high[0]), side, x_min, x_max)
+    y = _window_begin(float(low[1]), float(high[1]), side, y_min, y_max)
+    return x, y, x + side, y + side
+
+
+def _window_begin(low: float, high: float, side: float, first: float, last: float) -> float:
+    """Where a window about places from `low` to `high` begins, of bounds from `first` to `last`."""
+    room = BORDER * side
+    begin = (low + high - side) / 2.0
+    if last - first + 2.0 * room <= side:
+        begin = (first + last - side) / 2.0
+    else:
+        begin = min(max(begin, first - room), last + room - side)
+    # Places beyond the bounds, as stations may be, stay in sight.
+    return min(max(begin, high + room - side), low - room)
 
 
 def is_small(problem: Problem, window: Bounds) -> bool:

@@ -117,8 +117,8 @@ def test_greedy_steps_do_not_come_back_to_a_place():
     np.testing.assert_allclose(plan.positions_m, np.tile(situation.position_m, (4, 1)))
 
 
-def test_a_robot_that_is_shut_in_stands():
-    """No baseline finds a step that is free; standing is what is left."""
+def test_a_robot_that_is_shut_in_leaves():
+    """No baseline finds a step that is free; leaving the obstacle is what is left."""
     problem, situation, judge, ground = scene(LEARNING)
     inside = np.array([20.0, 20.0])
     situation, judge = moved(situation, judge, inside)
@@ -128,8 +128,9 @@ def test_a_robot_that_is_shut_in_stands():
         LawnmowerPlanner(problem, ground),
     ):
         plan = planner.plan(situation, judge)
-        assert np.ptp(plan.positions_m, axis=0).max() == 0.0
-        assert plan.rung is Rung.STOP
+        assert plan.rung is Rung.LEAVE and plan.verdict is not Verdict.VERIFIED
+        step = np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1)
+        assert 0.0 < step[0] <= problem.step_length_m and step[1:].max(initial=0.0) == 0.0
 
 
 def test_random_steps_are_full_and_uniform():

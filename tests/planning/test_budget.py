@@ -154,7 +154,9 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
 
     monkeypatch.setattr(polish_module, "local_worth", slow)
     begun = perf_counter()
-    problem = with_budget(replace(TERMS, planner=replace(TERMS.planner, horizon=12)), 0.2)
+    # The form of 12 steps ahead is another by default.
+    terms = terms_problem({**TRACKING, "form": "additive"}, LEARNING, p_min=0.5, horizon=12)
+    problem = with_budget(terms, 0.2)
     plan = terms_plan(problem)
     assert plan.termination is Termination.TIME_LIMIT
     assert plan.verdict is Verdict.VERIFIED

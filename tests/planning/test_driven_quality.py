@@ -12,6 +12,7 @@ from terms_scene import TRACKING
 from planopt import load, solve
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.start_search import Start
+from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.robots.drive import rolled_out
 
 HORIZON = 20
@@ -60,7 +61,9 @@ def test_plan_is_settled(dynamics) -> None:
 
 def test_a_curve_too_near_beside_its_chord_is_mended() -> None:
     """The boat's first polish comes 3 cm too near in stopping, where no chord does."""
-    boat = solve(load("harbour_track"), horizon=HORIZON, seed=6).plans[0]
+    tables = problem_to_dict(load("harbour_track"))
+    tables["objective"]["terms"][0]["form"] = "additive"
+    boat = solve(problem_from_dict(tables), horizon=HORIZON, seed=6).plans[0]
     assert boat.verdict is Verdict.VERIFIED
     assert boat.rung is Rung.PLAN
     assert boat.polish_gain > 1.0

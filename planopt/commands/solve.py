@@ -68,6 +68,7 @@ def solve(asked: Asked) -> int:
 
 
 def _in_words(solution: Solution) -> str:
+    from planopt.planning.explain.explanation import Crossing
     from planopt.planning.robot_problem import problem_of_robot
 
     problem, plans = solution.problem, solution.plans
@@ -81,7 +82,9 @@ def _in_words(solution: Solution) -> str:
     for number, plan in enumerate(plans):
         lines += _plan_in_words(problem_of_robot(problem, number), plan)
         own = [one for one in solution.explanation if one.robot == plan.robot]
-        lines += [f"  {line}" for line in explained(own)]
+        # The holes themselves stand above.
+        told = [one.why if isinstance(one, Crossing) else one for one in own]
+        lines += [f"  {line}" for line in explained(told)]
     return "\n".join(lines)
 
 

@@ -100,10 +100,9 @@ class Crossing:
         """Whether the goal itself is below the bound."""
         return bool(self.holes) and self.holes[-1].to_end
 
-    def __str__(self) -> str:
-        """Where the holes are, how long, and why they are crossed."""
-        where = "; ".join(hole.words for hole in self.holes)
-        goal = "; the goal is itself below it" if self.at_goal else ""
+    @property
+    def why(self) -> str:
+        """Why they are crossed: what the way costs, and what keeps the bound instead."""
         instead = (
             f"the way that keeps it all along is {self.kept_m:.0f} m long"
             if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal
@@ -111,9 +110,15 @@ class Crossing:
             f"{self.kept_m:.0f} m"
         )
         return (
-            f"crosses {where}: below constraints.p_min {self.p_min:g}{goal}; the way costs "
-            f"{self.cost_m:.0f} m at objective.outage_price {self.outage_price:g}, and {instead}"
+            f"the way costs {self.cost_m:.0f} m at objective.outage_price {self.outage_price:g}, "
+            f"and {instead}"
         )
+
+    def __str__(self) -> str:
+        """Where the holes are, how long, and why they are crossed."""
+        where = "; ".join(hole.words for hole in self.holes)
+        goal = "; the goal is itself below it" if self.at_goal else ""
+        return f"crosses {where}: below constraints.p_min {self.p_min:g}{goal}; {self.why}"
 
 
 def towards(value: float, step_digits: int, down: bool) -> float:

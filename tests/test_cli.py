@@ -261,3 +261,18 @@ def test_unverified_plans_of_a_run_are_told_with_a_reason(
     told = re.search(r"(\d+) of 3 plans are not verified; the last of them: (.+)", printed)
     assert told is not None and told.group(1) == "3"
     assert "constraints.p_min asks for" in told.group(2)
+
+
+def test_a_goal_that_nothing_single_opens_is_told(
+    cut_off: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two walls: no single obstacle to be taken away, and no clearance, helps."""
+    walls = "".join(
+        f'[[world.obstacles]]\nname = "wall {x}"\n'
+        f"polygon = [[{x}, 0], [{x + 2}, 0], [{x + 2}, 100], [{x}, 100]]\n\n"
+        for x in (74, 78)
+    )
+    text = cut_off.read_text().replace("figures = true", "figures = false")
+    cut_off.write_text(text.replace("[channel.truth]", f"{walls}[channel.truth]"))
+    assert main(["solve", str(cut_off)]) == 4
+    assert "no change of a single key or obstacle that was tried helps" in capsys.readouterr().out

@@ -49,8 +49,10 @@ def solve(asked: Asked) -> int:
             data = no_plan_json(problem, seed, str(error), helpful)
             if folder is not None:
                 save_no_plan(data, problem, folder, PLAN_FILE)
-            if asked.json or helpful:
-                show(asked.json, data, "\n".join(explained(helpful)))
+            words = explained(helpful) or [
+                "  no change of a single key or obstacle that was tried helps"
+            ]
+            show(asked.json, data, "\n".join(words))
             return NO_PLAN
         crosses = any(plan.holes for plan in solution.plans)
         if exit_code(solution) != 0 or crosses:

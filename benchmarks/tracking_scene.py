@@ -91,6 +91,7 @@ def tracking_problem(horizon: int, seed: int = 0, **channel: float) -> Problem:
             "terms": [
                 {
                     "kind": "tracking",
+                    "form": "additive",
                     "noise_curvature": 0.008,
                     "noise_floor_m2": 0.08,
                     "sweet_spot_m": 1.0,

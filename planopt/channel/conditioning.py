@@ -1,11 +1,9 @@
-"""What a posterior keeps of its measurements: rows of a factor, or sums over neighbours.
+"""What a posterior keeps of its measurements, and the path loss that follows from it.
 
-Path loss by generalised least squares from products of whitened columns.
-
-Path loss of a conditioned channel by least squares, with the error it has under the model.
-
-Least squares weighs every measurement alike. That is not the best estimate where shadowing is
-correlated, but it does not depend on xi, beta and omega.
+Rows of a factor, or sums over neighbours. Path loss is found by generalised least squares from
+products of whitened columns, or by ordinary least squares with the error that it has under the
+model: the latter weighs every measurement alike, which is not best where shadowing is correlated,
+but does not depend on xi, beta and omega.
 """
 
 from __future__ import annotations

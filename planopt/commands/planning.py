@@ -1,7 +1,4 @@
-"""What the commands that plan are asked for: one list of options for all of them.
-
-Commands on problems of a system: ask it, save its files, show its words.
-"""
+"""What the commands that plan have in common: their options, and problems of a system."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""A base station of a problem: where it stands, and its radio.
-
-Where the true channel and the first measurements of one station come from.
-"""
+"""A base station of a problem: where it stands, its radio, its true channel and measurements."""
 
 from __future__ import annotations
 

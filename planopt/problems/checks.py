@@ -3,9 +3,8 @@
 These checks need geometry, or two tables at once: robots start apart from each other and from
 moving obstacles and can stop so; a calibrated law of connection goes only with rules that are
 computed from single probabilities; the tables of a channel fit each other; starts and goals are
-clear of obstacles; the ground truth and the lattice fit into memory.
-
-Several stations: each has a channel of its own, and what is asked can be computed of them.
+clear of obstacles; the ground truth and the lattice fit into memory; each of several stations has a
+channel of its own, and what is asked can be computed of them.
 """
 
 from __future__ import annotations

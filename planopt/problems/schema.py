@@ -1,11 +1,9 @@
 """The tables of a problem file: every key with its type, range, default and meaning.
 
 This is the definition that ``planopt schema`` prints and that every problem is validated against,
-whether it comes from TOML, from a saved plan or from an override. What needs geometry or two
-places at once (a start inside an obstacle) is in :mod:`planopt.problems.checks`, and what a task
-asks of several tables in :mod:`planopt.problems.schema`.
-
-What a task asks of the tables of a problem file: several of them at once, no geometry.
+whether it comes from TOML, from a saved plan or from an override. What a task asks of several
+tables at once is here as well; what needs geometry or two places at once (a start inside an
+obstacle) is in :mod:`planopt.problems.checks`.
 """
 
 from __future__ import annotations

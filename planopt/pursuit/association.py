@@ -1,14 +1,12 @@
-"""Data association: which report belongs to which evader, and which to none.
+"""Imperfect detection, and data association: which report belongs to which evader, if to any.
+
+Objects are missed, and there are false alarms. Rounds of all levels sample at common instants, so
+that what is missed or imagined at an instant is the same at every level.
 
 An evader explains a chain of reports, each within reach of the one before. A link is worth the
 logarithm of how much likelier the report is from the evader than from a false alarm (equation
 8.17). Chains that share no report and are worth most together are a flow of least cost, whose
 linear programme has whole solutions.
-
-Imperfect detection: objects that are missed, false alarms, and the reports a mote has of both.
-
-Rounds of all levels sample at common instants, so that what is missed or imagined at an instant is
-the same at every level.
 """
 
 from __future__ import annotations

@@ -1,12 +1,7 @@
-"""The figure of a whole result: the plans of a solution, or a run.
+"""Figures of whole results: the plans of a solution, or a run, of one robot or several.
 
-One plan: its map, what it is predicted to receive on the way, and what is proven of it.
-
-Several robots on one map: a run with its time series, or their plans of one moment.
-
-Panels of plans along the way, of one robot or several, and what is proven of them, in words.
-
-A plan's verdict and certificate in words.
+One plan has its map, what it is predicted to receive on the way, and its verdict and certificate in
+words. Several robots share one map, beside panels of their plans or of the run over time.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """A team's run over time: the target, the channel, the connections, and what planning did.
 
-How several robots are told apart: a colour and a marker each, the same in map and curves.
-
-The curve that a robot drives from place to place, for pictures.
+Robots are told apart by a colour and a marker each, the same in maps and curves.
 """
 
 from __future__ import annotations

@@ -7,13 +7,7 @@ robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse of 
 not too long; at equal times it is no farther from even motion on that line (Stewart's theorem). A
 plan must end in a state in which the robot can rest.
 
-What is given of dynamics from Python fits together.
-
-The classic Runge-Kutta method of fourth order, for anything that adds and scales.
-
-Components may be NumPy numbers, NumPy arrays or CasADi expressions.
-
-A CasADi function for components of any kind: expressions, numbers, arrays, real or complex.
+Components may be NumPy numbers, NumPy arrays or CasADi expressions, real or complex.
 """
 
 from __future__ import annotations

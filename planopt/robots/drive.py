@@ -1,8 +1,6 @@
 """How a robot drives along a path: its state after each step, and the input of each step.
 
-The single integrator q+ = q + h v with speed limit.
-
-The way within a step is straight.
+Of the single integrator, q+ = q + h v with a speed limit, the way within a step is straight.
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
 The lattice is laid on a larger torus, whose covariance matrix the Fourier transform diagonalises.
 Where the torus is too small some eigenvalues are negative; it is grown until the share that must
 be clipped is negligible. A realisation is never standardised: that would destroy the covariance.
-
-Fourier transforms with types: the boundary to SciPy's, which ship none.
+SciPy's transforms, which ship no types, are given some here.
 """
 
 from __future__ import annotations

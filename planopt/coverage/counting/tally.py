@@ -3,17 +3,14 @@
 Methods with a common start are restarted in epochs, and an estimate holds until the next epoch has
 ended; the running count never restarts.
 
-Counting by minima: every agent draws numbers, and all learn the smallest of each.
+By minima every agent draws numbers, and all learn the smallest of each: the minimum of n
+exponential variables is n times smaller than one of them. No leader, no identities; lost and
+repeated messages do no harm. The estimate is random, with an exact confidence interval.
 
-The minimum of n exponential variables is n times smaller than one of them. No leader, no
-identities; lost and repeated messages do no harm. The estimate is random, with an exact confidence
-interval.
-
-Counting without a common start: the count follows agents that join and leave.
-
-Every agent averages with its neighbours and adds a little in each round; the leader takes away as
-much of its own value. ``x <- W x + eps (1 - x_leader e_leader)`` comes to rest only where the
-leader holds n exactly, from wherever it starts, and all others hold a little more.
+The running count follows agents that join and leave. Every agent averages with its neighbours and
+adds a little in each round; the leader takes away as much of its own value.
+``x <- W x + eps (1 - x_leader e_leader)`` comes to rest only where the leader holds n exactly, from
+wherever it starts, and all others hold a little more.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Judge ``steps.csv``: every cell against the one that the rest of the files gives.
 
-Names in a saved file that stand for something must be those that planopt gives.
+Its names that stand for something must be those that planopt gives.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 """Read a saved plan or run; judging it is another matter.
 
 What cannot be read is an error. What can be read and is not true is for
-:func:`planopt.planning.check.check.check` to reject.
-
-Saved plans and runs of the former file format, brought into today's; for one version.
-
-Format 1 had no key ``format``, and a form of its own for the one robot of a problem that is to
-reach a goal: plans of a run without the robot's name, and the way on to the goal beside the robot.
+:func:`planopt.planning.check.check.check` to reject. The former format is brought into today's, for
+one version: it had no key ``format``, and a form of its own for the one robot of a problem that
+is to reach a goal, with plans of a run without the robot's name and the way on to the goal beside
+the robot.
 """
 
 from __future__ import annotations

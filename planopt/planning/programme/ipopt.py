@@ -1,11 +1,8 @@
 """A built IPOPT solver: its settings, and one call of it, arrays in and a point out.
 
-IPOPT's raw return status as a `Termination`, totally.
-
-CasADi's `unified_return_status` hides infeasible and NaN, and `success` includes acceptable points,
-so the raw string is mapped. An unknown string is a numerical failure.
-
-An IPOPT solver that is given exact derivatives instead of finding them itself.
+Its raw return status is mapped to a `Termination`, totally: CasADi's `unified_return_status` hides
+infeasible and NaN, and `success` includes acceptable points. An unknown string is a numerical
+failure. A solver may be given exact derivatives instead of finding them itself.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Values and derivatives of a built programme, as NumPy has them.
+"""Values and derivatives of a built programme as NumPy has them, and its points.
 
-What any solver of a programme over a path is given, and what it gives back.
+A point is what any solver of a programme over a path is given, and what it gives back.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Polish a start path with IPOPT: same homotopy class, continuous places, exact derivatives.
-
-What a polish gives back.
-"""
+"""Polish a start path with IPOPT: same homotopy class, continuous places, exact derivatives."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 For the single integrator the way is straight from place to place. Any other robot says by states
 and inputs how it drives: from them every step is computed again by the robot's dynamics, and the
 way of stopping after the last step counts as swept, so that no next step is without a way.
-
-When a planned robot is where, for distances at equal times.
+Distances at equal times need when a robot is where, too.
 """
 
 from __future__ import annotations

@@ -3,13 +3,7 @@
 The places searched contain every place that the robot could reach by a step (a disc about it, cut
 to the free part connected with it; where that has a good place, the ways round the obstacles are
 measured too), so a negative best margin says that the bound cannot be met there. The search is as
-good as its grid.
-
-Which of the good places within reach by air are within reach round the obstacles.
-
-Where a robot may come to that cannot turn or stop at will, for searches of what is in reach.
-
-Grids of places over the workspace, and their connected parts.
+good as its grid. A robot that cannot turn or stop at will has a disc of its own.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The moves of a lattice, tabulated for searching stage by stage.
+"""The moves of a lattice and its windows, tabulated for searching stage by stage.
 
-Windows: the parts of the lattice that are looked at, with a margin of closed nodes around it.
+A window is the part of the lattice that is looked at, with a margin of closed nodes around it.
 """
 
 from __future__ import annotations

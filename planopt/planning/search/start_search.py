@@ -1,13 +1,9 @@
 """Where the polish of a sum of terms starts from: the best ways found by search, all told apart.
 
-Where the best paths of a lattice search end, apart from each other.
-
-Tracing the best path to a node back through the values of a lattice search.
-
-What it is worth to end a step at a node: exact for terms that add up, a stand-in for others.
-
-Terms that couple the places of a path cannot be searched by dynamic programming. In their place
-stands what a place would be worth alone; the path that comes out is only a start.
+A lattice is searched stage by stage, and paths to its best ends, apart from each other, are traced
+back. What ending a step at a node is worth is exact for terms that add up. Terms that couple the
+places of a path cannot be searched by dynamic programming: in their place stands what a place would
+be worth alone, and the path that comes out is only a start.
 """
 
 from __future__ import annotations

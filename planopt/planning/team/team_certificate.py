@@ -1,7 +1,4 @@
-"""The worst of several certificates in each respect.
-
-How far robots keep from each other, and from moving obstacles, step by step.
-"""
+"""The worst of several certificates, and how far robots keep apart step by step."""
 
 from __future__ import annotations
 

@@ -82,9 +82,7 @@ class ConnectionSteering:
         self, situation: Situation, nodes: NDArray[np.intp], radius_m: float
     ) -> NDArray[np.float64]:
         """Chance of a connection at some nodes within `radius_m` of the robot; ``(k,)``."""
-        # A tile is refreshed if its centre is within the window.
-        reach = radius_m + 2.0 * self._problem.step_length_m
-        low, high = situation.position_m - reach, situation.position_m + reach
+        low, high = situation.position_m - radius_m, situation.position_m + radius_m
         window = float(low[0]), float(low[1]), float(high[0]), float(high[1])
         self._map.refresh(situation.posterior, situation.circumstances.broad, window)
         at = self._ground.road_map.rows[nodes], self._ground.road_map.columns[nodes]

@@ -1,9 +1,8 @@
 """What a path is worth: the weighted sum of its terms, from all measurements.
 
 This is what plans are compared by and what is reported. Solvers work with
-:mod:`planopt.planning.worth.local_worth`, which is close to it and has derivatives.
-
-What a path's connectivity costs: by how much it misses the rule, and the price of its slack.
+:mod:`planopt.planning.worth.local_worth`, which is close to it and has derivatives. What a path's
+connectivity costs is by how much it misses the rule, and the price of its slack.
 """
 
 from __future__ import annotations

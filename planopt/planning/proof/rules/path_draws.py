@@ -3,9 +3,8 @@
 One station's powers along a path are jointly normal. The serving power of several is not: their
 channels are drawn, each by itself, as many each time and from the same seeds. A calibrated law of
 connection changes how probable each place is, and leaves how places depend on each other as the
-posterior has it (a Gaussian copula).
-
-The rule on all steps together: the probability that every step of the plan is connected.
+posterior has it (a Gaussian copula). The rule `joint` bounds the probability that every step of the
+plan is connected.
 """
 
 from __future__ import annotations

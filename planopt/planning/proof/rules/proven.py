@@ -1,6 +1,6 @@
 """What each rule of connectivity means: the half of a rule by which plans are judged.
 
-Rules on expectations: the average share of connected steps, and the expected data delivered.
+Rules on expectations, the average share of connected steps and the data delivered, are here whole.
 """
 
 from __future__ import annotations

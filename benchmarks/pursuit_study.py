@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from planopt import load_system
+from planopt.problems import load_system
 from planopt.problems.systems import SystemProblem, system_from_tables
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, Theorem, contraction, guarantees

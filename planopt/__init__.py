@@ -1,7 +1,9 @@
 """planopt: motion plans for robots that must stay in radio contact.
 
 Names are imported when they are first used, so that ``import planopt`` costs nothing. The stub
-``__init__.pyi`` lists them; those of the radio channel are in :mod:`planopt.channel`.
+``__init__.pyi`` lists them. Others are in :mod:`planopt.channel` (the radio channel),
+:mod:`planopt.objectives` (terms), :mod:`planopt.problems` (ground truth, dynamics, systems) and
+:mod:`planopt.extend` (parts of one's own).
 """
 
 from planopt.lazy_names import lazy_names
@@ -10,10 +12,13 @@ FORMER_NAMES = {
     "Simulation": "Run",
     "TeamRun": "Run",
     "TeamSolution": "Solution",
-    "casadi_term": "planopt.objectives.casadi_term",
+    "compare_horizons": "compare",
+    "explain_no_plan": "explain",
 }
 """Former public names, accepted for one version, and the names that replace them."""
 
-__getattr__, __dir__, __all__ = lazy_names(
-    __name__, __file__, FORMER_NAMES, moved_to="planopt.channel"
-)
+HOMES = ("planopt.channel", "planopt.problems", "planopt.extend")
+"""Where public names are that were formerly here; accepted for one version."""
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__, FORMER_NAMES, moved_to=HOMES)
+"""Public names of planopt; each is imported from its module when it is first used."""

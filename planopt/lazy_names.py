@@ -8,7 +8,7 @@ the stub, and so does :func:`lazy_names`.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 from warnings import warn
@@ -18,7 +18,7 @@ def lazy_names(
     package: str,
     file: str,
     former: Mapping[str, str] | None = None,
-    moved_to: str | None = None,
+    moved_to: Sequence[str] = (),
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names.
 
@@ -27,10 +27,9 @@ def lazy_names(
     package, file
         ``__name__`` and ``__file__`` of the package.
     former
-        Former public names, accepted with a warning, and the names that replace them; with a dot
-        those of other packages.
+        Former public names, accepted with a warning, and the names that replace them.
     moved_to
-        A package that has public names which `package` had formerly; accepted with a warning.
+        Packages that have public names which `package` had formerly; accepted with a warning.
     """
     modules = _listed_names(f"{file}i")
 
@@ -65,12 +64,13 @@ def _listed_names(stub: str) -> dict[str, str]:
 
 
 def _replacement(
-    package: str, name: str, former: Mapping[str, str], moved_to: str | None
+    package: str, name: str, former: Mapping[str, str], moved_to: Sequence[str]
 ) -> str | None:
     """Return the full name that replaces a former one; None if it never was a name."""
     if name in former:
-        return former[name] if "." in former[name] else f"{package}.{former[name]}"
+        return f"{package}.{former[name]}"
     # Python and its tools ask any module for names with underscores.
-    if moved_to is None or name.startswith("_"):
+    if name.startswith("_"):
         return None
-    return f"{moved_to}.{name}" if name in import_module(moved_to).__all__ else None
+    homes = (home for home in moved_to if name in import_module(home).__all__)
+    return next((f"{home}.{name}" for home in homes), None)

@@ -19,7 +19,9 @@ def test_every_public_name_is_there() -> None:
     assert set(planopt.__all__) <= set(dir(planopt))
 
 
-@pytest.mark.parametrize("package", [planopt, planopt.channel, planopt.objectives])
+@pytest.mark.parametrize(
+    "package", [planopt, planopt.channel, planopt.extend, planopt.objectives, planopt.problems]
+)
 def test_no_public_name_is_a_module(package: ModuleType) -> None:
     """Else importing the module would put it in the place of the function or class."""
     modules = {each.name for each in pkgutil.iter_modules(package.__path__) if not each.ispkg}
@@ -45,7 +47,7 @@ def test_one_plan_by_public_names() -> None:
     solution = planopt.solve(problem, horizon=2)
     assert isinstance(problem, planopt.Problem)
     assert solution.plan.verdict is planopt.Verdict.VERIFIED
-    assert isinstance(solution.plan.termination, planopt.Termination)
+    assert isinstance(solution.plan.termination, planopt.extend.Termination)
     assert isinstance(solution.belief.posterior, planopt.channel.ChannelPosterior)
 
 
@@ -57,7 +59,7 @@ def test_former_names_warn_and_give_their_successors() -> None:
 
 def test_problems_of_a_system_are_sent_to_their_own_methods() -> None:
     """Every function that plans motion says so, and shows them in a few lines."""
-    system = planopt.load_system("pursuit_static")
+    system = planopt.problems.load_system("pursuit_static")
     actions: list[Callable[[Any], object]] = [
         planopt.solve,
         planopt.simulate,

@@ -26,7 +26,7 @@ def test_provenance(tmp_path: Path) -> None:
 
 def test_powers_are_the_maps() -> None:
     """Each is the ray-traced power at its place, but for fading and rounding; floors are marked."""
-    log = planopt.read_log(LOG, planopt.channel.LogFormat(censored_column="at_floor"))
+    log = planopt.channel.read_log(LOG, planopt.channel.LogFormat(censored_column="at_floor"))
     with np.load(LOG.parent / "munich_mast45m.npz") as file:
         gain, x, y = file["path_gain_db"], file["x"], file["y"]
     ix = np.abs(x - log.positions_m[:, :1]).argmin(axis=1)
@@ -39,19 +39,19 @@ def test_powers_are_the_maps() -> None:
 
 def test_recipe_maps_both_contact_and_none() -> None:
     """The README's threshold divides the map: its picture has more than one colour."""
-    log = planopt.read_log(LOG, planopt.channel.LogFormat(censored_column="at_floor"))
-    fit = planopt.fit_channel(log, planopt.channel.Station((40.0, 0.0), height_m=43.5))
+    log = planopt.channel.read_log(LOG, planopt.channel.LogFormat(censored_column="at_floor"))
+    fit = planopt.channel.fit_channel(log, planopt.channel.Station((40.0, 0.0), height_m=43.5))
     posterior = planopt.channel.condition(fit.parameters, log)
-    maps = planopt.posterior_map(posterior, (-390.0, -360.0, 280.0, 370.0), 10.0, -83.0)
+    maps = planopt.channel.posterior_map(posterior, (-390.0, -360.0, 280.0, 370.0), 10.0, -83.0)
     assert fit.status != "degenerate"
     assert maps.connectivity.values.min() < 0.1 and maps.connectivity.values.max() > 0.9
 
 
 def test_little_multipath_is_nearly_as_likely() -> None:
     """The fit tells of the maximum that the profile of multipath has at the end of its range."""
-    log = planopt.read_log(LOG, planopt.channel.LogFormat(censored_column="at_floor"))
+    log = planopt.channel.read_log(LOG, planopt.channel.LogFormat(censored_column="at_floor"))
     station = planopt.channel.Station((40.0, 0.0), height_m=43.5)
-    fit = planopt.fit_channel(log, station)
+    fit = planopt.channel.fit_channel(log, station)
     (other,) = fit.other_modes
     little, estimate = other.parameters.multipath_std_db, fit.parameters.multipath_std_db
     between = np.sqrt(little * estimate)

@@ -80,7 +80,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "weights=<": planopt.channel.marginalise(
             belief.fit.parameters, belief.posterior.measurements
         ),
-        "threshold_dbm=-60": planopt.posterior_map(
+        "threshold_dbm=-60": planopt.channel.posterior_map(
             belief.posterior, (0.0, 0.0, 120.0, 100.0), 1.0, -60.0
         ),
         "(11, 2)": solution.plan,

@@ -18,11 +18,11 @@ from time import process_time
 import numpy as np
 import shapely
 
-from planopt import load_system
 from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
 from planopt.coverage.control.receding import MoveLimits, plan_moves
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.region import convex_region
+from planopt.problems import load_system
 from planopt.report.coverage_figure import (
     NetworkPicture,
     animate_network,

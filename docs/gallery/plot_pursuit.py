@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planopt import load_system
+from planopt.problems import load_system
 from planopt.pursuit.knowledge import Track, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.report.pursuit_design_figure import draw_design

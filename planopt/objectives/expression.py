@@ -163,7 +163,7 @@ def run_program(
             raise InputError(
                 f"instruction {row} ({' '.join(words)}) is none of an expression of {steps} steps",
                 key="program",
-                remedy="write programs by planopt.objectives.casadi_term",
+                remedy="write programs by planopt.extend.casadi_term",
             ) from None
     if value is None:
         raise InputError("the program has no output", key="program")

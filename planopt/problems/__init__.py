@@ -1,1 +1,8 @@
-"""Problem files: schema, load and save."""
+"""Problems: their files, the library, and parts that some have: ground truth, dynamics, systems.
+
+Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+"""
+
+from planopt.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

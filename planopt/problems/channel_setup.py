@@ -91,7 +91,7 @@ class ArrayTruth:
     Examples
     --------
     >>> import numpy as np
-    >>> from planopt import ArrayTruth
+    >>> from planopt.problems import ArrayTruth
     >>> x, y = np.arange(0.5, 100.0), np.arange(0.5, 60.0)
     >>> truth = ArrayTruth(x_m=x, y_m=y, power_dbm=-40.0 - 0.3 * np.hypot(x, y[:, None]))
     """
@@ -124,7 +124,7 @@ class FunctionTruth:
     Examples
     --------
     >>> import numpy as np
-    >>> from planopt import FunctionTruth
+    >>> from planopt.problems import FunctionTruth
     >>> truth = FunctionTruth(power_dbm=lambda places_m: -50.0 - 0.2 * places_m[:, 0], cell_m=0.5)
     """
 

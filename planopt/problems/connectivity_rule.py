@@ -24,7 +24,8 @@ class ConnectivityRule:
         stated. ``average``: on average over the run so far and the plan. ``joint``: that all steps
         of the plan are connected. ``outage``: steps below p_min in a row are no longer than
         stated. ``data``: the data delivered keep pace with the deadline, with probability p_min or,
-        where that is 0, in expectation. Or the kind of a rule of one's own (`planopt.OwnRule`).
+        where that is 0, in expectation. Or the kind of a rule of one's own
+        (`planopt.extend.OwnRule`).
     connected_times_s
         Of ``stated_times``, from the start of the run.
     outage_max_m, outage_max_s

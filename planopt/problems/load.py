@@ -115,7 +115,7 @@ def load(path_or_name: Path | str) -> Problem:
             f"is {task}, which is no motion planning",
             file=path,
             key="problem.task",
-            remedy="load it with planopt.load_system",
+            remedy="load it with planopt.problems.load_system",
         )
     problem = problem_from_tables(data, folder=path.absolute().parent, file=path)
     check_files(problem)

@@ -171,11 +171,6 @@ def compare(
     )
 
 
-def compare_horizons(problem: Problem, horizons: Sequence[int], **settings: Any) -> Comparison:
-    """Compare horizons of one problem; settings are those of :func:`compare`."""
-    return compare(problem, horizons, **settings)
-
-
 def exit_code(comparison: Comparison) -> int:
     """Return 0 if all did what was asked with every step verified, 3 if some step was not, or 4."""
     return max(run.exit_code for run in comparison.runs)

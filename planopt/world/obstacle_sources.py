@@ -23,7 +23,7 @@ def obstacles_from(source: Any, name: str = "obstacle") -> tuple[Obstacle, ...]:
     source
         A shapely polygon or collection of polygons; a GeoDataFrame or GeoSeries, whose column
         ``name`` names the obstacles if there is one; an array ``(n, 2)`` of the corners of one
-        obstacle; an :class:`planopt.OccupancyGrid`; or a list of any of these, obstacles
+        obstacle; an :class:`planopt.problems.OccupancyGrid`; or a list of any of these, obstacles
         included. Coordinates are metres in the frame of the problem.
     name
         Name of obstacles that have none of their own; several are numbered.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import planopt
+from planopt.channel import fit_channel
 from planopt.channel.measurements import as_measurements, as_received
 
 STATION = planopt.channel.Station((0.0, 0.0), height_m=5.0)
@@ -65,8 +66,8 @@ def test_lists_are_arrays() -> None:
 def test_public_calls_take_tables(table: Callable[[dict[str, Any]], Any]) -> None:
     """Each gives what it gives for measurements."""
     given = table(COLUMNS)
-    fit = planopt.fit_channel(given, STATION)
-    assert fit.parameters == planopt.fit_channel(ARRAYS, STATION).parameters
+    fit = fit_channel(given, STATION)
+    assert fit.parameters == fit_channel(ARRAYS, STATION).parameters
     parameters = fit.parameters
     places = PLACES[:3] + 1.0
 
@@ -86,14 +87,14 @@ def test_public_calls_take_tables(table: Callable[[dict[str, Any]], Any]) -> Non
     theta = planopt.channel.estimate_theta(given, parameters)
     assert theta.theta.tolist() == planopt.channel.estimate_theta(ARRAYS, parameters).theta.tolist()
     quarters = np.arange(40) // 10
-    predictors = planopt.channel.predictors_of(lambda some: planopt.fit_channel(some, STATION))
+    predictors = planopt.channel.predictors_of(lambda some: fit_channel(some, STATION))
     report = planopt.channel.held_out_report(given, quarters, quarters, predictors)
     assert report.measurements == 40 and report.censored == CENSORED.sum()
 
 
 def test_public_calls_take_lists_of_places() -> None:
     """Places are lists of pairs, or two columns of a frame, as well as arrays."""
-    posterior = planopt.channel.condition(planopt.fit_channel(ARRAYS, STATION).parameters, ARRAYS)
+    posterior = planopt.channel.condition(fit_channel(ARRAYS, STATION).parameters, ARRAYS)
     path = np.column_stack([np.linspace(10.0, 80.0, 6), np.linspace(20.0, 60.0, 6)])
     lists, times = path.tolist(), list(range(6))
     level = -80.0
@@ -162,7 +163,7 @@ def test_bad_tables(table: Any, words: str) -> None:
 @pytest.mark.parametrize("places", [["a", "b"], [[1.0, 2.0], [3.0]], "nowhere", None, [[{}, {}]]])
 def test_bad_places(places: Any) -> None:
     """No error of NumPy's."""
-    posterior = planopt.channel.condition(planopt.fit_channel(ARRAYS, STATION).parameters, ARRAYS)
+    posterior = planopt.channel.condition(fit_channel(ARRAYS, STATION).parameters, ARRAYS)
     with pytest.raises(planopt.InputError) as caught:
         posterior.predict(places)
     assert caught.value.key == "positions_m"

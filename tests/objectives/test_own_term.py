@@ -12,7 +12,7 @@ import pytest
 from terms_scene import LEARNING, situation_of, terms_problem
 
 from planopt.errors import InputError
-from planopt.objectives import OwnTerm, casadi_term
+from planopt.extend import OwnTerm, casadi_term
 from planopt.objectives.terms import term as registry
 from planopt.objectives.terms.term import registered_terms
 from planopt.planning.search.local_ranking import LocalRanking
@@ -87,7 +87,7 @@ from typing import ClassVar
 
 import casadi as ca
 import planopt
-from planopt.objectives import OwnTerm
+from planopt.extend import OwnTerm
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ if __name__ == "__main__":
     problem = planopt.load("outdoor_map")
     settings = replace(problem.planner, max_steps=2)
     problem = replace(problem, objective=EastTerm(), planner=settings)
-    found = planopt.compare_horizons(problem, [2], seeds=range(2), workers=2)
+    found = planopt.compare(problem, [2], seeds=range(2), workers=2)
     print(len(found.runs))
 """
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from rules_scene import ruled_problem
 
-from planopt import ConnectivityRule, InputError, OwnRule, check, simulate, solve
+from planopt import ConnectivityRule, InputError, check, simulate, solve
+from planopt.extend import OwnRule
 from planopt.planning.history import History
 from planopt.planning.proof.rules.proven import proven_rule
 from planopt.planning.worth.rules.planned import planned_rule
@@ -150,7 +151,7 @@ import planopt
 
 
 @dataclass(frozen=True)
-class Likely(planopt.OwnRule):
+class Likely(planopt.extend.OwnRule):
     kind: ClassVar[str] = "likely"
 
     def achieved(self, probability, history):
@@ -163,7 +164,7 @@ if __name__ == "__main__":
     limits = replace(problem.constraints, p_min=0.5, rule=rule)
     settings = replace(problem.planner, max_steps=2)
     problem = replace(problem, constraints=limits, planner=settings)
-    found = planopt.compare_horizons(problem, [2], seeds=range(2), workers=2)
+    found = planopt.compare(problem, [2], seeds=range(2), workers=2)
     print(len(found.runs))
 """
 

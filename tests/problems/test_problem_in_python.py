@@ -11,17 +11,13 @@ import shapely
 
 import planopt
 from planopt import (
-    ArrayTruth,
     BaseStation,
     ChannelSetup,
     Constraints,
-    FunctionTruth,
-    ModelTruth,
     Obstacle,
     PlannerSettings,
     Problem,
     Robot,
-    SampledMeasurements,
     Workspace,
     load,
     obstacles_from,
@@ -31,7 +27,7 @@ from planopt.channel import true_power_dbm
 from planopt.errors import InputError
 from planopt.objectives import LearningTerm, TrackingTerm
 from planopt.planning.given import draw
-from planopt.problems import term_tables
+from planopt.problems import ArrayTruth, FunctionTruth, ModelTruth, SampledMeasurements, term_tables
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 STATION = BaseStation(position_m=(20, 15), transmit_power_dbm=0.0, threshold_dbm=-70.0)
@@ -198,7 +194,7 @@ class NamedGeometries(dict):
 def test_obstacles_of_any_source() -> None:
     """The same area by every way of saying it."""
     house = shapely.box(10, 10, 14, 13)
-    grid = planopt.OccupancyGrid(
+    grid = planopt.problems.OccupancyGrid(
         occupied=np.pad(np.ones((3, 4), dtype=bool), ((10, 5), (10, 6))),
         unknown=np.zeros((18, 20), dtype=bool),
         resolution_m=1.0,

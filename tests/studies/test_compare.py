@@ -15,7 +15,7 @@ from planopt.planning.loop.clairvoyant import COSTS as COST_METRICS
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Metrics, Outcome
 from planopt.planning.run import summary_of
-from planopt.studies.compare import compare_horizons, log_ratios, mean_interval, tabulate
+from planopt.studies.compare import compare, log_ratios, mean_interval, tabulate
 from planopt.studies.comparison import Comparison, Row
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6
@@ -40,7 +40,7 @@ def seen() -> list:
 @pytest.fixture(scope="module")
 def comparison(problem, seen) -> Comparison:
     """Four settings on six seeds, in this process."""
-    return compare_horizons(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, on_run=seen.append)
+    return compare(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, on_run=seen.append)
 
 
 def rows_of(comparison: Comparison, horizon: int, cost_to_go: str) -> dict[str, Row]:
@@ -177,7 +177,7 @@ def assert_same_run(one, other):
 
 def test_parallel_equals_serial(comparison, problem):
     """Two processes, the same bits."""
-    parallel = compare_horizons(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, workers=2)
+    parallel = compare(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, workers=2)
     for one, other in zip(comparison.runs, parallel.runs, strict=True):
         assert_same_run(one, other)
     for one, other in zip(comparison.rows, parallel.rows, strict=True):
@@ -187,7 +187,7 @@ def test_parallel_equals_serial(comparison, problem):
 
 def test_seeds_by_number_or_by_name(comparison, problem):
     """A list of seeds is these, in this order; the seeds are what counts."""
-    chosen = compare_horizons(problem, [6], costs_to_go=["connected"], seeds=iter([2, 0]))
+    chosen = compare(problem, [6], costs_to_go=["connected"], seeds=iter([2, 0]))
     assert [run.seed for run in chosen.runs] == [2, 0]
     for run in chosen.runs:
         [same] = [r for r in runs_of(comparison, 6, "connected") if r.seed == run.seed]
@@ -196,9 +196,7 @@ def test_seeds_by_number_or_by_name(comparison, problem):
 
 def test_one_seed_has_no_interval(problem):
     """A mean of one is no estimate of spread; planners are settings too."""
-    alone = compare_horizons(
-        problem, [2], planners=["lattice", "auto"], costs_to_go=["connected"], seeds=1
-    )
+    alone = compare(problem, [2], planners=["lattice", "auto"], costs_to_go=["connected"], seeds=1)
     assert [run.planner for run in alone.runs] == ["lattice", "auto"]
     for row in alone.rows:
         assert row.ci_low is row.ci_high is None
@@ -229,7 +227,7 @@ def test_bad_arguments(problem, options, key):
     """One clear error that names the argument, before anything runs."""
     arguments = {"horizons": [2], "seeds": 1, **options}
     with pytest.raises(InputError) as caught:
-        compare_horizons(
+        compare(
             problem, arguments.pop("horizons"), on_run=lambda _: pytest.fail("ran"), **arguments
         )
     assert caught.value.key == key

@@ -18,7 +18,7 @@ from planopt.problems.problem import Problem
 from planopt.problems.save import problem_to_dict
 from planopt.studies import compare as compare_module
 from planopt.studies import finished_runs
-from planopt.studies.compare import compare_horizons
+from planopt.studies.compare import compare
 from planopt.studies.comparison import Comparison
 from planopt.studies.finished_runs import FinishedRuns, run_key
 
@@ -48,7 +48,7 @@ def compared(problem: Problem, folder: Path, horizons=(1, 2), **more) -> Compari
     """Two horizons on two seeds, with a record."""
     if problem.task == "reach":
         more["costs_to_go"] = ["geodesic"]
-    return compare_horizons(problem, horizons, finished=folder, **{"seeds": 2, **more})
+    return compare(problem, horizons, finished=folder, **{"seeds": 2, **more})
 
 
 @pytest.mark.parametrize("name", ["open_field", "outdoor_map"])

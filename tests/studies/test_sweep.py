@@ -18,6 +18,7 @@ from planopt.commands.compare import seeds_of, swept
 from planopt.files.typed_json import encoded
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.run import RunSummary, summary_of
+from planopt.problems import FunctionTruth
 from planopt.problems.overrides import with_changes
 from planopt.report.comparison_figure import axis_of, draw_comparison, looks_of
 from planopt.report.tables import comparison_text
@@ -130,7 +131,7 @@ def test_a_channel_from_python_stays(problem) -> None:
     """A sweep of other keys keeps it, whatever it is."""
     channel = replace(
         problem.channel,
-        truth=planopt.FunctionTruth(power_dbm=lambda places: -40.0 - places[:, 0], cell_m=2.0),
+        truth=FunctionTruth(power_dbm=lambda places: -40.0 - places[:, 0], cell_m=2.0),
     )
     own = replace(problem, channel=channel)
     assert with_changes(own, {"constraints.p_min": 0.6}).channel is channel
@@ -138,7 +139,7 @@ def test_a_channel_from_python_stays(problem) -> None:
 
 def test_systems_are_swept(problem) -> None:
     """Beside a problem of motion planning; capture takes longer against a faster evader."""
-    pursuit = planopt.load_system("pursuit_fleeing")
+    pursuit = planopt.problems.load_system("pursuit_fleeing")
     speed = "evaders[0].speed_max_m_s"
     found = compare(pursuit, sweep={speed: [0.2, 0.4]}, seeds=2, workers=2)
     alone = pursuit.simulate(seed=1)
@@ -151,7 +152,7 @@ def test_systems_are_swept(problem) -> None:
     assert again.runs[0].metrics["capture_time_s"] == alone.data["metrics"]["capture_time_s"]
     assert [run.problem for run in again.runs][1:] == ["open_field"] * 2
     with pytest.raises(InputError, match="no runs to compare"):
-        compare(planopt.load_system("pursuit_design"), [1], seeds=1)
+        compare(planopt.problems.load_system("pursuit_design"), [1], seeds=1)
 
 
 def test_pairs_across_problems(problem, comparison) -> None:

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import shapely
 
-import planopt
 from planopt.cli import main
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.simulation import ABSENT
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
+from planopt.problems import load_system
 from planopt.problems.systems import system_from_tables
 from planopt.report.coverage_figure import NetworkPicture, draw_deployment, draw_network
 from planopt.systems.coverage.check import faults
@@ -92,7 +92,7 @@ def test_simulate_and_check(written, tmp_path, capsys):
     run(capsys, "simulate", written(), "--seed", 3, "--out", again)
     for name in names - {"run.json"}:
         assert (out / name).read_bytes() == (again / name).read_bytes()
-    other = planopt.load_system(written()).simulate(seed=4).data
+    other = load_system(written()).simulate(seed=4).data
     assert other["metrics"]["cost_first"] != found["metrics"]["cost_first"]
 
 
@@ -109,7 +109,7 @@ def test_pictures(written, tmp_path, capsys):
 def test_pictures_show_the_region_itself(written):
     """The outline of a region that is not convex is drawn with its notch, not as its hull."""
     notched = "outline_m = [[0, 0], [40, 0], [40, 30], [30, 30], [30, 20], [0, 20]]"
-    content = planopt.load_system(written(("bounds_m = [0, 0, 40, 30]", notched))).content
+    content = load_system(written(("bounds_m = [0, 0, 40, 30]", notched))).content
     starts = content.scene(np.random.default_rng(0)).starts_m
     panel = draw_deployment("notched", content.ground, (), starts, 1.0).axes[0]
     assert [30.0, 20.0] in panel.lines[0].get_xydata().tolist()
@@ -121,7 +121,7 @@ def test_saved_problems_need_no_other_files(written, tmp_path):
     cells = "\n".join(f"{x},{y},{1 + x}" for y in (5, 15, 25) for x in (5, 15, 25, 35))
     (tmp_path / "weights.csv").write_text(f"x_m,y_m,density\n{cells}\n")
     more = '\n[density]\nkind = "raster"\nfile = "weights.csv"\n'
-    problem = planopt.load_system(written(more=more))
+    problem = load_system(written(more=more))
     (tmp_path / "weights.csv").unlink()
     again = system_from_tables(
         json.loads(json.dumps(problem.tables())), folder=tmp_path / "nowhere", file=None
@@ -129,7 +129,7 @@ def test_saved_problems_need_no_other_files(written, tmp_path):
     assert again is not None
     first, second = (each.simulate(seed=1).data["metrics"] for each in (problem, again))
     assert first == second
-    assert first["cost_first"] > 10.0 * planopt.load_system(written()).simulate(seed=1).data[
+    assert first["cost_first"] > 10.0 * load_system(written()).simulate(seed=1).data[
         "metrics"
     ]["cost_first"]  # fmt: skip
 
@@ -284,14 +284,14 @@ def test_false_folders_are_rejected(change, words, saved, tmp_path, capsys):
 def test_bad_input_names_its_key(changes, more, key, words, written):
     """Each mistake gets one error with its key, and no run."""
     with pytest.raises(InputError, match=words) as caught:
-        planopt.load_system(written(*changes, more=more))
+        load_system(written(*changes, more=more))
     assert caught.value.key is not None and key in caught.value.key
 
 
 def test_exactly_the_wanted_agents_and_a_centroidal_rest(written):
     """While the event lasts, the nearest agents stand at it, and all others on their centroids."""
     changes = (("ends_s = 40\n", ""), ("duration_s = 200", "duration_s = 900"))
-    content = planopt.load_system(written(*changes)).content
+    content = load_system(written(*changes)).content
     for seed in range(3):
         done = drive(content, content.given.planner, seed).run
         assert done.settled
@@ -319,7 +319,7 @@ def test_receding_horizon_within_limits(written, tmp_path, capsys):
         cell("steps.csv", "vx_m_s" if number == 0 else "heading_rad", 9, "1.9")(out)
         assert run(capsys, "check", out)[0] == 3
     with pytest.raises(InputError, match="keeps no limits"):
-        planopt.load_system(file).simulate(planner="law")
+        load_system(file).simulate(planner="law")
 
 
 BODIES = (
@@ -339,7 +339,7 @@ def test_no_two_bodies_touch(inert, written, tmp_path, capsys):
     changes = list(BODIES)
     if inert:
         changes.append(("body_radius_m", "acceleration_max_m_s2 = 0.7\nbody_radius_m"))
-    problem = planopt.load_system(written(*changes, more=RECEDING))
+    problem = load_system(written(*changes, more=RECEDING))
     content, middle = problem.content, np.array([12.0, 11.0])
     # The last agent would join at the event, where the others stand.
     starts = np.vstack([content.scene(np.random.default_rng(2)).starts_m, middle]).tolist()
@@ -350,7 +350,7 @@ def test_no_two_bodies_touch(inert, written, tmp_path, capsys):
     assert code in (0, 4) and found["faults"] == []
     assert 8.0 < found["events"][0]["served_s"] < 30.0
     assert run(capsys, "check", tmp_path / "out")[0] == 0
-    done = planopt.load_system(file).simulate().result.run
+    done = load_system(file).simulate().result.run
     joined = int((done.states[:, 12] != ABSENT).argmax())
     assert 40 < joined < len(done.states)
     step = np.linspace(0.0, 1.0, 33)[:, None, None]
@@ -367,7 +367,7 @@ def test_no_two_bodies_touch(inert, written, tmp_path, capsys):
     # Five discs fit in a circle of 2.7013 radii at best (Graham 1968): centres at 1.7013.
     assert len(team) == 5 and 1.7013 * 0.6 - 0.1 < away_m[-1] <= 1.3 * 1.7013 * 0.6
     with pytest.raises(InputError, match="of acceleration" if inert else "no bodies apart"):
-        planopt.load_system(file).simulate(planner="law")
+        load_system(file).simulate(planner="law")
 
 
 def test_bodies_in_place_hold_shells():
@@ -396,7 +396,7 @@ def test_compare_horizons_paired(written, tmp_path, capsys):
         ("receding", 3),
     ]
     assert [row["paired_ratio"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
-    one = planopt.load_system(file).simulate(seed=1).data["metrics"]
+    one = load_system(file).simulate(seed=1).data["metrics"]
     mine = next(each for each in found["runs"] if each["seed"] == 1 and each["planner"] == "law")
     mine = mine["metrics"]
     assert mine["cost_mean"] == pytest.approx(one["cost_mean"])
@@ -434,7 +434,7 @@ def test_horizons_of_the_committed_problems():
     folder = Path(__file__).parents[2] / "benchmarks" / "problems"
     runs = {}
     for name in ("spread_speed", "spread_inertia"):
-        content = planopt.load_system(folder / f"{name}.toml").content
+        content = load_system(folder / f"{name}.toml").content
         control = content.given.control.model_copy(update={"duration_s": 12.0})
         content = replace(content, given=content.given.model_copy(update={"control": control}))
         for horizon in (2, 5):
@@ -452,7 +452,7 @@ def test_horizons_of_the_committed_problems():
 
 def test_radio_is_kept_where_the_law_loses_it():
     """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
-    problem = planopt.load_system("coverage_radio")
+    problem = load_system("coverage_radio")
     content = problem.content
     planner = content.given.planner
     short = content.given.control.model_copy(update={"duration_s": 30.0})
@@ -477,7 +477,7 @@ def test_solve_and_check(written, tmp_path, capsys):
     code, found = run(capsys, "solve", written(), "--seed", 2, "--out", out)
     assert code == 0 and found["verdict"] == "verified" and found["sense"] == "min"
     assert 0.0 < found["bound"] < found["objective"] <= min(found["start_costs"]) * (1 + 1e-9)
-    alone = planopt.load_system(written(("appears_s = 8\n", "appears_s = 500\n"),
+    alone = load_system(written(("appears_s = 8\n", "appears_s = 500\n"),
                                         ("ends_s = 40", "ends_s = 600")))  # fmt: skip
     assert found["objective"] <= alone.simulate(seed=2).data["metrics"]["cost_last"] * 1.001
     assert run(capsys, "check", out)[0] == 0

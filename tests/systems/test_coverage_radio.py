@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import planopt
 from planopt.cli import main
 from planopt.errors import InputError
+from planopt.problems import load_system
 from planopt.problems.systems import system_from_tables
 
 PROBLEM = """
@@ -63,7 +63,7 @@ def test_surveyed_links_are_kept_and_judged(tmp_path, capsys):
     assert found["faults"] == []
     assert found["metrics"]["cost_last"] < 0.6 * found["metrics"]["cost_first"]
     assert main(["check", str(out)]) == 0
-    lost = planopt.load_system(file).simulate(planner="law").data["faults"]
+    lost = load_system(file).simulate(planner="law").data["faults"]
     assert lost and all("fault of radio" in each for each in lost)
 
 
@@ -71,7 +71,7 @@ def test_a_log_teaches_where_links_fail(tmp_path):
     """Direct links are trusted before the wall only, and a saved problem needs no log."""
     table = log(tmp_path)
     (tmp_path / "problem.toml").write_text(PROBLEM + table)
-    problem = planopt.load_system(tmp_path / "problem.toml")
+    problem = load_system(tmp_path / "problem.toml")
     mapped = problem.content.station_map
     before, behind = np.array([[30.0, 20.0]]), np.array([[70.0, 20.0]])
     assert mapped.near(before, before)[0, 0] < 0.4
@@ -100,5 +100,5 @@ def test_wrong_surveys_are_named(table, key, words, tmp_path):
         table = log(tmp_path, "1,2,abc")
     (tmp_path / "problem.toml").write_text(PROBLEM + table)
     with pytest.raises(InputError, match=words) as caught:
-        planopt.load_system(tmp_path / "problem.toml")
+        load_system(tmp_path / "problem.toml")
     assert caught.value.key is not None and key in caught.value.key

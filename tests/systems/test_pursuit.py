@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import planopt
 from planopt.cli import main
 from planopt.errors import InputError, NoPlanError
+from planopt.problems import load_system
 from planopt.problems.library import library_folder
 
 NAMES = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_several")
@@ -51,14 +51,14 @@ def test_library_problems(name, written, tmp_path, capsys):
     assert found["capture_time_s"] == max(each["capture_time_s"] for each in found["evaders"])
     assert run(capsys, "check", out) == (0, run(capsys, "check", out)[1])
     assert {path.name for path in out.iterdir()} == {"run.json", "steps.csv", "records.csv"}
-    again = planopt.load_system(written(name)).simulate(seed=3).data
+    again = load_system(written(name)).simulate(seed=3).data
     assert again["capture_time_s"] == found["capture_time_s"]
 
 
 def test_guarantee_beside_what_happened(written):
     """One pursuer and one evader: caught within the promised time, stages under their bounds."""
     for seed in range(5):
-        found = planopt.load_system(written("pursuit_fleeing")).simulate(seed=seed).data
+        found = load_system(written("pursuit_fleeing")).simulate(seed=seed).data
         assert found["guarantee"]["applies"]
         for each in found["guarantee"]["theorems"].values():
             assert each["holds"] and each["capture"]["holds"]
@@ -234,8 +234,8 @@ def test_radius_under_the_floor(written, capsys):
         and "< 12 m fails by" in found["reason"]
     )
     with pytest.raises(NoPlanError, match="floor below"):
-        planopt.load_system(file).simulate()
-    free = planopt.load_system(written("pursuit_fleeing", small, ('guarantee = "snapshots"', "")))
+        load_system(file).simulate()
+    free = load_system(written("pursuit_fleeing", small, ('guarantee = "snapshots"', "")))
     assert not free.simulate().data["guarantee"]["theorems"]["snapshots"]["capture"]["holds"]
 
 
@@ -312,11 +312,11 @@ def test_compare(written, tmp_path, capsys):
         for each in found["runs"]
     }
     for planner, horizon in (("drive", 1), ("receding", 5)):
-        again = planopt.load_system(file).simulate(planner=planner, horizon=horizon, seed=8).data
+        again = load_system(file).simulate(planner=planner, horizon=horizon, seed=8).data
         assert times[planner, horizon, 8] == again["capture_time_s"]
     logs = [np.log(times["receding", 5, seed] / times["drive", 1, seed]) for seed in (7, 8, 9)]
     assert rows[2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
     for words in (("--planners", "nlp"), ("--costs-to-go", "geodesic"), ("--calibration", "platt")):
         assert run(capsys, "compare", file, "--horizons", "1", *words)[0] == 2
     with pytest.raises(InputError, match="horizon"):
-        planopt.load_system(file).simulate(planner="receding", horizon=0)
+        load_system(file).simulate(planner="receding", horizon=0)

@@ -11,6 +11,7 @@ import pytest
 import planopt
 from planopt.cli import main
 from planopt.errors import InputError, NoPlanError
+from planopt.problems import load_system
 from planopt.problems.library import library_folder
 
 TEXT = (library_folder() / "pursuit_design.toml").read_text()
@@ -109,7 +110,7 @@ def test_requirements_out_of_reach(changes, words, written, capsys):
     code, data = run(capsys, "solve", file)
     assert code == 4 and words in data["message"] and data["inequality"]["margin"] < 0.0
     with pytest.raises(NoPlanError, match=words):
-        planopt.load_system(file).solve()
+        load_system(file).solve()
 
 
 @pytest.mark.parametrize("method", ["least_power", "least_power_rated", "least_energy"])
@@ -139,9 +140,9 @@ def test_saved_designs_are_judged(method, written, tmp_path, capsys):
 def test_energy_at_half_of_the_limit(written):
     """Least energy per capture is at exactly half of the Lemma's slot width."""
     text = PLAIN.replace("pursuer_speed", "first_distance_m = 30.0\npursuer_speed")
-    power = planopt.load_system(written(text, margin="1e-12\nbits_per_axis = 5")).solve().data
+    power = load_system(written(text, margin="1e-12\nbits_per_axis = 5")).solve().data
     half = written(text, margin="1e-12\nbits_per_axis = 5\nmethod = 'least_energy'")
-    energy = planopt.load_system(half).solve().data
+    energy = load_system(half).solve().data
     assert energy["slot_width_s"] == pytest.approx(0.5 * power["slot_width_s"], rel=1e-9)
     assert energy["binding"] == [] and energy["objective"] == energy["energy_per_capture_j"]
     front = [(row["capture_time_s"], row["energy_per_capture_j"]) for row in energy["pareto"]]
@@ -164,7 +165,7 @@ def test_library_problem(tmp_path, capsys):
     assert "network" in run(capsys, "schema", "--task", "pursuit_design")[1]["properties"]
     assert run(capsys, "schema", "--task", "nothing")[0] == 2
     assert run(capsys, "simulate", "pursuit_design")[0] == 2
-    with pytest.raises(InputError, match=r"planopt\.load_system"):
+    with pytest.raises(InputError, match=r"planopt\.problems\.load_system"):
         planopt.load("pursuit_design")
     with pytest.raises(InputError, match=r"planopt\.load"):
-        planopt.load_system("open_field")
+        load_system("open_field")

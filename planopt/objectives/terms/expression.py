@@ -21,7 +21,7 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True)
 class CasadiTerm(Term):
-    """A user's own value of a path, written by :func:`planopt.objectives.casadi_term`.
+    """A user's own value of a path, written by :func:`planopt.extend.casadi_term`.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class CasadiTerm(Term):
             raise InputError(
                 f"is {self.steps}, and planner.horizon is {steps}",
                 key="steps",
-                remedy="write the term by planopt.objectives.casadi_term for this horizon",
+                remedy="write the term by planopt.extend.casadi_term for this horizon",
             )
         nothing = {name: np.zeros((1, steps, width)) for name, width in WIDTHS.items()}
         expression_values(self.program, steps, nothing | {START: np.zeros((1, 1, 2))})
@@ -110,7 +110,7 @@ class CasadiTerm(Term):
             raise InputError(
                 f"an expression is for {self.steps} steps, the plan has {steps}",
                 key="objective.terms",
-                remedy=f"build it again by planopt.objectives.casadi_term, with horizon {steps}",
+                remedy=f"build it again by planopt.extend.casadi_term, with horizon {steps}",
             )
         known = {START: at.position_m[None]}
         if at.target_m is not None:

@@ -250,7 +250,7 @@ def _is_open(problem: Problem) -> bool:
 
 
 @one_blas_thread()
-def explain(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
+def explain(asked: Solution | Problem, seed: int = 0) -> tuple[Relaxation | Crossing, ...]:
     """Return changes that would give every robot a verified plan, and why holes are crossed.
 
     Each change is by itself, and of its robot alone. Problems are solved again with what is
@@ -260,9 +260,18 @@ def explain(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
 
     Parameters
     ----------
-    solution
-        From :func:`planopt.solve`.
+    asked
+        From :func:`planopt.solve`; or a problem that is to reach a goal, for which planning raised
+        a `NoPlanError`.
+    seed
+        That the problem was planned with; a solution knows its own.
     """
+    if isinstance(asked, Problem):
+        return explain_no_plan(asked, seed)
+    return _explain_solution(asked)
+
+
+def _explain_solution(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
     found: list[Relaxation] = []
     problem = solution.problem
     motions = [planned_motion(problem, plan) for plan in solution.plans]
@@ -281,16 +290,10 @@ def explain(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
 
 @one_blas_thread()
 def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
-    """What would open a way to the goal of a problem that has none; of the changes each suffices.
+    """Return what would open a way to the goal of a problem that has none; each change suffices.
 
-    With several robots, to the goals of those that have no way if they are alone.
-
-    Parameters
-    ----------
-    problem
-        A problem that is to reach a goal, for which planning raised a `NoPlanError`.
-    seed
-        As it was planned with.
+    With several robots, to the goals of those that have no way if they are alone. Parameters are
+    those of :func:`explain`.
     """
     try:
         belief = prepare(problem, seed).belief

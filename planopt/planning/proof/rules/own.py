@@ -37,7 +37,7 @@ class OwnRule(ProvenRule):
     >>> from dataclasses import dataclass
     >>> from typing import ClassVar
     >>> import numpy as np
-    >>> from planopt import OwnRule
+    >>> from planopt.extend import OwnRule
     >>> @dataclass(frozen=True)
     ... class Soon(OwnRule):
     ...     "Connected at least once within the first steps, were steps independent."

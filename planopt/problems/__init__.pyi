@@ -1,0 +1,16 @@
+"""Public names that some problems need; each is imported from its module when it is first used."""
+
+from planopt.problems.channel_setup import ArrayTruth as ArrayTruth
+from planopt.problems.channel_setup import FunctionTruth as FunctionTruth
+from planopt.problems.channel_setup import LoggedMeasurements as LoggedMeasurements
+from planopt.problems.channel_setup import ModelTruth as ModelTruth
+from planopt.problems.channel_setup import RasterTruth as RasterTruth
+from planopt.problems.channel_setup import SampledMeasurements as SampledMeasurements
+from planopt.problems.library import list_problems as list_problems
+from planopt.problems.save import problem_from_dict as problem_from_dict
+from planopt.problems.save import problem_to_dict as problem_to_dict
+from planopt.problems.systems import SystemProblem as SystemProblem
+from planopt.problems.systems import load_system as load_system
+from planopt.robots.double_integrator import DoubleIntegrator as DoubleIntegrator
+from planopt.robots.unicycle import Unicycle as Unicycle
+from planopt.world.occupancy_grid import OccupancyGrid as OccupancyGrid

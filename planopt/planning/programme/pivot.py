@@ -20,7 +20,7 @@ from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
-from planopt.world.road_map import way_from
+from planopt.world.road_map import shortest_ways, way_from
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""
@@ -56,14 +56,24 @@ class Ahead:
         self._problem = problem
         self._scene = scene
         self._start = start
+        self._has_all_ways = False
         self._node_margin_db = node_margin_db
         self.pivot = self._seen_from(int(start.nodes[-1]), None)
+        # Lattice path, polished path and the one released are asked about more than once.
+        self._joins: dict[bytes, tuple[int, float, float] | None] = {}
+        self._pivots: dict[bytes, Pivot] = {}
 
     def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
         """The cheaper of the pivot, if it is seen from `end_m` (2,), and nodes within a step.
 
         The pivot, seen or not, where there is no node.
         """
+        key = end_m.tobytes()
+        if key not in self._pivots:
+            self._pivots[key] = self._cheaper(end_m)
+        return self._pivots[key]
+
+    def _cheaper(self, end_m: NDArray[np.float64]) -> Pivot:
         problem, pivot = self._problem, self.pivot
         joined = self._joined(end_m)
         if joined is None:
@@ -95,6 +105,12 @@ class Ahead:
 
         Node, cost-to-go of the place in metres, cost of a metre up to the node.
         """
+        key = end_m.tobytes()
+        if key not in self._joins:
+            self._joins[key] = self._join(end_m)
+        return self._joins[key]
+
+    def _join(self, end_m: NDArray[np.float64]) -> tuple[int, float, float] | None:
         start = self._start
         nodes, lengths = first_moves(self._scene.ground, self._problem, end_m)
         if not len(nodes):
@@ -103,6 +119,11 @@ class Ahead:
         metre = 0.5 * (metre + metre[np.argmin(lengths)])
         total = lengths * metre + start.ways.cost_m[nodes]
         best = int(np.argmin(total))
+        if not np.isfinite(total[best]) and not self._has_all_ways:
+            # Farther back than the search looked.
+            ways = shortest_ways(self._scene.road_map, self._scene.goal_node, start.metre_cost)
+            self._start, self._has_all_ways = replace(start, ways=ways), True
+            return self._join(end_m)
         return int(nodes[best]), float(total[best]), float(metre[best])
 
     def _seen_from(self, node: int, origin_m: NDArray[np.float64] | None) -> Pivot:

@@ -13,10 +13,10 @@ Variables are the positions q_1..q_N. With h the step duration and Phi the norma
 with step lengths ``l_k = |q_k - q_{k-1}|``, rounded at zero, and the share of a metre that the
 outage price is charged on, ``c_k = charged_k (1 - Phi(score_k(q_k)))``.
 
-callbacks (five times faster than their symbolic form); everything else is symbolic. The
-callbacks (five times faster than their symbolic form); everything else is symbolic. The
-solver is built once per structure and reused; a failed solve leaves nothing behind, because every
-call sets start, bounds and parameters anew and passes no multipliers on.
+Margins and scores come from :mod:`planopt.planning.programme.stage_kernel` with exact derivatives,
+by callbacks (five times faster than their symbolic form); everything else is symbolic. The solver
+is built once per structure and reused; a failed solve leaves nothing behind, because every call
+sets start, bounds and parameters anew and passes no multipliers on.
 """
 
 from __future__ import annotations

@@ -1,44 +1,60 @@
-"""Covariance between measurements, and between measurements and places: age, receiver, position.
-
-Beside multipath, two measured powers covary by
-
-    xi^2 exp(-d / beta) exp(-|t_i - t_j| / T) + s^2 [both by the same receiver, not number 0]
-
-with T the forgetting time, s the prior deviation of a receiver's offset, and d widened by position
-errors as below. The offset is a random effect: a constant of each receiver that is integrated out,
-so that no mean needs a column for it. Predictions are for receiver 0, the reference, so that places
-have no offset.
-
-What an error of a position (GPS) does to a power measured or predicted there.
-
-The power belongs to the true place, the record names another one. With independent planar Gaussian
-errors e of deviation sigma in either coordinate, the covariance of two powers is the kernel
-averaged over the errors (Cressie and Kornak, Spatial Statistics in the Presence of Location Error,
-2003). Here xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
-
-    xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta),    c = 1.2 sigma^2.
-
-It is the kernel of points lifted out of the plane, each along an axis of its own, hence a
-covariance, with xi^2 on the diagonal, where the lifts cancel. The mean distance of two recorded
-places asks for a share of pi / 2 where they coincide and of 1 where they are far apart; 1.2 keeps
-the kernel within 0.021 xi^2 of the average for sqrt(sigma_i^2 + sigma_j^2) up to 0.3 beta, 0.036 up
-to half of beta.
-
-Path loss differs between the two places too, independently for each measurement. Its variance is
-taken from that of the squared distance to the station, to first order.
-"""
+"""Covariance of shadowing, and of measurements with each other and with places."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.kernel import decayed_db2, pairwise_distance_m
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
+
+Real = TypeVar("Real", np.float32, np.float64)
+
+
+def pairwise_distance_m(
+    a: NDArray[np.float64], b: NDArray[np.float64], blur_m2: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Distances between every row of `a` (..., n, 2) and of `b` (..., m, 2); (..., n, m).
+
+    By differences, not by the expanded square, so that coordinates near 3e6 keep their digits.
+    `blur_m2`, which broadcasts to the result, is added to the squares (position errors).
+    """
+    dx = a[..., :, None, 0] - b[..., None, :, 0]
+    dy = a[..., :, None, 1] - b[..., None, :, 1]
+    dx *= dx
+    dy *= dy
+    dx += dy
+    if blur_m2 is not None:
+        dx += blur_m2
+    return np.sqrt(dx, out=dx)
+
+
+def shadow_covariance_db2(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    parameters: ChannelParameters,
+    blur_m2: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Covariance of shadowing between positions `a` (..., n, 2) and `b` (..., m, 2), in dB^2.
+
+    Leading axes are batches; the result is (..., n, m). `blur_m2` as in
+    :func:`pairwise_distance_m`.
+    """
+    return decayed_db2(pairwise_distance_m(a, b, blur_m2), parameters)
+
+
+def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDArray[Real]:
+    """Covariance of shadowing over distances, of any shape and precision, which it replaces."""
+    covariance = distance_m
+    covariance *= -1.0 / parameters.decorrelation_m
+    np.exp(covariance, out=covariance)
+    covariance *= parameters.shadow_std_db**2
+    return covariance
+
 
 BLUR_SHARE = 1.2
 """What is added to squared distances, as a share of the variance of the coordinates' error."""

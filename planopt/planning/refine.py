@@ -24,7 +24,6 @@ from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_wit
 from planopt.planning.programme.path_nlp import ReachNlp
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.polish import OutagePrice, Polished, ReachTask, polish
-from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.lattice_search import retime
@@ -281,14 +280,8 @@ class Refiner:
         """Margins of a start path."""
         if self._rows_of is not None:
             rows = self._rows_of(path_m)
-            return rows.margins_db(self._power(path_m))
-        return self._margins_db(self._power(path_m))
-
-    def _power(self, path_m: NDArray[np.float64]) -> Prediction:
-        """Prediction along a path, as the proof will see it."""
-        return search_prediction(
-            self._judge.belief.posterior, path_m, self._judge.circumstances.broad
-        )
+            return rows.margins_db(self._cost.power(path_m))
+        return self._margins_db(self._cost.power(path_m))
 
     def _look_at(self, path_m: NDArray[np.float64]) -> None:
         """Take the rule's rows about a path."""

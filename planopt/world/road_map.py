@@ -125,7 +125,12 @@ def shortest_ways(
     """
     weights = road_map.edge_length_m
     if node_factor is not None:
-        weights = weights * 0.5 * (node_factor[road_map.edge_from] + node_factor[road_map.edge_to])
+        # Twice as fast as with both ends looked up: edges are sorted by their first end.
+        ends = np.repeat(node_factor, np.diff(road_map.edge_start))
+        ends += node_factor.take(road_map.edge_to)
+        ends *= weights
+        ends *= 0.5
+        weights = ends
     return cheapest_ways(road_map, goal_node, weights, limit_m=limit_m)
 
 

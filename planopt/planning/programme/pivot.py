@@ -131,12 +131,21 @@ class Ahead:
         self._start = start
         self._node_margin_db = node_margin_db
         self.pivot = self._seen_from(int(start.nodes[-1]), None)
+        # Lattice path, polished path and the one released are asked about more than once.
+        self._joins: dict[bytes, tuple[int, float, float] | None] = {}
+        self._pivots: dict[bytes, Pivot] = {}
 
     def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
         """The cheaper of the pivot, if it is seen from `end_m` (2,), and nodes within a step.
 
         The pivot, seen or not, where there is no node.
         """
+        key = end_m.tobytes()
+        if key not in self._pivots:
+            self._pivots[key] = self._cheaper(end_m)
+        return self._pivots[key]
+
+    def _cheaper(self, end_m: NDArray[np.float64]) -> Pivot:
         problem, pivot = self._problem, self.pivot
         joined = self._joined(end_m)
         if joined is None:
@@ -168,6 +177,12 @@ class Ahead:
 
         Node, cost-to-go of the place in metres, cost of a metre up to the node.
         """
+        key = end_m.tobytes()
+        if key not in self._joins:
+            self._joins[key] = self._join(end_m)
+        return self._joins[key]
+
+    def _join(self, end_m: NDArray[np.float64]) -> tuple[int, float, float] | None:
         start = self._start
         nodes, lengths = first_moves(self._scene.ground, self._problem, end_m)
         if not len(nodes):

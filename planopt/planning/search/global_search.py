@@ -131,7 +131,8 @@ class GlobalSearch:
             What is known.
         """
         problem, scene = self._problem, self._scene
-        self.margins.refresh(situation.posterior, situation.circumstances.broad)
+        broad = situation.circumstances.broad
+        self.margins.refresh(situation.posterior, broad, situation.power)
         ways = scene.ways
         if self._has_wandered(situation.circumstances.history):
             nodes = self._shortest(situation, ways)

@@ -77,7 +77,9 @@ def search_lattice(
     half = np.zeros(count + 1) if surcharge_s_m is None else 0.5 * surcharge_s_m
     # A step is at most the longest move, so stage k cannot leave this disc about the first nodes.
     reach = float(road_map.lengths_m.max()) + REACH_TOLERANCE_M
-    distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[first_nodes[0]], axis=1)
+    away = road_map.nodes_m - road_map.nodes_m[first_nodes[0]]
+    away *= away
+    distance = np.sqrt(away[:, 0] + away[:, 1])
     near = np.nonzero(distance <= reach * (horizon + 1))[0]
     near = near[np.argsort(distance[near], kind="stable")]
     radius = distance[near]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -117,25 +120,35 @@ class NodeMargins:
         self.mean_db, self.deviation_db = np.zeros(count), np.zeros(count)
         self.margin_db, self.outage_share = np.zeros(count), np.zeros(count)
         self._exact = np.zeros(len(road_map.nodes_m), dtype=bool)
-        self._posterior: ChannelPosterior | None = None
-        self._broad: Broad | None = None
+        self._nodes = road_map.rows * road_map.lattice.shape[1] + road_map.columns
+        self._power: Callable[[NDArray[np.float64]], Prediction] | None = None
 
     @property
     def outside(self) -> NDArray[np.bool_]:
         """``(n,)`` which nodes miss the bound, or keep it by less than planners ask for."""
         return self.margin_db < MARGIN_PAD_DB
 
-    def refresh(self, posterior: ChannelPosterior, broad: Broad | None = None) -> None:
+    def refresh(
+        self,
+        posterior: ChannelPosterior,
+        broad: Broad | None = None,
+        power: Callable[[NDArray[np.float64]], Prediction] | None = None,
+    ) -> None:
         """Follow the belief: recompute what its new measurements changed.
 
-        Exact values are those of `broad`, where it is not the posterior alone that counts.
+        Parameters
+        ----------
+        posterior
+            Of the first station.
+        broad
+            What counts in its place where it is not the posterior alone.
+        power
+            Exact values of both at places (n, 2); None to predict them here.
         """
         self._map.refresh(posterior, broad)
-        self._broad = broad
-        self._posterior = posterior
-        rows, columns = self._road_map.rows, self._road_map.columns
-        self.mean_db = self._map.mean_db[rows, columns]
-        self.deviation_db = self._map.deviation_db[rows, columns]
+        self._power = power or partial(search_prediction, posterior, broad=broad)
+        self.mean_db = self._map.mean_db.take(self._nodes)
+        self.deviation_db = self._map.deviation_db.take(self._nodes)
         self.margin_db, self.outage_share = self._values(
             Prediction(self.mean_db, self.deviation_db)
         )
@@ -143,23 +156,23 @@ class NodeMargins:
 
     def at(self, places_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Margins and outage shares at any places (n, 2), as good as searches need them."""
-        return self._values(self._power(places_m))
+        return self._values(self._predicted(places_m))
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
         """Put exact values at these nodes; true if any of them had not been exact before."""
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
-        power = self._power(self._road_map.nodes_m[new])
+        power = self._predicted(self._road_map.nodes_m[new])
         self.mean_db[new], self.deviation_db[new] = power.mean_db, power.deviation_db
         self.margin_db[new], self.outage_share[new] = self._values(power)
         self._exact[new] = True
         return True
 
-    def _power(self, places_m: NDArray[np.float64]) -> Prediction:
-        if self._posterior is None:
+    def _predicted(self, places_m: NDArray[np.float64]) -> Prediction:
+        if self._power is None:
             raise AssertionError("refresh first")
-        return search_prediction(self._posterior, places_m, self._broad)
+        return self._power(places_m)
 
     def _values(self, power: Prediction) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         mean, deviation = power.mean_db, power.deviation_db

@@ -107,7 +107,7 @@ class ReachCost:
         power, threshold = self.power(places_m), self.threshold_dbm
         mean, deviation = power.mean_db, power.deviation_db
         chance = connection_probability(mean, deviation, threshold)
-        return outage_share(chance, self._is_below(places_m), self._everywhere)
+        return outage_share(chance, self._is_below(power), self._everywhere)
 
     def metre_costs(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """What a metre counts where the robot is and along a path (N, 2), in metres; (N + 1,)."""
@@ -119,15 +119,15 @@ class ReachCost:
 
         The second as if connection were impossible there; (N,).
         """
-        certain = outage_share(np.zeros(len(path_m)), self._is_below(path_m), self._everywhere)
+        below = self._is_below(self.power(path_m))
+        certain = outage_share(np.zeros(len(path_m)), below, self._everywhere)
         return float(self._outage_share(self.position_m[None])[0]), certain
 
     @property
     def _everywhere(self) -> bool:
         return self.problem.reach.charges_everywhere
 
-    def _is_below(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        power = self.power(places_m)
+    def _is_below(self, power: Prediction) -> NDArray[np.bool_]:
         margin = bound_margin_db(
             power.mean_db, power.deviation_db, self.threshold_dbm, self.problem.constraints.p_min
         )

@@ -1,4 +1,8 @@
-"""Power at many places at once: joint mean and covariance, samples, and further readings."""
+"""Power at many places at once: joint mean and covariance, samples, and further readings.
+
+Along a path the errors of the prediction belong together; whoever asks for more than one place
+at a time (all connected, none connected, longest outage) needs their covariance.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,32 @@
-"""Covariance of shadowing, and of measurements with each other and with places."""
+"""Covariance of shadowing, and of measurements with each other and with places.
+
+Beside multipath, two measured powers covary by
+
+    xi^2 exp(-d / beta) exp(-|t_i - t_j| / T) + s^2 [both by the same receiver, not number 0]
+
+with T the forgetting time, s the prior deviation of a receiver's offset, and d widened by position
+errors as below. The offset is a random effect: a constant of each receiver that is integrated out,
+so that no mean needs a column for it. Predictions are for receiver 0, the reference, so that places
+have no offset.
+
+What an error of a position (GPS) does to a power measured or predicted there.
+
+The power belongs to the true place, the record names another one. With independent planar Gaussian
+errors e of deviation sigma in either coordinate, the covariance of two powers is the kernel
+averaged over the errors (Cressie and Kornak, Spatial Statistics in the Presence of Location Error,
+2003). Here xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
+
+    xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta),    c = 1.2 sigma^2.
+
+It is the kernel of points lifted out of the plane, each along an axis of its own, hence a
+covariance, with xi^2 on the diagonal, where the lifts cancel. The mean distance of two recorded
+places asks for a share of pi / 2 where they coincide and of 1 where they are far apart; 1.2 keeps
+the kernel within 0.021 xi^2 of the average for sqrt(sigma_i^2 + sigma_j^2) up to 0.3 beta, 0.036 up
+to half of beta.
+
+Path loss differs between the two places too, independently for each measurement. Its variance is
+taken from that of the squared distance to the station, to first order.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,15 @@
-"""The posterior: received power anywhere, given measurements, with path loss estimated."""
+"""The posterior: received power anywhere, given measurements, with path loss estimated.
+
+The factor of the measurements' covariance is what costs. It is kept, shared between successive
+posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies nothing. Beyond
+`EXACT_LIMIT` there is none: theta comes from Vecchia's approximation and a prediction from the
+measurements near it, so that one more measurement costs the same whatever there are.
+
+Rows of a factor, or sums over neighbours. Path loss is found by generalised least squares from
+products of whitened columns, or by ordinary least squares with the error that it has under the
+model: the latter weighs every measurement alike, which is not best where shadowing is correlated,
+but does not depend on xi, beta and omega.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,12 @@
-"""The value of a path for the map of the channel (equations 4.3 to 4.6), with derivatives."""
+"""The value of a path for the map of the channel (equations 4.3 to 4.6), with derivatives.
+
+`universal` says which variance counts: that as if theta were known (Lemma 2 of [GM11]), or that
+with the uncertainty of theta (exact). Where theta is known they are the same.
+
+Besides the kernel's, two kinks are rounded: the threshold, within `THRESHOLD_ROUNDING` of the
+channel's variance, and the length of a leg, within the kernel's rounding. Beyond these widths the
+value is that of the local channel.
+"""
 
 from __future__ import annotations
 

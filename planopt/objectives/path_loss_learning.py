@@ -1,4 +1,20 @@
-"""Information that a path gathers on path loss, and information objectives with derivatives."""
+"""Information that a path gathers on path loss, and information objectives with derivatives.
+
+All rest on M_{t+h}^-1 = M_t^-1 + B' S^-1 B, which is exact. [GM11] maximises the trace of the
+increment, criterion T. That is scale dependent, (10 log10 d)^2 dominates it and the robot runs for
+the far walls; D, the default, and A and V look at what is left unknown instead.
+
+Where the measurements do not identify theta, the posterior has a weak prior on it
+(:data:`planopt.channel.conditioning.WEAK_THETA_DEVIATION`). It is part of M_t and stays in the
+plan, so that every criterion is finite from no measurement on.
+
+Criteria T, D, A and V of :mod:`planopt.objectives.path_loss_learning`, and information and
+spatial average of :mod:`planopt.objectives.mapping`. Two things differ from the values there: cusps
+are rounded (:mod:`planopt.objectives.local_channel`) and only the measurements of the local
+channel are used. What a solver returns is to be valued again with the exact posterior. Places that
+bring no measurement, or are near to that, count by their gates
+(:mod:`planopt.objectives.batch_derivatives`).
+"""
 
 from __future__ import annotations
 

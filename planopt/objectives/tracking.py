@@ -1,4 +1,11 @@
-"""Tracking: information that reaches the station, summed over steps, with derivatives."""
+"""Tracking: information that reaches the station, summed over steps, with derivatives.
+
+A packet counts with the probability that it arrives. Summed over steps and robots that needs no
+joint law, so that a dynamic programme can plan with it; :mod:`planopt.objectives.tracking_filter`
+has the forms that follow the filter itself.
+
+The chain rule only: where the prediction and its derivatives come from is the caller's choice.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,19 @@
-"""Tracking as the station's filter sees it, and what the packets of a path are worth to it."""
+"""Tracking as the station's filter sees it, and what the packets of a path are worth to it.
+
+The bound on information holds however the losses belong together. The recursion for the covariance
+holds for losses that are independent in time, which under shadowing they are not: with the outdoor
+channel of [GM11] it claims a third to an eighteenth of what is true. It is never a bound there, and
+only sampling the joint law of the losses says what is to be expected (equations 4.9 to 4.13).
+
+Two measures (equations 4.9 to 4.13), of one robot's path or of many at once:
+
+- :func:`information_gain`: at least the expected gain of information, however losses belong
+  together; for one step equation 4.11;
+- :func:`covariance_gain`: the covariance recursion, which takes losses as independent in time.
+  Under shadowing they are not, and it is no bound.
+
+:mod:`planopt.objectives.tracking_scenarios` has the expected gain itself, over drawn channels.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Draw what a problem and a seed give before anything is learnt."""
+"""Draw what a problem and a seed give before anything is learnt.
+
+The ground truth, the first measurements, and starts that are drawn.
+"""
 
 from __future__ import annotations
 

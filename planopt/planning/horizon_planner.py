@@ -1,4 +1,7 @@
-"""One receding-horizon step for a sum of terms: global starts, and the failure ladder over them."""
+"""One receding-horizon step for a sum of terms: global starts, and the failure ladder over them.
+
+Whether one more start is worth a polish once others have been polished.
+"""
 
 from __future__ import annotations
 

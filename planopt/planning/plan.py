@@ -1,4 +1,7 @@
-"""A plan: a trajectory, why the solver stopped, what the point is worth, and its next step."""
+"""A plan: a trajectory, why the solver stopped, what the point is worth, and its next step.
+
+What no plan may give up, whatever becomes of connectivity: clearance, workspace, speed.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""How a robot drives along a path, and where it is at which time until it stands."""
+"""How a robot drives along a path, and where it is at which time until it stands.
+
+Of the single integrator, q+ = q + h v with a speed limit, the way within a step is straight.
+"""
 
 from __future__ import annotations
 

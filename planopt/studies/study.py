@@ -1,4 +1,11 @@
-"""Run studies: many results in processes, each kept and recorded when it is finished."""
+"""Run studies: many results in processes, each kept and recorded when it is finished.
+
+A study that was stopped, however that was, goes on when it is run again with the same record.
+
+Each run has a file, named by a digest of all that decides its result: the problem with the content
+of the files that it names, the seed, and the program. A run is written when it is finished, whole,
+by whichever process drove it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The target that is tracked, and what the station knows of it from packets that arrive."""
+"""The target that is tracked, and what the station knows of it from packets that arrive.
+
+In information form a packet that is lost is a term that is missing, and knowing nothing is a zero
+matrix. The prediction inverts neither J (it may be singular) nor B Theta B' (it always is).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,18 @@
-"""Lines that keep paths from what moves, during the steps and while a robot stops after them."""
+"""Lines that keep paths from what moves, during the steps and while a robot stops after them.
+
+Seen from a disc's centre, the robot moves straight during a step; that segment must stay outside a
+disc about the origin. A line through the place nearest to the centre, with its normal n fixed from
+the start path, gives two linear rows with offsets of their own::
+
+    n . (q_{k-1} - c_{k-1}) >= R,    n . (q_k - c_k) >= R
+
+Where both hold, the whole step keeps the distance R.
+
+How it stops is a consequence of where and how fast the last step ends. After the start path the way
+of stopping keeps ``g = min_t n . (p(t) - c(t)) - R`` more than it must from a disc, the normal n
+fixed where they are nearest. Where neither the last place nor the place of standstill moves more
+than g towards the disc, no place between does.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,12 @@
-"""What moves: discs that are straight during each step, predicted between known places."""
+"""What moves: discs that are straight during each step, predicted between known places.
+
+What is not known of its way may grow the disc. The error of the predicted centre, t seconds after
+the prediction was made, is ``e_0 + a t^2 / 2`` with e_0 and a Gaussian, independent, and of equal
+deviation along both axes. During a step it moves straight from its value at the begin to that at
+the end, so it stays within a disc if both do. An error of deviation sigma exceeds
+``sigma sqrt(-2 log q)`` with probability q (Rayleigh's distribution); with q = (1 - P) / 2 at both
+ends the centre stays within the larger radius during the whole step with probability P at least.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,47 @@
-"""The calibrated law of a connection, and what measurements say of it."""
+"""The calibrated law of a connection, and what measurements say of it.
+
+With u = (mean - threshold) / deviation, the score of a prediction, the normal law says
+
+    P(power >= threshold) = Phi(u).
+
+The calibrated law says (Platt, "Probabilistic outputs for support vector machines", 1999)
+
+    logit P(power >= threshold) = intercept + slope u,
+
+a logistic law of the power about a shifted mean, whose tails are heavier than the normal one's. Its
+quantiles are of the same form as the normal ones: the bound P >= p_min is
+
+    mean - q_p deviation - threshold >= 0,    q_p = (logit p_min - intercept) / slope.
+
+:data:`NEUTRAL_SLOPE` with intercept 0 is the logistic law nearest to the normal one.
+
+A distribution known by draws from it, with the intervals that their number leaves.
+
+Each outcome compares a prediction with what was then measured: was the power at least the
+threshold? The first measurements are predicted from all others (leave one out); each later one from
+those before it, as the robot that took it did. The calibrated law
+(:mod:`planopt.channel.connection.connection_law`) is fitted to these outcomes and fitted again with
+each measurement.
+
+The law assumes that outcomes at places to come are like those at measured ones of equal score. It
+corrects the shape of the predictive law, and what driving selects among places, as far as the
+outcomes show it; it does not know that some streets are worse than others.
+
+Fit of the calibrated law to outcomes: penalised logistic regression.
+
+The outcomes are few and mostly of one kind, so that a prior holds the law near the neutral one: the
+intercept is normal about 0, the logarithm of the slope about that of the neutral slope. Within two
+deviations of the prior, what the normal law calls 0.8 may be anything from 0.43 to 0.96. What is
+fitted is the mode.
+
+Predict measurements from all others, in closed form from the factor that is there.
+
+With U the measurements' covariance, e_i the i-th unit vector, w = L^-1 e_i and theta by generalised
+least squares with covariance M, column i of Q = U^-1 - U^-1 Gamma M Gamma' U^-1 follows from w. The
+prediction of measurement i from all others is off by [Q y]_i / Q_ii, with variance 1 / Q_ii, its
+own noise included (Dubrule, "Cross validation of kriging in a unique neighborhood", 1983). Where
+there is no factor, the nearest others stand for all, with theta of all measurements.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,26 @@
-"""Several stations: the one furthest above its threshold, and connection to any of them."""
+"""Several stations: the one furthest above its threshold, and connection to any of them.
+
+With powers P_i and thresholds t_i, each station's fading its own,
+
+    S = max_i (P_i - t_i) + t_1
+
+is a power that one threshold judges, the first station's: a place is connected to at least one
+station if and only if S >= t_1. S is not normal. All that works with a mean and a deviation goes on
+with those of the normal law that agrees with the law of S where it counts:
+
+- the probability of S >= t_1 is that of a connection to any station, exactly;
+- so is the power that S exceeds with probability p_min, and with it the margin in dB: by so much
+  may all thresholds be raised until the bound p_min is just kept.
+
+Connected to any of several stations as one score: how far in a standard normal's deviations.
+
+A station connects with probability Phi(z_i). With independent stations
+
+    P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
+
+defines the score z of them all, which says as much as P where that has long been 0 or 1 to all
+digits. Logarithms of both tails are kept, so that z has twelve digits from -1e3 to 1e3.
+"""
 
 from __future__ import annotations
 

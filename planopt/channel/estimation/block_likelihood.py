@@ -1,4 +1,26 @@
-"""The restricted likelihood of any number of measurements, block by block, with gradient."""
+"""The restricted likelihood of any number of measurements, block by block, with gradient.
+
+Vecchia's approximation: the density of all is the product over blocks of the density of a block
+given measurements beside it that come before it (:mod:`planopt.channel.nearest.windows`). With L
+the Cholesky factor of a window's covariance V, those beside first, and A the last rows of L^-1, the
+block's, all that is needed are sums over windows,
+
+    log |U| = sum 2 log diag(L)_block        C' U^-1 C = sum (A C)' (A C)
+
+for the columns C = [y, X], and their derivatives. With D = A dV L'^-1, split into the columns of
+those beside and of the block's own, and z = L^-1 C split likewise,
+
+    dlog |U| = sum tr D_own        d(C' U^-1 C) = -sum (S + S'), S = z_own' (D_beside z_beside
+                                                                      + D_own z_own / 2)
+
+and the expected information is ``sum (<D_own, D_own> / 2 + <D_beside, D_beside>)`` (Guinness,
+Statistics and Computing 31, 2021). The order of blocks depends on the places alone.
+
+X has the columns of the mean, under a flat prior, and the indicators of the receivers but number 0,
+whose coefficients have a normal one. Intervals are Gaussian sites
+(:mod:`planopt.channel.nearest.windows`), and enter the gradient as in
+:mod:`planopt.channel.estimation.restricted_likelihood`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,20 @@
-"""Climbing the restricted likelihood, and where to begin so that no maximum of it is missed."""
+"""Climbing the restricted likelihood, and where to begin so that no maximum of it is missed.
+
+In logarithms, so that none can become negative, that steps do not depend on units, and that the
+ridge along which xi^2 and beta grow together is straight. The likelihood may have several maxima,
+above all two: a steep path loss with a short decorrelation distance, and a flat one with a long
+distance, in whose slow shadowing the slope is hidden.
+
+A minimiser in a box for a few variables whose gradient and approximate curvature are cheap.
+
+Damped Newton steps (Levenberg and Marquardt) on the free variables, with the active set of the box
+found by clipping. The curvature is the one given, corrected so that it explains the differences of
+the last gradients (BFGS): with the likelihood's average information for it a climb needs half the
+evaluations of a quasi-Newton method, which has to learn the curvature first.
+
+From a sample of the measurements, over a range of decorrelation distances: between a steep path
+loss with short shadowing and a flat one with long shadowing it is beta that tells the basins apart.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,14 @@
-"""Power logs: CSV files with a header, columns found by name, and errors that say where."""
+"""Power logs: CSV files with a header, columns found by name, and errors that say where.
+
+Lines that start with ``#`` and empty lines are skipped, other columns are ignored, a byte order
+mark is tolerated. Everything that cannot be used is one error with file, line and column.
+
+Longitudes and latitudes as metres east and north of an origin, on the plane that touches there.
+
+Places on the ellipsoid WGS 84 are projected at right angles onto its tangent plane. Distances from
+the origin come out too short by their cube over six squared radii of the earth: 4 mm at 10 km, 4 m
+at 100 km.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,22 @@
-"""Estimate the station's position: both ways of [GM11], and the likelihood over places."""
+"""Estimate the station's position: both ways of [GM11], and the likelihood over places.
+
+``line`` takes the errors for independent: least squares of the path loss line over the position and
+theta. ``joint`` takes them for shadowing and multipath: maximum likelihood over the position, theta
+and the covariance, the last by REML at the position in turn. Both look at a grid first, since the
+likelihood has several optima, and climb from the best of its minima with the exact gradient.
+
+With y = Gamma(q) theta + e, e ~ N(0, V), and theta profiled out, minus the logarithm of the
+likelihood of position q is
+
+    l(q) = (y - Gamma theta)' V^-1 (y - Gamma theta) / 2
+    theta = (Gamma' V^-1 Gamma)^-1 Gamma' V^-1 y
+
+V does not depend on q, so that one factor serves every position, and both the values on a grid and
+the Gauss-Newton terms at a place cost a triangular solve each. Where n_PL has a prior it enters as
+one further measurement of n_PL.
+
+Optima of the likelihood of the station's position: minima on a grid, and climbs from them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Judge saved plans: the verifier decides, and every field must follow from it and the files."""
+"""Judge saved plans: the verifier decides, and every field must follow from it and the files.
+
+Whether the problem solved again was verified (`verified`) only planning again could tell; it is
+taken as it stands.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""What the fields of a plan must be: by its path, the verifier, and how it says it was found."""
+"""What the fields of a plan must be: by its path, the verifier, and how it says it was found.
+
+None of it can be computed again without planning again: which rung released a plan, why the solver
+stopped, how long it took. But a rung says something of the path, and a termination of the rung.
+"""
 
 from __future__ import annotations
 

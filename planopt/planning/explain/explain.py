@@ -1,6 +1,10 @@
 """Explain a problem that has no verified plan: which keys are at odds, and what would help.
 
 Of plans that cross coverage holes: why they do, and what keeping contact would take.
+
+Why no path leads to the goal, and what would open one.
+
+The clearance, an obstacle, steps too long for the lattice, or a hard bound on connectivity.
 """
 
 from __future__ import annotations

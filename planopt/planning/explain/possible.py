@@ -1,4 +1,8 @@
-"""Whether some plan could keep the rule of connectivity, by what there is within reach."""
+"""Whether some plan could keep the rule of connectivity, by what there is within reach.
+
+Necessary, not sufficient: the best place within reach by each step is taken for the step's own, as
+if all could be had together. What it denies, no planner needs to try.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Rows and their gradients in NumPy: those of every path, and those that are convex as they are."""
+"""Rows and their gradients in NumPy: those of every path, and those that are convex as they are.
+
+A row weight |z|^2 + constant <= upper, with z a pair of variables less another pair or a parameter,
+is the cone |z| <= radius: it need not be linearised.
+
+Residuals are computed from these, so that they do not rest on the solver's own derivatives.
+"""
 
 from __future__ import annotations
 

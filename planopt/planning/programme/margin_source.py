@@ -1,4 +1,8 @@
-"""What the callbacks of a built solver evaluate, with exact derivatives, memoised by point."""
+"""What the callbacks of a built solver evaluate, with exact derivatives, memoised by point.
+
+The constraint of a stage is ``mean - z_p deviation - threshold >= 0`` in dB (equation 3.2), with
+mean and deviation of :mod:`planopt.planning.worth.serving_stages`.
+"""
 
 from __future__ import annotations
 

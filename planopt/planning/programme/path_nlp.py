@@ -1,5 +1,48 @@
 # pyright: basic
-"""The two parametric programmes over N steps: to reach a goal, and for any smooth value."""
+"""The two parametric programmes over N steps: to reach a goal, and for any smooth value.
+
+What goes in and comes out here is NumPy. Variables are the positions q_1..q_N and a slack s_k of
+each stage's connectivity bound::
+
+    max   scale * value(q_1, ..., q_N) - slack_weight sum s_k
+    s.t.  the rows of planopt.planning.programme.path_rows
+          margin_k(q_k) + s_k >= bound_k             k = 1..N             "connectivity"
+          total(q_1, ..., q_N) + c t >= bound                             "connectivity"
+
+There are rows of margins, one of a total (a sum over stages), or none. The total's slack t is in dB
+like the others, c what a dB is worth. What the way to a goal costs
+(:mod:`planopt.planning.programme.pivot`) is subtracted from the value, where it is charged.
+
+Value and margins come by callbacks with exact first and second derivatives. What the value couples
+(:data:`planopt.planning.programme.path_value.Structure`) is known to the solver. A robot that
+cannot turn or stop at will adds variables after these and rows before "connectivity", those of
+:mod:`planopt.planning.programme.motion_rows`. The solver is built once per structure and reused; a
+failed solve leaves nothing behind, because every call sets start, bounds and parameters anew and
+passes no multipliers on.
+
+The programme over a path as CasADi functions of what its callbacks give.
+
+Value v, margins m and total w come with their gradients (dv, dm, dw) and what is not zero of their
+Hessians (hv, hm, hw); all else is symbolic. Parameters are ``head`` (start, scale, slack weight,
+what a dB is worth in the total), the lines, and those of the robot's dynamics and its goal.
+
+What goes in and comes out here is NumPy. CasADi ships no usable type stubs, hence the looser
+checking of the files that touch its types.
+
+Variables are the positions q_1..q_N. With h the step duration and Phi the normal distribution::
+
+    min   w / h sum l_k^2 + rate |q_N - pivot| + price sum l_k (c_{k-1} + c_k) / 2
+    s.t.  the rows of planopt.planning.programme.path_rows
+          margin_k(q_k) >= bound_k                   k = 1..N             "connectivity"
+
+with step lengths ``l_k = |q_k - q_{k-1}|``, rounded at zero, and the share of a metre that the
+outage price is charged on, ``c_k = charged_k (1 - Phi(score_k(q_k)))``.
+
+Margins and scores come from :mod:`planopt.planning.programme.margin_source` with exact derivatives,
+by callbacks (five times faster than their symbolic form); everything else is symbolic. The solver
+is built once per structure and reused; a failed solve leaves nothing behind, because every call
+sets start, bounds and parameters anew and passes no multipliers on.
+"""
 
 from __future__ import annotations
 

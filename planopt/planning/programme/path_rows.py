@@ -1,5 +1,16 @@
 # pyright: basic
-"""Rows that every programme over a path has, and Hessians as CasADi matrices."""
+"""Rows that every programme over a path has, and Hessians as CasADi matrices.
+
+With L the longest step and (n, b, a) separating lines, fixed from the start path and applied to
+both ends of a segment, so that the whole segment is clear::
+
+    |q_k - q_{k-1}|^2 <= L^2       k = 1..N            "speed"
+    n_kj . q_k     >= b_kj         k = 1..N, all j     "line_end"
+    n_kj . q_{k-1} >= a_kj         k = 2..N, all j     "line_start"
+
+b and a are equal where the line keeps from an obstacle; a line that keeps from something that moves
+has one offset at the step's end and another at its begin.
+"""
 
 from __future__ import annotations
 

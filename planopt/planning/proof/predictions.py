@@ -1,4 +1,9 @@
-"""Which posterior serves what, and what a connection rests on besides one normal power."""
+"""Which posterior serves what, and what a connection rests on besides one normal power.
+
+The law is then a mixture over covariances (:mod:`planopt.channel.parameter_uncertainty`). What a
+bound rests on is its quantile, which is found exactly. So that all else may go on with a mean and a
+deviation, they are those of the normal law with the mixture's deviation and that very quantile.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The moves of a lattice, stage by stage, and which come too near to what moves."""
+"""The moves of a lattice, stage by stage, and which come too near to what moves.
+
+A window is the part of the lattice that is looked at, with a margin of closed nodes around it.
+"""
 
 from __future__ import annotations
 

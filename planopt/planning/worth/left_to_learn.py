@@ -1,4 +1,8 @@
-"""Where something is wanted or left to learn: places that a robot may be at."""
+"""Where something is wanted or left to learn: places that a robot may be at.
+
+This decides what a robot that stands still is to be called: done, or stalled. It rests on the
+lattice of the search alone, so that a saved run is judged by the same places.
+"""
 
 from __future__ import annotations
 

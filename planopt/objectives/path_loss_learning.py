@@ -5,7 +5,7 @@ increment, criterion T. That is scale dependent, (10 log10 d)^2 dominates it and
 the far walls; D, the default, and A and V look at what is left unknown instead.
 
 Where the measurements do not identify theta, the posterior has a weak prior on it
-(:data:`planopt.channel.conditioning.WEAK_THETA_DEVIATION`). It is part of M_t and stays in the
+(:data:`planopt.channel.posterior.WEAK_THETA_DEVIATION`). It is part of M_t and stays in the
 plan, so that every criterion is finite from no measurement on.
 
 Criteria T, D, A and V of :mod:`planopt.objectives.path_loss_learning`, and information and

@@ -14,7 +14,7 @@ like the others, c what a dB is worth. What the way to a goal costs
 (:mod:`planopt.planning.programme.pivot`) is subtracted from the value, where it is charged.
 
 Value and margins come by callbacks with exact first and second derivatives. What the value couples
-(:data:`planopt.planning.programme.path_value.Structure`) is known to the solver. A robot that
+(:data:`planopt.planning.programme.margin_source.Structure`) is known to the solver. A robot that
 cannot turn or stop at will adds variables after these and rows before "connectivity", those of
 :mod:`planopt.planning.programme.motion_rows`. The solver is built once per structure and reused; a
 failed solve leaves nothing behind, because every call sets start, bounds and parameters anew and
@@ -26,10 +26,9 @@ Value v, margins m and total w come with their gradients (dv, dm, dw) and what i
 Hessians (hv, hm, hw); all else is symbolic. Parameters are ``head`` (start, scale, slack weight,
 what a dB is worth in the total), the lines, and those of the robot's dynamics and its goal.
 
-What goes in and comes out here is NumPy. CasADi ships no usable type stubs, hence the looser
-checking of the files that touch its types.
+CasADi ships no usable type stubs, hence the looser checking of the files that touch its types.
 
-Variables are the positions q_1..q_N. With h the step duration and Phi the normal distribution::
+To reach a goal, with h the step duration and Phi the normal distribution::
 
     min   w / h sum l_k^2 + rate |q_N - pivot| + price sum l_k (c_{k-1} + c_k) / 2
     s.t.  the rows of planopt.planning.programme.path_rows
@@ -39,9 +38,7 @@ with step lengths ``l_k = |q_k - q_{k-1}|``, rounded at zero, and the share of a
 outage price is charged on, ``c_k = charged_k (1 - Phi(score_k(q_k)))``.
 
 Margins and scores come from :mod:`planopt.planning.programme.margin_source` with exact derivatives,
-by callbacks (five times faster than their symbolic form); everything else is symbolic. The solver
-is built once per structure and reused; a failed solve leaves nothing behind, because every call
-sets start, bounds and parameters anew and passes no multipliers on.
+by callbacks (five times faster than their symbolic form); everything else is symbolic.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 
 Row and column i of S, and row i of B, depend on q_i. So the derivative of S by coordinate a of q_i
 is ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are kept. Coordinates are numbered
-x_1, y_1, x_2, y_2, ... throughout. Where measurements are gated
-(:mod:`planopt.objectives.batch_derivatives`) a place has its gate as a third coordinate, and what is said
-of 2 h coordinates holds of 3 h.
+x_1, y_1, x_2, y_2, ... throughout. Where measurements are gated a
+place has its gate as a third coordinate, and what is said of 2 h coordinates holds of 3 h.
 
 A measurement of gate g in [0, 1] is one of g times what the channel gives there, with noise that
 fills its variance up to that of measuring blindly, kappa = xi^2 + omega^2:

@@ -31,7 +31,7 @@ from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Components
 from planopt.world.clearance import is_clear, swept_clearance_m
-from planopt.world.road_map import way_from
+from planopt.world.road_map import shortest_ways, way_from
 
 ROUNDING_STEPS = 0.01
 """Rounding of the distance to the pivot, in longest steps, so that its gradient exists there."""
@@ -144,6 +144,7 @@ class Ahead:
         self._problem = problem
         self._scene = scene
         self._start = start
+        self._has_all_ways = False
         self._node_margin_db = node_margin_db
         self.pivot = self._seen_from(int(start.nodes[-1]), None)
         # Lattice path, polished path and the one released are asked about more than once.
@@ -206,6 +207,11 @@ class Ahead:
         metre = 0.5 * (metre + metre[np.argmin(lengths)])
         total = lengths * metre + start.ways.cost_m[nodes]
         best = int(np.argmin(total))
+        if not np.isfinite(total[best]) and not self._has_all_ways:
+            # Farther back than the search looked.
+            ways = shortest_ways(self._scene.road_map, self._scene.goal_node, start.metre_cost)
+            self._start, self._has_all_ways = replace(start, ways=ways), True
+            return self._join(end_m)
         return int(nodes[best]), float(total[best]), float(metre[best])
 
     def _seen_from(self, node: int, origin_m: NDArray[np.float64] | None) -> Pivot:

@@ -15,10 +15,9 @@ from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.plan import Verdict
+from planopt.planning.plan import Verdict, shifted_drive
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.shifted import shifted_drive
 from planopt.planning.solve import solve
 from planopt.problems.problem import Problem
 from planopt.robots.double_integrator import DoubleIntegrator

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
-from planopt.planning.ground import first_moves
 from planopt.planning.history import History
 from planopt.planning.roads import node_at
-from planopt.planning.scene import Scene
+from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.lattice_search import search_lattice
 from planopt.planning.search.moving_moves import first_steps_apart
 from planopt.planning.search.node_margins import NodeMargins
@@ -36,7 +35,7 @@ from planopt.planning.worth.path_worth import rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.moving_obstacle import MovingDiscs
 from planopt.world.road_map import Ways, shortest_ways, way_from
 
 FORBIDDEN = 1e6

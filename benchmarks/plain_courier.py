@@ -97,10 +97,10 @@ def compare(name: str, seeds: range) -> str:
     """Return lines of a table: means over seeds, by what the courier is charged or sees."""
     problem = load(name)
     scene = build_scene(problem)
-    everywhere = replace(problem, objective=replace(problem.reach, outage_charge="everywhere"))
+    below = replace(problem, objective=replace(problem.reach, outage_charge="below_p_min"))
     kinds = {
-        "charged below p_min": (problem, 0.0),
-        "charged everywhere": (everywhere, 0.0),
+        "charged below p_min": (below, 0.0),
+        "charged everywhere": (problem, 0.0),
         "sees 40 m": (problem, 40.0),
         "knows the mean power": (problem, np.inf),
     }

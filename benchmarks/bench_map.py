@@ -11,13 +11,11 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.maps.cached_map import CachedMap
-from planopt.channel.maps.posterior_map import predict_grid
+from planopt.channel.maps.posterior_map import CachedMap, predict_grid
 from planopt.channel.maps.tile_map import TileMap, predict_single
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import ChannelPosterior, condition, extend
 from planopt.channel.prediction import Prediction
 from planopt.world.raster import cell_centres_m

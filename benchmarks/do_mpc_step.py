@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.factor import whiten
-from planopt.channel.mean_model import regressors
+from planopt.channel.parameters import regressors
 from planopt.channel.prediction import bound_quantile
-from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.objectives.local_channel import CUSP_ROUNDING
 from planopt.planning.programme.ipopt import OPTIONS
 from planopt.planning.worth.situation import Situation
 

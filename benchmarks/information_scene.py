@@ -9,8 +9,8 @@ import numpy as np
 from tracking_scene import FIELD_C, Scene, scene, situation_in
 
 from planopt.channel.posterior import condition
-from planopt.planning.ground import build_ground
 from planopt.planning.judge import Judge
+from planopt.planning.scene import build_ground
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import LearningTerm, MappingTerm, Term, TermsObjective

@@ -25,7 +25,7 @@ from planopt.channel.posterior import condition
 from planopt.objectives.mapping import path_information
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
-from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.problems.problem import Problem
 from planopt.studies.compare import mean_interval
 

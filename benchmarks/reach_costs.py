@@ -204,7 +204,9 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--horizon", type=int, default=10)
-    parser.add_argument("--charge", default=ReachObjective.outage_charge, choices=get_args(OutageCharge))
+    parser.add_argument(
+        "--charge", default=ReachObjective.outage_charge, choices=get_args(OutageCharge)
+    )
     parser.add_argument("--log", type=Path, required=True)
     asked = parser.parse_args()
     names = asked.problems or reach_problems()

@@ -22,14 +22,14 @@ from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.mapping import Region
 from planopt.planning.given import draw_truth, free_places
-from planopt.planning.ground import Ground, build_ground
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.loop.learn import learn
 from planopt.planning.plan import Plan
 from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.scene import Ground, build_ground
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem

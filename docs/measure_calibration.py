@@ -21,7 +21,7 @@ from planopt.channel.validation.calibration import reliability
 from planopt.errors import NoPlanError
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.loop.true_serving import true_serving_dbm
+from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import Run
 from planopt.problems.overrides import with_overrides

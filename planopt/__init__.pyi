@@ -18,7 +18,7 @@ from planopt.planning.solution import Solution as Solution
 from planopt.planning.solve import solve as solve
 from planopt.problems.base_station import BaseStation as BaseStation
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup
-from planopt.problems.connectivity_rule import ConnectivityRule as ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule as ConnectivityRule
 from planopt.problems.constraints import Constraints as Constraints
 from planopt.problems.load import load as load
 from planopt.problems.problem import Problem as Problem

@@ -19,9 +19,8 @@ from planopt.commands.check import check
 from planopt.commands.compare import compare
 from planopt.commands.fit import fit
 from planopt.commands.interrupts import stopping
-from planopt.commands.library import list_problems, schema
 from planopt.commands.map import map_log
-from planopt.commands.problem_files import init, show_problem, validate
+from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
 from planopt.errors import InputError, PlanoptError, require_text

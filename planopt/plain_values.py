@@ -1,4 +1,4 @@
-"""Values that users give to frozen data: made plain, and of the type that is asked for."""
+"""Values that users give to frozen data: made plain, checked, and of the type that is asked for."""
 
 from __future__ import annotations
 
@@ -8,8 +8,20 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planopt.errors import InputError
+
+
+def require_weights(weight: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """`weight` as ``(count,)`` floats from 0 on, or an InputError."""
+    found = np.asarray(weight, dtype=np.float64)
+    if found.shape != (count,) or not (np.isfinite(found).all() and (found >= 0.0).all()):
+        raise InputError(
+            f"{count} places need as many weights from 0 on, not {found.shape}", key="weight"
+        )
+    return found
+
 
 Part = TypeVar("Part")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planopt.channel.kernel import shadow_covariance_db2
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.cli import main
 

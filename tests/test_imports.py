@@ -12,7 +12,7 @@ import planopt
 
 HEAVY = {"casadi", "cvxpy", "matplotlib", "networkx", "sklearn"}
 SOLVING = (
-    "planopt.planning.candidate",
+    "planopt.planning.judge",
     "planopt.planning.judge",
     "planopt.planning.programme",
     "planopt.planning.reach_planner",

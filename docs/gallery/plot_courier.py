@@ -9,7 +9,7 @@ start, and look at the proof.
 # %%
 # The problem: central Munich, a mast, a courier, and 300 measurements of a ray-traced channel.
 from planopt import load, solve
-from planopt.report.belief_map import draw_belief
+from planopt.report.map_figure import draw_belief
 from planopt.report.result_figures import draw_plan
 
 problem = load("munich_courier")

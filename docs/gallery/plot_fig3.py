@@ -46,6 +46,7 @@ for name, run in runs.items():
 # %%
 # A walk that turns little covers the workspace as well as a plan in this world; one that diffuses
 # does not. What a random path is decides how much better planning looks: the page of results has
-# the comparison over seeds.
+# the comparison over seeds. Against full steps in random directions the paper's own form
+# (``two_layer``, one step ahead) has an RMS error less by 5.6 +- 4.3 % after 100 steps (14 seeds).
 #
 # ``planopt simulate fig3 --animation --out run`` draws a run step by step.

@@ -46,6 +46,8 @@ for name, run in runs.items():
 # %%
 # Where shadowing decays within a step, knowing it helps little, and one step ahead it can hurt: the
 # robot stays at a place that it knows to be good while the target leaves. The order of the
-# strategies changes from world to world; the page of results has means over seeds.
+# strategies changes from world to world; the page of results has means over seeds. A longer
+# horizon brings more: time-averaged trace P over seeds 100 to 119 (``planopt compare fig5
+# --horizons 1,10 --seeds 100:120``) is .142 +- .019 m^2 one step ahead and .105 +- .021 at ten.
 #
 # ``planopt simulate fig5 --animation --out run`` draws a run step by step.

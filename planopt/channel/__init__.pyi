@@ -10,16 +10,16 @@ from planopt.channel.connection.outage import LongestOutage as LongestOutage
 from planopt.channel.connection.outage import Traffic as Traffic
 from planopt.channel.connection.outage import delivered_data as delivered_data
 from planopt.channel.connection.outage import longest_outage as longest_outage
-from planopt.channel.connection.several_stations import SharedShadowing as SharedShadowing
-from planopt.channel.connection.several_stations import connected_to_any as connected_to_any
-from planopt.channel.connection.several_stations import strongest_station as strongest_station
+from planopt.channel.connection.serving_power import SharedShadowing as SharedShadowing
+from planopt.channel.connection.serving_power import connected_to_any as connected_to_any
+from planopt.channel.connection.serving_power import strongest_station as strongest_station
 from planopt.channel.derivatives import posterior_derivatives as posterior_derivatives
 from planopt.channel.estimation.channel_fit import ChannelFit as ChannelFit
 from planopt.channel.estimation.fit import fit_channel as fit_channel
 from planopt.channel.estimation.profile_likelihood import profile_likelihood as profile_likelihood
-from planopt.channel.fields.conditional_field import conditional_field as conditional_field
+from planopt.channel.fields.field import conditional_field as conditional_field
+from planopt.channel.fields.field import scattered_field_db as scattered_field_db
 from planopt.channel.fields.field import shadow_field_db as shadow_field_db
-from planopt.channel.fields.scattered_field import scattered_field_db as scattered_field_db
 from planopt.channel.fields.truth import Truth as Truth
 from planopt.channel.fields.truth import measure as measure
 from planopt.channel.fields.truth import model_truth as model_truth
@@ -27,20 +27,21 @@ from planopt.channel.fields.truth import raster_truth as raster_truth
 from planopt.channel.fields.truth import true_power_dbm as true_power_dbm
 from planopt.channel.joint import JointPrediction as JointPrediction
 from planopt.channel.joint import joint_prediction as joint_prediction
+from planopt.channel.joint import predict_readings as predict_readings
 from planopt.channel.joint import sample_power as sample_power
 from planopt.channel.logs.log_file import read_log as read_log
 from planopt.channel.logs.log_format import LogFormat as LogFormat
-from planopt.channel.maps.cached_map import CachedMap as CachedMap
+from planopt.channel.maps.posterior_map import CachedMap as CachedMap
 from planopt.channel.maps.posterior_map import PosteriorMap as PosteriorMap
 from planopt.channel.maps.posterior_map import posterior_map as posterior_map
 from planopt.channel.measurements import Measurements as Measurements
 from planopt.channel.multipath.multipath_connectivity import (
     multipath_connectivity as multipath_connectivity,
 )
-from planopt.channel.multipath.multipath_field import multipath_of as multipath_of
 from planopt.channel.multipath.multipath_models import Lognormal as Lognormal
 from planopt.channel.multipath.multipath_models import Nakagami as Nakagami
 from planopt.channel.multipath.multipath_models import Rician as Rician
+from planopt.channel.multipath.multipath_models import multipath_of as multipath_of
 from planopt.channel.offsets import receiver_offsets as receiver_offsets
 from planopt.channel.parameter_uncertainty import MarginalPosterior as MarginalPosterior
 from planopt.channel.parameter_uncertainty import marginalise as marginalise
@@ -51,7 +52,6 @@ from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
 from planopt.channel.prediction import Prediction as Prediction
-from planopt.channel.readings import predict_readings as predict_readings
 from planopt.channel.sensitivity import mean_squared_error_db2 as mean_squared_error_db2
 from planopt.channel.sensitivity import sensitivity_curves as sensitivity_curves
 from planopt.channel.station.station_search import (

@@ -2,7 +2,7 @@
 
 From all measurements, with the uncertainty of theta counted, so that plans and maps can be judged
 by what they claim to descend. The kernel exp(-d / beta) has a cusp at every measured place; nothing
-is rounded here (solvers round it, `planopt.planning.programme.stage_kernel`), so there is no
+is rounded here (solvers round it, `planopt.planning.programme.margin_source`), so there is no
 derivative there, and the answer is an error that says so.
 """
 
@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.cholesky import solve_upper
 from planopt.channel.factor import whiten
 from planopt.channel.kriging import kriging_terms
-from planopt.channel.mean_model import MIN_DISTANCE_M
 from planopt.channel.measurement_covariance import ageing
-from planopt.channel.parameters import Station
+from planopt.channel.parameters import MIN_DISTANCE_M, Station
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError

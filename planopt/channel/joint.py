@@ -1,4 +1,4 @@
-"""Power at many places at once: joint mean and covariance, and samples of it.
+"""Power at many places at once: joint mean and covariance, samples, and further readings.
 
 Along a path the errors of the prediction belong together; whoever asks for more than one place
 at a time (all connected, none connected, longest outage) needs their covariance.
@@ -12,14 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.factor import whiten
-from planopt.channel.mean_model import regressors
+from planopt.channel.intervals.sites import rounded_variance_db2
+from planopt.channel.kriging import predict_noiseless
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     own_covariance_db2,
     place_origins,
 )
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
+from planopt.channel.parameters import regressors
 from planopt.channel.places import require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction
 from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
@@ -167,3 +172,31 @@ def sample_power(
     lower = semidefinite_factor(prediction.covariance_db2)
     draws = generator.standard_normal((require_count(count, "count"), len(prediction)))
     return prediction.mean_db + draws @ lower.T
+
+
+def predict_readings(
+    posterior: ChannelPosterior | MarginalPosterior, readings: Measurements
+) -> Prediction:
+    """Predict what measurements read that `posterior` has not seen.
+
+    Parameters
+    ----------
+    posterior
+        The channel given other measurements.
+    readings
+        n measurements. Their powers are not looked at; their times, receivers, resolution and
+        position errors are.
+
+    Returns
+    -------
+    Prediction
+        In their order. Where `readings` are plain measurements, and the channel does not forget,
+        that of the posterior at their positions.
+    """
+    if isinstance(posterior, MarginalPosterior):
+        parts = [predict_readings(component, readings) for component in posterior.components]
+        return mixture(posterior.weights, parts)
+    found = predict_noiseless(posterior, readings)
+    variance = found.deviation_db**2 + posterior.parameters.multipath_std_db**2
+    variance += rounded_variance_db2(readings.resolution_db)
+    return Prediction(found.mean_db, np.sqrt(variance))

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS, regress_on_neighbours
 from planopt.channel.factor import whiten
 from planopt.channel.maps.many_places import PLACES_AT_ONCE, RowWhitener
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -25,6 +24,7 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, nearby_terms
+from planopt.channel.parameters import regressors
 from planopt.channel.places import require_places
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 

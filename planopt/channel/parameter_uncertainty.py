@@ -22,15 +22,14 @@ from numpy.typing import NDArray
 
 from planopt.channel.estimation.covariance_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.likelihood_climb import thinned
 from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
-from planopt.channel.estimation.likelihood_starts import thinned
 from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.restricted_likelihood import profiled_log_likelihood
 from planopt.channel.intervals.sites import rounded_variance_db2
-from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, mean_model
 from planopt.channel.places import require_places
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, connection_probability

@@ -1,9 +1,18 @@
-"""The parameters of the channel model: path loss, shadowing and multipath."""
+"""The parameters of the channel model, and the part of path loss that is estimated.
+
+Where the distances to the station hardly differ, n_PL is not identifiable. It is then held at a
+stated prior value, and its uncertainty is carried into the covariance of theta.
+
+Path loss: the mean of the received power, linear in theta = (K_PL, n_PL).
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from planopt.channel.places import MAX_COORDINATE_M
 from planopt.errors import InputError
@@ -90,3 +99,76 @@ class ChannelParameters:
         for name in ("decorrelation_m", "forgetting_s"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"{getattr(self, name)!r} is not above 0", key=name)
+
+
+MIN_DISTANCE_M = 0.1
+"""Distances to the station are not taken below this, so that the logarithm stays finite."""
+
+
+def station_distance_m(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
+    """Three-dimensional distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
+    offset = positions_m - np.asarray(station.position_m)
+    square = np.einsum("...i,...i->...", offset, offset)
+    return np.sqrt(np.maximum(square + station.height_m**2, MIN_DISTANCE_M**2))
+
+
+def regressors(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
+    """Return the rows gamma(q) = [1, -10 log10 d(q)] of equation 1.1; (n, 2) -> (n, 2)."""
+    rows = np.ones(np.shape(positions_m))
+    rows[..., 1] = -10.0 * np.log10(station_distance_m(positions_m, station))
+    return rows
+
+
+PRIOR_N_PL = 3.0
+"""n_PL where the measurements say nothing: between free space and dense streets."""
+
+PRIOR_N_PL_STD = 1.0
+"""Deviation of `PRIOR_N_PL`."""
+
+
+@dataclass(frozen=True)
+class MeanModel:
+    """Mean power = offset + columns @ coefficients.
+
+    Attributes
+    ----------
+    columns
+        ``(n, p)``; p = 2: the regressors gamma; p = 1: ones, for K_PL alone.
+    offset_db
+        ``(n,)``; zero for p = 2; the contribution of `PRIOR_N_PL` for p = 1.
+    regressor_mean
+        Mean of -10 log10 d over the exact measurements: how an error in n_PL moves K_PL.
+    """
+
+    columns: NDArray[np.float64]
+    offset_db: NDArray[np.float64]
+    regressor_mean: float
+
+    def theta(self, coefficients: NDArray[np.float64]) -> tuple[float, float]:
+        """Coefficients (p,) as (K_PL, n_PL)."""
+        if len(coefficients) == 2:
+            return float(coefficients[0]), float(coefficients[1])
+        return float(coefficients[0]), PRIOR_N_PL
+
+    def theta_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance of the coefficients (p, p) as that of theta (2, 2)."""
+        if len(covariance) == 2:
+            return covariance
+        slope = PRIOR_N_PL_STD * np.array([-self.regressor_mean, 1.0])
+        whole = np.outer(slope, slope)
+        whole[0, 0] += covariance[0, 0]
+        return whole
+
+
+def mean_model(
+    positions_m: NDArray[np.float64],
+    exact: NDArray[np.bool_],
+    station: Station,
+    n_pl_identifiable: bool,
+) -> MeanModel:
+    """The mean model at `positions_m` (n, 2), of which `exact` (n,) are not censored."""
+    gamma = regressors(positions_m, station)
+    regressor_mean = float(gamma[exact if exact.any() else slice(None), 1].mean())
+    if n_pl_identifiable:
+        return MeanModel(gamma, np.zeros(len(gamma)), regressor_mean)
+    return MeanModel(gamma[:, :1], PRIOR_N_PL * gamma[:, 1], regressor_mean)

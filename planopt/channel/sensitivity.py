@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.cholesky import lower_factor
 from planopt.channel.factor import whiten
 from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.mean_model import regressors
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import EXACT_LIMIT
 from planopt.errors import InputError

@@ -10,14 +10,13 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.validation.held_out_report import HeldOutReport
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
-from planopt.report.belief_map import draw_belief
 from planopt.report.calibration_figure import draw_calibration
 from planopt.report.comparison_figure import draw_comparison, draw_traces
 from planopt.report.fit_figure import draw_fit
-from planopt.report.map_figure import draw_posterior_map
+from planopt.report.map_figure import draw_belief, draw_posterior_map
 from planopt.report.reliability_figure import draw_reliability
 from planopt.report.result_figures import draw_driven, draw_solution
-from planopt.report.run_series import draw_run_series
+from planopt.report.run_figure import draw_run_series
 from planopt.report.saving import save_figure
 from planopt.studies.comparison import Comparison
 

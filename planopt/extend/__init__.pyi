@@ -1,6 +1,6 @@
 """Public names for parts of one's own; each is imported from its module when it is first used."""
 
-from planopt.objectives.terms.own import OwnTerm as OwnTerm
+from planopt.objectives.terms.expression import OwnTerm as OwnTerm
 from planopt.objectives.terms.term import Term as Term
 from planopt.planning.baselines.baseline import free_ends as free_ends
 from planopt.planning.baselines.baseline import released as released

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from planopt.channel.factor import unwhiten, whiten
 from planopt.channel.joint import joint_terms
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import covariance_db2, place_origins
+from planopt.channel.parameters import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
-from planopt.objectives.near_posterior import factored_near
+from planopt.objectives.local_channel import factored_near
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ def batch_of(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> Batch:
     """The terms for measuring at `path_m` (h, 2); O(kappa^2 h).
 
     From all measurements, or from those near where they are very many
-    (:func:`planopt.objectives.near_posterior.factored_near`).
+    (:func:`planopt.objectives.local_channel.factored_near`).
 
     Raises
     ------

@@ -13,10 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.filter_gain import covariance_gain, with_others
 from planopt.objectives.stage_chain import chained
-from planopt.objectives.tracking_derivatives import tracking_reward_derivatives
-from planopt.objectives.tracking_filter import FilteredTracking, bounding_information
+from planopt.objectives.tracking import tracking_reward_derivatives
+from planopt.objectives.tracking_filter import (
+    FilteredTracking,
+    bounding_information,
+    covariance_gain,
+    with_others,
+)
 from planopt.targets.information_filter import covariance_of, predicted_information
 from planopt.targets.rounding import Derivatives
 
@@ -24,7 +28,7 @@ from planopt.targets.rounding import Derivatives
 def information_gain_derivatives(
     chance: Derivatives, sensing: Derivatives, settings: FilteredTracking
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.filter_gain.information_gain` of one path with derivatives.
+    """:func:`planopt.objectives.tracking_filter.information_gain` of one path with derivatives.
 
     With J-_{k+1} = (A J_k^-1 A' + W)^-1 and G = J- A J^-1: dJ- = G D G', and d^2 J- of D and E is
     -G (D S E + E S D) G', S = J^-1 - G' A J^-1.
@@ -71,7 +75,7 @@ def information_gain_derivatives(
 def covariance_gain_derivatives(
     chance: Derivatives, sensing: Derivatives, settings: FilteredTracking
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.filter_gain.covariance_gain` of one path with derivatives.
+    """:func:`planopt.objectives.tracking_filter.covariance_gain` of one path with derivatives.
 
     With n the variance of a coordinate, E = H P- H' + n I, K = P- H' E^-1 and F = I - K H, the
     update is P+ = P- - p K H P-, and R = P- - K H P- has dR = F D F' + K K' dn. Parameters as

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.terms.context import NearPath, Nodes, Paths, StepContext
-from planopt.objectives.way_batch import WayBatch
-from planopt.objectives.way_slopes import TINY_M, Pull
+from planopt.objectives.told_batch import TINY_M, Pull, WayBatch
 from planopt.targets.rounding import Derivatives, rounded_length
 
 

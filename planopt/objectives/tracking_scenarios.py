@@ -26,13 +26,12 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import score_probability
 from planopt.channel.semidefinite import semidefinite_factor
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.near_posterior import factored_near
+from planopt.objectives.local_channel import factored_near
 from planopt.objectives.stage_chain import chained
 from planopt.objectives.tracking_filter import Criterion, FilteredTracking
-from planopt.targets.information_filter import covariance_of
+from planopt.targets.information_filter import TargetModel, covariance_of
 from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import sensing_derivatives, sensing_information
-from planopt.targets.target_model import TargetModel
 
 DRAWS, SOLVER_DRAWS = 128, 32
 """Channels drawn for a value, and the first of them that a solver looks at."""

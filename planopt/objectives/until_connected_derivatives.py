@@ -1,7 +1,7 @@
 """The distance until connected with exact gradient and Hessian of its filtered form, for solvers.
 
 :mod:`planopt.objectives.passage_programme` says what is filtered; cusps are rounded as in
-:mod:`planopt.objectives.information_derivatives`, and only the local channel's measurements are
+:mod:`planopt.objectives.path_loss_learning`, and only the local channel's measurements are
 used.
 """
 
@@ -22,8 +22,8 @@ from planopt.objectives.batch_derivatives import (
     curvature_of,
 )
 from planopt.objectives.local_channel import LocalChannel
-from planopt.objectives.motion_derivatives import legs_curvature
 from planopt.objectives.passage_programme import passage_programme, slopes_and_bends
+from planopt.objectives.terms.motion_energy import legs_curvature
 from planopt.objectives.until_connected import NOT_TRIED_DB, WAITING, Search, counted_legs_m
 from planopt.targets.rounding import Derivatives, rounded_length
 

@@ -12,17 +12,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.candidate import Candidate
-from planopt.planning.ground import Ground
-from planopt.planning.judge import Judge
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.judge import Candidate, Judge
+from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.programme.motion_task import MotionTask
 from planopt.planning.programme.offenders import LINE_REACH_STEPS
-from planopt.planning.proof.apart import judge_apart
-from planopt.planning.proof.motion import judge_motion, swept_motion
+from planopt.planning.proof.motion import judge_apart, judge_motion, swept_motion
+from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start
-from planopt.planning.shifted import shifted_drive
 from planopt.planning.worth.path_worth import rule_missing
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from planopt.planning.arrival import stands, stops_at_goal
 from planopt.planning.budget import Budget
-from planopt.planning.candidate import Candidate
 from planopt.planning.driven import (
     drive_candidate,
     driven_start,
@@ -24,18 +23,15 @@ from planopt.planning.driven import (
     last_drive,
     without_start,
 )
-from planopt.planning.ground import first_moves
-from planopt.planning.judge import Judge
-from planopt.planning.ladder import Ladder
-from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
-from planopt.planning.programme.goal_cost import ROUNDING_STEPS, GoalCharge
+from planopt.planning.horizon_planner import Ladder
+from planopt.planning.judge import Candidate, Judge
+from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.pivot import find_pivot
-from planopt.planning.scene import Scene
+from planopt.planning.programme.pivot import ROUNDING_STEPS, GoalCharge, find_pivot
+from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.retime import retime
+from planopt.planning.search.lattice_search import retime
 from planopt.planning.search.start_search import Start
-from planopt.planning.shifted import shifted_drive
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
 from planopt.planning.worth.situation import Situation

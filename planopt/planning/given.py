@@ -40,6 +40,32 @@ from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles,
 from planopt.world.raster import cell_centres_m
 from planopt.world.raster_files import read_raster
 
+
+@dataclass(frozen=True, eq=False)
+class TeamSeeds:
+    """Streams apart from those of truth and measurements, so that other tasks leave these alone.
+
+    Attributes
+    ----------
+    target
+        Of the target's way, its first estimate and the sensors' noise.
+    planners
+        One a robot, for planners that draw.
+    """
+
+    target: np.random.Generator
+    planners: tuple[np.random.Generator, ...]
+
+
+def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
+    """The streams of `seed`, unused."""
+    target, planners = np.random.SeedSequence(seed, spawn_key=(1,)).spawn(2)
+    return TeamSeeds(
+        np.random.default_rng(target),
+        tuple(np.random.default_rng(stream) for stream in planners.spawn(len(problem.robots))),
+    )
+
+
 GivenMeasurements = Measurements | Table | Sequence[Measurements | Table]
 """First measurements that a user gives: a table, or one for each station."""
 

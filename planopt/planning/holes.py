@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
 
 MOST_IN_WORDS = 4

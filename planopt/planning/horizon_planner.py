@@ -1,25 +1,230 @@
-"""One receding-horizon step for a sum of terms: global starts, and the ladder over them."""
+"""One receding-horizon step for a sum of terms: global starts, and the failure ladder over them.
+
+Whether one more start is worth a polish once others have been polished.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.budget import budget_from
-from planopt.planning.driven import driven_starts
-from planopt.planning.ground import Ground
-from planopt.planning.judge import Judge
-from planopt.planning.ladder import Ladder
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.search.start_search import Start, StartSearch
+from planopt.planning.budget import Budget, budget_from
+from planopt.planning.driven import driven_starts, without_start
+from planopt.planning.judge import Candidate, Judge, with_effort
+from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
+from planopt.planning.programme.methods import METHODS
+from planopt.planning.scene import Ground
+from planopt.planning.search.good_place import ways_to_good_place
+from planopt.planning.search.local_ranking import can_climb
+from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.search.to_unmeasured import way_to_unmeasured
-from planopt.planning.shifted import shifted_path
+from planopt.planning.start_polish import StartPolish
 from planopt.planning.worth.path_worth import PathWorth, rule_missing
-from planopt.planning.worth.situation import Situation
+from planopt.planning.worth.situation import Situation, bends_starts
 from planopt.problems.problem import Problem
+
+CLOSE_SHARE = 0.01
+"""Ways that have climbed gain a few percent more when polished, all about as much: one that is
+behind by more than this share of the best seldom ends ahead of it."""
+
+MERGED_STEPS = 2.0
+"""A start that is nowhere farther than so many longest steps from a polished path leads to it."""
+
+
+def is_worth_following(
+    start: Start, best: Start, polished_m: Sequence[NDArray[np.float64]], longest_m: float
+) -> bool:
+    """Whether `start`, that has climbed, may lead to something better.
+
+    Parameters
+    ----------
+    start, best
+        The one in question, and the best of all starts.
+    polished_m
+        Paths (N, 2) that have been polished.
+    longest_m
+        Longest step.
+    """
+    if start.worth < best.worth - CLOSE_SHARE * abs(best.worth):
+        return False
+    return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in polished_m)
+
+
+DRIVEN_ROUNDS = 12
+"""At most so often the best drive is polished again, about its own sides of obstacles: lines about
+a start that follows a way hold it back at corners."""
+
+SETTLED_SHARE = 3e-3
+"""It is not polished again where that gained less."""
+
+
+class Ladder:
+    """Makes a plan of starts; keeps the solvers that polish them.
+
+    Parameters
+    ----------
+    problem
+        With one robot; its planner settings say how.
+    ground
+        Its geometry.
+    thorough
+        Follow all starts, polish the best twice, and take it, instead of the first that is
+        verified.
+
+    Attributes
+    ----------
+    polish
+        What starts are polished by; None for a planner that does not polish.
+    """
+
+    def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
+        self._problem = problem
+        self._thorough = thorough
+        coupled = bends_starts(problem) and problem.planner.horizon > 1
+        self._followed = COUPLED_STARTS if coupled else 1
+        self._driven = problem.robots[0].dynamics is not None
+        # To a goal, what one more round gains is lost again where the next pivot is seen.
+        again = self._driven and problem.task != "reach"
+        self._rounds = DRIVEN_ROUNDS if again else int(thorough)
+        polishes = problem.planner.name in METHODS
+        self.polish = StartPolish(problem, ground) if polishes else None
+
+    def climb(
+        self,
+        situation: Situation,
+        judge: Judge,
+        starts: list[Start],
+        warm: Plan | None,
+        budget: Budget,
+    ) -> Candidate:
+        """Go down the failure ladder until a candidate is verified; else the least bad one.
+
+        Parameters
+        ----------
+        situation, judge
+            Of the step.
+        starts
+            Best first.
+        warm
+            The plan that led here, or None.
+        budget
+            Of the step.
+        """
+        tried: list[Candidate] = []
+        verified: list[Candidate] = []
+        for number, start in enumerate(starts):
+            unpolished = replace(
+                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
+                lattice_objective=judge.sense * starts[0].worth,
+            )
+            if self.polish is None:
+                unpolished = replace(unpolished, rung=Rung.PLAN)
+            else:
+                rung = Rung.PLAN if number < self._followed or self._driven else Rung.COLD_RETRY
+                for candidate in self.polish.candidates(situation, judge, start, rung, budget):
+                    if candidate.verdict is Verdict.VERIFIED:
+                        verified.append(candidate)
+                    tried.append(candidate)
+                if budget.spent and not verified:
+                    unpolished = replace(unpolished, termination=Termination.TIME_LIMIT)
+            if any(c.sound and c.hopeless for c in tried):
+                break
+            if budget.proven and any(c.sound for c in tried):
+                break
+            if not any(judge.worth(c) >= judge.worth(unpolished) for c in verified):
+                unpolished = judge.judged(unpolished)
+                if unpolished.relaxes and self._problem.task == "reach":
+                    unpolished = replace(unpolished, rung=Rung.RELAXED)
+                tried.append(unpolished)
+                if unpolished.verdict is Verdict.VERIFIED:
+                    verified.append(unpolished)
+            if verified and self._is_settled(starts, number + 1, verified):
+                break
+        if not verified and not self._driven and not budget.spent:
+            found = self._by_way_to_good_place(situation, judge, tried, budget)
+            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
+            tried += found
+        for _ in range(self._rounds):
+            if not verified or budget.spent:
+                break
+            best = max(judge.worth(candidate) for candidate in verified)
+            found = self._once_more(situation, judge, starts, verified, budget)
+            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
+            tried += found
+            gained = max(judge.worth(candidate) for candidate in verified) - best
+            if gained <= SETTLED_SHARE * abs(best):
+                break
+        if verified:
+            return with_effort(max(verified, key=judge.worth), tried)
+        # Nothing is verified. Connectivity may be given up, clearance and speed never.
+        sound = [candidate for candidate in tried if candidate.sound]
+        if self._driven:
+            sound.sort(key=lambda candidate: candidate.missing_db)
+        if any(candidate.hopeless for candidate in sound):
+            return with_effort(sound[0], tried)
+        fallback = self._without_start(judge, warm)
+        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
+        return with_effort(chosen, tried)
+
+    def _is_settled(self, starts: list[Start], number: int, verified: list[Candidate]) -> bool:
+        """Whether start `number` need not be followed, there being verified candidates."""
+        if self._thorough or self._driven:
+            return False
+        if number >= min(self._followed, len(starts)):
+            return True
+        # Only of ways that have climbed does the worth tell where they lead.
+        polished = [candidate.path_m for candidate in verified]
+        longest = self._problem.step_length_m
+        return can_climb(self._problem) and not is_worth_following(
+            starts[number], starts[0], polished, longest
+        )
+
+    def _by_way_to_good_place(
+        self, situation: Situation, judge: Judge, tried: list[Candidate], budget: Budget
+    ) -> list[Candidate]:
+        """Go straight to a place that the verifier says was missed."""
+        found: list[Candidate] = []
+        for path in ways_to_good_place(judge, tried):
+            way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
+            if self.polish is not None:
+                start = Start(path, judge.worth(way), rule_missing(situation, path))
+                polished = self.polish.candidates(situation, judge, start, Rung.COLD_RETRY, budget)
+                found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in polished]
+            found.append(judge.judged(way))
+            if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
+                break
+        return found
+
+    def _once_more(
+        self,
+        situation: Situation,
+        judge: Judge,
+        starts: list[Start],
+        verified: list[Candidate],
+        budget: Budget,
+    ) -> list[Candidate]:
+        """Polish the best again, from the measurements and sides of obstacles nearest to it."""
+        if self.polish is None:
+            return []
+        best = max(verified, key=judge.worth)
+        again = Start(best.path_m, starts[0].worth, 0.0, best.drive, charge=starts[0].charge)
+        rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
+        return self.polish.candidates(situation, judge, again, rung, budget)
+
+    def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
+        """Take the last verified plan, shifted and checked again; else stop."""
+        if self._driven:
+            return without_start(judge, warm)
+        path = shifted_path(self._problem, judge.index, judge.position_m, warm)
+        if path is not None:
+            shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
+            if shifted.verdict is Verdict.VERIFIED:
+                return shifted
+        return judge.standing(self._problem.planner.horizon)
 
 
 class HorizonPlanner:

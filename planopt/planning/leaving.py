@@ -20,7 +20,7 @@ from planopt.world.clearance import (
     distances_m,
     segment_clearance_m,
 )
-from planopt.world.moving_discs import MovingDiscs, ways_gap_m
+from planopt.world.moving_obstacle import MovingDiscs, ways_gap_m
 from planopt.world.workspace import Workspace
 
 DIRECTIONS, LENGTHS = 48, 8

@@ -16,6 +16,7 @@ from planopt.plain_values import parts_of
 from planopt.planning.given import (
     GivenMeasurements,
     measurements_by_station,
+    team_seeds,
     with_drawn_starts,
     with_measurements,
 )
@@ -24,7 +25,6 @@ from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scenes
 from planopt.planning.stepping import Stepper, planning
-from planopt.planning.team.team_seeds import team_seeds
 from planopt.problems.check_tables import check_obstacle
 from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.problem import Problem

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from planopt.problems.problem import Problem
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
-from planopt.world.moving_obstacle import predicted_discs
+from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs, predicted_discs
 
 
 def steps_ahead(problem: Problem) -> int:

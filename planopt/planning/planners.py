@@ -18,10 +18,10 @@ from planopt.planning.baselines.strategies import (
     require_tracking,
     unaware,
 )
-from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
+from planopt.planning.scene import Ground
 from planopt.planning.worth.situation import Situation
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.errors import NoPlanError
 from planopt.planning.budget import Budget, budget_from, solve_limit_s
-from planopt.planning.candidate import Candidate, with_effort
 from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.holes import MOST_IN_WORDS, goal_in_words, holes_on
-from planopt.planning.judge import Judge
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.judge import Candidate, Judge, with_effort
+from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import MOVING_LINES
+from planopt.planning.programme.path_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.programme.pivot import Ahead
-from planopt.planning.programme.reach_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.proof.predictions import search_prediction
@@ -30,15 +29,14 @@ from planopt.planning.refine import Refiner
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
 from planopt.planning.search.timed_search import TimedPath
-from planopt.planning.shifted import shifted_path
 from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.reach_cost import ReachCost
-from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.rules.planned import RuleRows, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.moving_obstacle import MovingDiscs
 
 LINES_PER_SEGMENT = 4
 """Nearest convex pieces that each segment is kept from; the verifier looks at all."""

@@ -12,18 +12,21 @@ from numpy.typing import NDArray
 from planopt.channel.prediction import Prediction, bound_quantile
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
-from planopt.planning.candidate import Candidate
-from planopt.planning.judge import Judge
+from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.programme.margin_source import MarginFunction
+from planopt.planning.programme.margin_source import (
+    MarginFunction,
+    StageMargins,
+    joined,
+    margins_of,
+)
 from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
+from planopt.planning.programme.path_nlp import ReachNlp
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.polish import OutagePrice, Polished, ReachTask, polish
-from planopt.planning.programme.reach_nlp import ReachNlp
-from planopt.planning.programme.stage_kernel import StageMargins, joined, margins_of
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.retime import retime
+from planopt.planning.search.lattice_search import retime
 from planopt.planning.tolerances import (
     MARGIN_PAD_DB,
     STANDSTILL_M,

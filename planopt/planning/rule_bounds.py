@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
-from planopt.planning.candidate import Candidate
+from planopt.planning.judge import Candidate
 from planopt.planning.plan import Verdict
 from planopt.planning.programme.path_polish import PathTask
 from planopt.planning.programme.polish import Polished

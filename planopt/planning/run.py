@@ -18,7 +18,7 @@ from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan
 from planopt.planning.short_results import only, short_run
-from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from planopt.channel.belief import Belief
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.short_results import only, short_solution
-from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 
 if TYPE_CHECKING:

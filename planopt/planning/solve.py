@@ -6,13 +6,17 @@ from collections.abc import Sequence
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.given import GivenMeasurements, with_drawn_starts, with_measurements
+from planopt.planning.given import (
+    GivenMeasurements,
+    team_seeds,
+    with_drawn_starts,
+    with_measurements,
+)
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solution import Solution
 from planopt.planning.stepping import Stepper, planning
-from planopt.planning.team.team_seeds import team_seeds
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget, solve_limit_s
-from planopt.planning.candidate import Candidate
 from planopt.planning.driven import motion_shape, motion_task, polished_drive, standstill_m
-from planopt.planning.ground import Ground
-from planopt.planning.judge import Judge
+from planopt.planning.judge import Candidate, Judge
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Rung, Termination
 from planopt.planning.programme.methods import METHODS
@@ -31,18 +29,17 @@ from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
+from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.risk_allocation import Allocation
 from planopt.planning.worth.rules.planned import has_step_rows, has_sum_row, planned_rule, rule_rows
-from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import structure_of
+from planopt.planning.worth.situation import Situation, structure_of
 from planopt.problems.problem import Problem
-from planopt.robots.braked_motion import braked_motion
-from planopt.robots.drive import Drive
-from planopt.world.moving_discs import MovingDiscs
+from planopt.robots.drive import Drive, braked_motion
+from planopt.world.moving_lines import tail_lines
+from planopt.world.moving_obstacle import MovingDiscs
 from planopt.world.separation import PackedPieces, SeparatingLines, joined_lines, split_lines
-from planopt.world.tail_lines import tail_lines
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements, join
+from planopt.planning.given import TeamSeeds
 from planopt.planning.history import history_of
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
@@ -22,12 +23,10 @@ from planopt.planning.plan import Plan, Rung
 from planopt.planning.robot_problem import problem_at, problem_of_robot
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.team.couriers import Couriers
-from planopt.planning.team.crew import build_crew
+from planopt.planning.team.crew import TeamMoment, build_crew, plan_together
 from planopt.planning.team.reservations import has_separation
-from planopt.planning.team.team_seeds import TeamSeeds
-from planopt.planning.team.team_step import TeamMoment, plan_together
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 from planopt.world.workspace import Obstacle
 

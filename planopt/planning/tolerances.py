@@ -1,6 +1,12 @@
-"""Every tolerance of planning in one place, each with its reason. Solver settings are elsewhere."""
+"""Every tolerance of planning in one place, each with its reason, and margins as a problem asks."""
 
 from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.prediction import Prediction, bound_margin_db
+from planopt.problems.problem import Problem
 
 CLEARANCE_TOLERANCE_M = 1e-6
 """The verifier's: round-off of exact distances at coordinates of some hundred metres."""
@@ -26,3 +32,13 @@ STANDSTILL_M = 1e-3
 RULE_TOLERANCE = 1e-7
 """The verifier's: what :data:`MARGIN_TOLERANCE_DB` is in probability, as a share of what is asked
 where that is more than one."""
+
+
+def margins_asked_db(problem: Problem, power: Prediction) -> NDArray[np.float64]:
+    """Margin (n,) of p_min at each predicted place; it holds where that is at least 0."""
+    return bound_margin_db(
+        power.mean_db,
+        power.deviation_db,
+        problem.stations[0].threshold_dbm,
+        problem.constraints.p_min,
+    )

@@ -28,7 +28,7 @@ from planopt.problems.channel_setup import (
 from planopt.problems.check_motion import check_stopping
 from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import MOST_PROBABLE_DRAWN, check_rule
-from planopt.robots.braked_motion import standing_motion
+from planopt.robots.drive import standing_motion
 from planopt.world.clearance import (
     ObstacleIndex,
     clearance_m,

@@ -1,11 +1,96 @@
-"""What every plan of a problem must keep."""
+"""What every plan of a problem must keep: clearance, and a rule of connectivity."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
+from planopt.errors import InputError
 from planopt.plain_values import make_plain, part_of
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.rule_kinds import OWN, RuleKind, rule_kind
+
+ParameterUncertainty = Literal["path_loss", "all"]
+
+
+@dataclass(frozen=True)
+class ConnectivityRule:
+    """What is asked of the connection along a path; a step counts by the place that it ends at.
+
+    Attributes
+    ----------
+    connectivity
+        ``each_step``: probability at least p_min at each step. ``stated_times``: only at the times
+        stated. ``average``: on average over the run so far and the plan. ``joint``: that all steps
+        of the plan are connected. ``outage``: steps below p_min in a row are no longer than
+        stated. ``data``: the data delivered keep pace with the deadline, with probability p_min or,
+        where that is 0, in expectation. Or the kind of a rule of one's own
+        (`planopt.extend.OwnRule`).
+    connected_times_s
+        Of ``stated_times``, from the start of the run.
+    outage_max_m, outage_max_s
+        Of ``outage``, one of them.
+    data_mbit, deadline_s, rate_mbit_s
+        Of ``data``: how much, until when, and the rate while connected.
+    slack_max_db
+        The rule may be missed by so many dB: it must hold were the threshold that much lower. 0 is
+        hard. None: ``each_step`` and ``stated_times`` may be missed where no place within reach
+        keeps them, others are hard.
+    slack_price
+        What a dB of slack costs, in the objective's unit.
+    parameter_uncertainty
+        ``path_loss``: predictions count that theta is estimated; ``all``: that xi, beta and omega
+        are as well.
+    settings
+        Values of the fields of a rule of one's own, by name.
+
+    Raises
+    ------
+    InputError
+        There is no such rule, or `settings` are not its own.
+    """
+
+    connectivity: str = "each_step"
+    connected_times_s: tuple[float, ...] = ()
+    outage_max_m: float | None = None
+    outage_max_s: float | None = None
+    data_mbit: float | None = None
+    deadline_s: float | None = None
+    rate_mbit_s: float | None = None
+    slack_max_db: float | None = None
+    slack_price: float = 0.0
+    parameter_uncertainty: ParameterUncertainty = "path_loss"
+    settings: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        settings = sorted(dict(self.settings).items())
+        object.__setattr__(self, "settings", tuple(settings))
+        make_plain(self)
+        kind = self.kind
+        try:
+            if settings or kind.name not in OWN:
+                kind.half(planned=False)(**dict(settings))
+        except TypeError as error:
+            raise InputError(
+                f"do not fit {self.connectivity}: {error}",
+                key="constraints.settings",
+                remedy="give a number for each field of the rule, and no others",
+            ) from None
+
+    @property
+    def kind(self) -> RuleKind:
+        """The rule that is named."""
+        return rule_kind(self.connectivity)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether p_min is asked of each step where it is possible, and nothing else."""
+        return self.connectivity == "each_step" and self.slack_max_db is None
+
+    @property
+    def by_step(self) -> bool:
+        """Whether single steps are asked for, each by itself."""
+        return self.kind.by_step
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,6 @@ from planopt.problems.channel_setup import CalibrationName
 from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
-from planopt.problems.data_tables import made_of, table_of
 from planopt.problems.load import check_files, problem_from_tables
 from planopt.problems.messages import input_error
 from planopt.problems.objective_forms import ReachObjective
@@ -26,6 +25,7 @@ from planopt.problems.save import problem_to_dict
 from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.settings import PlannerSettings
 from planopt.problems.systems import SystemProblem, system_from_tables
+from planopt.problems.tables import made_of, table_of
 
 AnyTable = TypeVar("AnyTable", bound=BaseModel)
 AnyProblem = TypeVar("AnyProblem", bound=Problem | SystemProblem)

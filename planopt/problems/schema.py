@@ -16,7 +16,6 @@ from pydantic_core import PydanticCustomError
 
 from planopt.objectives.terms.term import registered_terms
 from planopt.problems.base_station import BaseStation
-from planopt.problems.data_tables import TableOf
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Task
 from planopt.problems.rule_kinds import rule_kind
@@ -26,15 +25,15 @@ from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.schema_robot import RobotTable
 from planopt.problems.schema_world import WorldTable
 from planopt.problems.settings import PlannerSettings, ReportSettings
-from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table
+from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table, TableOf
 from planopt.problems.target import Target
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from planopt.objectives.terms.term import Term
-    from planopt.problems.schema_moving import MovingTable
     from planopt.problems.schema_robot import RobotTable
+    from planopt.problems.schema_world import MovingTable
 
 MOST_TURN_RAD = 2.0 * math.pi
 """What a robot may turn in a step: more than a circle of the same input is nothing to plan."""

@@ -8,8 +8,7 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from planopt.channel.estimation.channel_fit import FitMethod, current_name
-from planopt.channel.multipath.multipath_field import MultipathKind, multipath_of
-from planopt.channel.multipath.multipath_models import Multipath
+from planopt.channel.multipath.multipath_models import Multipath, MultipathKind, multipath_of
 from planopt.errors import InputError
 from planopt.problems.channel_setup import (
     CalibrationName,
@@ -18,8 +17,7 @@ from planopt.problems.channel_setup import (
     LoggedMeasurements,
     RasterTruth,
 )
-from planopt.problems.data_tables import TableOf
-from planopt.problems.tables import Decibels, FileName, Table
+from planopt.problems.tables import Decibels, FileName, Table, TableOf
 
 MIN_DEVIATION_DB = 0.001
 """Weaker fading is none; m and K grow with the inverse square of its deviation."""

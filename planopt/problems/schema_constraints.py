@@ -9,8 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from planopt.errors import InputError
-from planopt.problems.connectivity_rule import ConnectivityRule, ParameterUncertainty
-from planopt.problems.constraints import Constraints
+from planopt.problems.constraints import ConnectivityRule, Constraints, ParameterUncertainty
 from planopt.problems.rule_kinds import OWN, known_rule, rule_kind
 from planopt.problems.tables import Table
 

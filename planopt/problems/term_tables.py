@@ -11,7 +11,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from planopt.objectives.terms.term import Term, registered_terms
-from planopt.problems.data_tables import made_of, table_of
+from planopt.problems.tables import made_of, table_of
 
 
 class AnyTerm:

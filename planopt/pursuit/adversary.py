@@ -17,7 +17,7 @@ from planopt.pursuit.guarantees import Chase, Inequality, contraction
 from planopt.pursuit.knowledge import Track
 from planopt.pursuit.records import Record
 from planopt.pursuit.service import ServiceBounds, require_number
-from planopt.world.closest_approach import closest_approach_m
+from planopt.world.least_distance import closest_approach_m
 
 AGES, DIRECTIONS = 48, 24
 """Sample times and directions of the error that are tried for the worst record."""

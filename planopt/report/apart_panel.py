@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.team.team_certificate import least_moving_clearances_m, least_separations_m
+from planopt.planning.team.reservations import least_moving_clearances_m, least_separations_m
 from planopt.problems.problem import Problem
 from planopt.report.panel import Panel
 from planopt.report.style import BLUE, VERMILLION, dress, legend_above

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planopt.report.metric_names import metric_name
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import MARKERS, SERIES, dress, head, legend_below, plain_log_ticks
-from planopt.report.tables import interval_words
+from planopt.report.tables import interval_words, metric_name
 from planopt.studies.compare import mean_interval
 from planopt.studies.comparison import Comparison, Row, runs_by_setting, sweep_words
 

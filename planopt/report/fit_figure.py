@@ -10,12 +10,11 @@ import numpy as np
 
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.lemma1 import BINS, empirical_correlation
-from planopt.channel.estimation.likelihood_starts import thinned
+from planopt.channel.estimation.likelihood_climb import thinned
 from planopt.channel.estimation.profile import CUT_95, WORDS, Profile, interval_words
 from planopt.channel.estimation.profile_likelihood import profiles_around
-from planopt.channel.mean_model import regressors, station_distance_m
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors, station_distance_m
 from planopt.errors import InputError
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (

@@ -13,7 +13,7 @@ from planopt.channel.connection.serving_power import (
 )
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.planning.proof.serving import connection_law
+from planopt.planning.proof.predictions import connection_law
 from planopt.problems.problem import Problem
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import Raster

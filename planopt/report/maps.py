@@ -1,4 +1,4 @@
-"""What every map shows: the obstacles, the bounds, start, goal and station, and a layer below."""
+"""What every map shows: obstacles that stand or move, bounds, marks, and a layer below."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planopt.problems.problem import Problem
 from planopt.report.panel import Panel, add_colorbar
 from planopt.report.style import (
+    BLACK,
     FRAME,
     GREEN,
     LABEL_PT,
@@ -23,6 +24,7 @@ from planopt.report.style import (
     YELLOW,
     dress,
 )
+from planopt.world.moving_obstacle import centres_at, growth_m
 from planopt.world.raster import Raster
 from planopt.world.workspace import Workspace
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
     from matplotlib.path import Path as Outline
+
 
 LAYER_Z, CONTOUR_Z, OBSTACLE_Z, MARGIN_Z, PATH_Z, PLACE_Z = 1.0, 1.5, 2.0, 2.5, 3.0, 4.0
 """What is drawn above what."""
@@ -201,3 +204,76 @@ def outline(polygon: shapely.Polygon) -> Outline:
 def ring_xy(ring: shapely.LineString) -> NDArray[np.float64]:
     """Corners of a closed ring, the first again at the end; (n, 2)."""
     return np.asarray(shapely.get_coordinates(ring), dtype=np.float64)
+
+
+DISCS = 6
+"""Drawn of each obstacle at most, evenly over the time; later ones are paler."""
+
+DARKEST, PALEST = 0.9, 0.3
+"""Opacity of the first and of the last disc."""
+
+
+def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) -> list[Artist]:
+    """Draw where every moving obstacle is when, over the first `steps` steps; for a legend.
+
+    Parameters
+    ----------
+    panel, problem
+        Where, and of what.
+    steps
+        Over how many steps from time 0.
+    predicted
+        Whether all steps are ahead, so that discs are grown by what is not known of their way.
+    """
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle
+
+    artists: list[Artist] = []
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    end_s = problem.planner.step_s * steps
+    every = max(-(-steps // (DISCS - 1)), 1)
+    times = problem.planner.step_s * np.arange(0, steps + 1, every, dtype=np.float64)
+    for obstacle in problem.workspace.moving:
+        centres = centres_at(obstacle, times).tolist()
+        grown = growth_m(obstacle, times) if predicted else np.zeros(len(times))
+        discs = PatchCollection(
+            [Circle(centre, obstacle.radius_m) for centre in centres],
+            facecolors=OBSTACLE,
+            edgecolors=BLACK,
+            linewidths=1.0,
+            alpha=np.linspace(DARKEST, PALEST, len(times)),
+            zorder=MARGIN_Z,
+            label="moving obstacle, paler later",
+        )
+        panel.add_collection(discs, autolim=False)
+        if grown.any():
+            rims = PatchCollection(
+                [
+                    Circle(centre, obstacle.radius_m + growth)
+                    for centre, growth in zip(centres, grown.tolist(), strict=True)
+                ],
+                facecolors="none",
+                edgecolors=BLACK,
+                linestyles="dotted",
+                zorder=MARGIN_Z,
+            )
+            panel.add_collection(rims, autolim=False)
+        artists = artists or [discs]
+        known = [time for time in obstacle.times_s if 0.0 < time < end_s]
+        way = centres_at(obstacle, np.array(sorted({0.0, *known, end_s})))
+        panel.plot(*way.T, color=WHITE, linewidth=2.6, zorder=MARGIN_Z)
+        panel.plot(*way.T, color=FRAME, linewidth=1.1, linestyle="dashdot", zorder=MARGIN_Z + 0.1)
+        for (x, y), time in zip(centres, times.tolist(), strict=True):
+            if not (x_min <= x <= x_max and y_min <= y <= y_max):
+                continue  # text far outside cannot be rendered, nor seen
+            panel.text(
+                x,
+                y,
+                obstacle.name if time == 0.0 else f"{time:g} s",
+                fontsize=NOTE_PT,
+                ha="center",
+                va="center",
+                zorder=MARGIN_Z + 0.2,
+                clip_on=True,
+            )
+    return artists

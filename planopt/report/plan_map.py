@@ -20,10 +20,10 @@ from planopt.report.maps import (
     draw_ground,
     draw_layer,
     draw_level,
+    draw_moving,
     draw_places,
     ring_xy,
 )
-from planopt.report.moving_marks import draw_moving
 from planopt.report.panel import Panel
 from planopt.report.style import (
     BLACK,

@@ -19,12 +19,11 @@ from planopt.planning.certificate import Certificate
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
-from planopt.planning.team.team_certificate import driven_motion
+from planopt.planning.team.reservations import driven_motion
 from planopt.problems.constraints import Constraints
 from planopt.problems.problem import Problem
 from planopt.report.apart_panel import draw_apart, has_apart
-from planopt.report.maps import PATH_Z
-from planopt.report.moving_marks import draw_moving
+from planopt.report.maps import PATH_Z, draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.plan_map import draw_plan_map
 from planopt.report.run_figure import draw_run

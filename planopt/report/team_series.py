@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from planopt.planning.loop.log import ChannelLog, RobotRun
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.run import Run
-from planopt.planning.team.team_certificate import driven_motion
+from planopt.planning.team.reservations import driven_motion
 from planopt.problems.problem import Problem
 from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.panel import Panel
-from planopt.report.run_series import RUNG_LOOKS
+from planopt.report.run_figure import RUNG_LOOKS
 from planopt.report.style import (
     BLACK,
     BLUE,

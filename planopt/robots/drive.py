@@ -1,4 +1,4 @@
-"""How a robot drives along a path: its state after each step, and the input of each step.
+"""How a robot drives along a path, and where it is at which time until it stands.
 
 Of the single integrator, q+ = q + h v with a speed limit, the way within a step is straight.
 """
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.robots.dynamics import Dynamics
+from planopt.world.timed_motion import TimedMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,3 +64,38 @@ def dynamics_defect_m(
     jump = float(np.linalg.norm(positions_m[0] - start_m))
     # NumPy's maximum: Python's would lose a NaN.
     return float(np.max(lengths - step_length_m, initial=jump))
+
+
+def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
+    """The motion of a plan (N + 1, 2) and of braking after it, for as many steps as that takes.
+
+    A robot without `drive` goes straight and evenly from place to place, and stops at will.
+    """
+    if drive is None:
+        return TimedMotion(path_m)
+    stop = braking_drive(drive.dynamics, drive.states[-1], step_s)
+    states = np.vstack([drive.states, stop.states[1:]])
+    inputs = np.vstack([drive.inputs, stop.inputs])
+    return TimedMotion(
+        np.vstack([path_m, stop.positions_m[1:]]),
+        tuple(drive.dynamics.ways(states[:-1], inputs, step_s)),
+    )
+
+
+def braking_drive(dynamics: Dynamics, state: NDArray[np.float64], step_s: float) -> Drive:
+    """Braking from `state` (s,), for as many steps as that takes; none where it stops at once."""
+    steps = dynamics.stop_steps(state, step_s)
+    return rolled_out(dynamics, state, dynamics.braking(state, step_s, steps), step_s)
+
+
+def standing_motion(
+    dynamics: Dynamics | None, state: NDArray[np.float64], step_s: float
+) -> TimedMotion:
+    """Stopping from `state` (s,), its place first, as soon as the robot can."""
+    if dynamics is None:
+        return TimedMotion(state[None, :2])
+    return braked_motion(
+        state[None, :2],
+        Drive(dynamics, state[None], np.zeros((0, len(dynamics.input_names)))),
+        step_s,
+    )

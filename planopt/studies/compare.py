@@ -25,8 +25,7 @@ from planopt.problems.overrides import with_changes, with_overrides
 from planopt.problems.problem import Problem
 from planopt.problems.systems import Request, SystemProblem, system_from_tables
 from planopt.studies.comparison import Comparison, Row, runs_by_setting
-from planopt.studies.finished_runs import FinishedRuns, run_key
-from planopt.studies.study import Study, run_study
+from planopt.studies.study import FinishedRuns, Study, run_key, run_study
 
 CONFIDENCE = 0.95
 
@@ -100,7 +99,7 @@ def compare(
         Called for every finished run, for progress display.
     finished
         Folder in which every run is kept when it is finished
-        (:mod:`planopt.studies.finished_runs`). A run that an earlier comparison has kept there
+        (:mod:`planopt.studies.study`). A run that an earlier comparison has kept there
         is taken from it, with the times measured then.
 
     Returns

@@ -18,7 +18,7 @@ from planopt.files.regular import read_text
 from planopt.files.result_folder import ResultFiles, replaced_results
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text, write_whole
-from planopt.planning.check.load_result import load_result as load_plan_or_run
+from planopt.planning.check.check import load_result as load_plan_or_run
 from planopt.planning.files.record import finite
 from planopt.planning.files.run_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
@@ -29,7 +29,7 @@ from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.problems.systems import SystemProblem, system_from_tables
 from planopt.studies.compare import comparison_rows
 from planopt.studies.comparison import Comparison, runs_by_setting, runs_reliability
-from planopt.studies.finished_runs import digest_of_tables, program
+from planopt.studies.study import digest_of_tables, program
 
 if TYPE_CHECKING:
     from planopt.studies.comparison import Row

@@ -14,15 +14,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fields.scattered_field import scattered_field_db
-from planopt.channel.mean_model import regressors
+from planopt.channel.fields.field import scattered_field_db
+from planopt.channel.joint import predict_readings
 from planopt.channel.measurements import Measurements
-from planopt.channel.multipath.multipath_field import multipath_field_db
-from planopt.channel.multipath.multipath_models import Lognormal, Multipath
+from planopt.channel.multipath.multipath_models import Lognormal, Multipath, multipath_field_db
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import condition
-from planopt.channel.readings import predict_readings
 from planopt.channel.validation.calibration import calibrate
 from planopt.channel.validation.held_out import (
     GroupedRatio,

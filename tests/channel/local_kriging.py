@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from planopt.channel.mean_model import regressors
 from planopt.channel.nearest.neighbours import NeighbourModel
+from planopt.channel.parameters import regressors
 from planopt.channel.prediction import Prediction
 
 

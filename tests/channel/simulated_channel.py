@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import regressors
 
 
 def simulated(channel, seed, count, side_m, censored_share=0.0, positions=None):

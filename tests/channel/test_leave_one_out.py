@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.connection.connection_outcomes import leave_one_out
+from planopt.channel.connection.connection_law import leave_one_out
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition

@@ -15,10 +15,10 @@ from varied_measurements import (
 )
 
 from planopt.channel.derivatives import posterior_derivatives
-from planopt.channel.fields.conditional_field import conditional_field, conditional_values_db
+from planopt.channel.fields.field import conditional_field, conditional_values_db
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
-from planopt.channel.maps.cached_map import CachedMap
+from planopt.channel.maps.posterior_map import CachedMap
 from planopt.channel.maps.tile_map import TileMap, predict_single
 from planopt.channel.measurement_covariance import (
     covariance_db2,

@@ -10,10 +10,9 @@ from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.restricted_likelihood import evaluate
-from planopt.channel.mean_model import mean_model
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 

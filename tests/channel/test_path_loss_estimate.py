@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import predict
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.path_loss_estimate import estimate_theta, ml_covariance_after
 from planopt.channel.posterior import condition, extend
 from planopt.errors import InputError

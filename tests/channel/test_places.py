@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.fields.field import shadow_field_db
-from planopt.channel.fields.scattered_field import scattered_field_db
+from planopt.channel.fields.field import scattered_field_db, shadow_field_db
 from planopt.channel.places import leg_lengths_m, require_count, require_finite, require_places
 from planopt.errors import InputError
 

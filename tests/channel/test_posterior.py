@@ -7,13 +7,11 @@ import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-from planopt.channel.conditioning import WEAK_THETA_DEVIATION
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import kriging_terms, predict
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements, join
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition, extend
+from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.channel.posterior import WEAK_THETA_DEVIATION, condition, extend
 from planopt.channel.prediction import combine
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))

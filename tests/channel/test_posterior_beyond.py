@@ -6,13 +6,12 @@ from local_kriging import predict_locally
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
-from planopt.channel.maps.cached_map import CachedMap
+from planopt.channel.maps.posterior_map import CachedMap
 from planopt.channel.maps.tile_map import TileMap
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.offsets import receiver_offsets
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import EXACT_LIMIT, at_time, condition
 from planopt.errors import InputError
 

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from planopt.channel.derivatives import posterior_derivatives
-from planopt.channel.mean_model import MIN_DISTANCE_M
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 

@@ -14,9 +14,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern, WhiteKernel
 
 from planopt.channel.joint import joint_prediction
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import join
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import condition, extend
 
 CHANNELS = {

@@ -10,13 +10,12 @@ from planopt.channel import measurement_covariance
 from planopt.channel import offsets as module
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import coefficient_covariance, least_squares
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import predict
-from planopt.channel.mean_model import mean_model, regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.offsets import receiver_offsets
 from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
 from planopt.channel.posterior import condition
 from planopt.channel.station.station_search import fit_channel_and_station
 

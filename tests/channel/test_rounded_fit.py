@@ -13,12 +13,11 @@ from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.intervals.censoring import FINE_STEP, needs_site
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.mean_model import mean_model, regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
 from planopt.channel.posterior import condition
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 20.0, 1.0, Station((50.0, 50.0), 10.0))

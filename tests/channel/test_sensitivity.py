@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import condition
 from planopt.channel.sensitivity import (
     PERTURBED,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from planopt.channel.conditioning import WEAK_THETA_DEVIATION, theta_estimate
 from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import WEAK_THETA_DEVIATION, theta_estimate
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

@@ -7,8 +7,8 @@ import pytest
 from path_scene import CHANNEL, NOTHING, PATH, drawn
 
 from planopt.channel.joint import joint_prediction
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.parameters import regressors
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.objectives.batch import batch_factor, batch_of, cross_covariance_db2, known_places

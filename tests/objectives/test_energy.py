@@ -9,14 +9,14 @@ from path_scene import CHANNEL, PATH, drawn
 from planopt.channel.joint import sample_power
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
-from planopt.objectives.energy import (
+from planopt.objectives.terms.motion_energy import MotionEnergyTerm
+from planopt.objectives.terms.transmission_energy import (
     Radio,
     expected_transmit_power_w,
     transmission_derivatives,
     transmission_energy_j,
     transmission_stage_costs_j,
 )
-from planopt.objectives.terms.motion_energy import MotionEnergyTerm
 from planopt.targets.rounding import Derivatives
 
 POSTERIOR = condition(CHANNEL, drawn(15))

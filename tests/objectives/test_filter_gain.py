@@ -12,16 +12,16 @@ from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
     information_gain_derivatives,
 )
-from planopt.objectives.filter_gain import (
+from planopt.objectives.tracking import Tracking, tracking_value
+from planopt.objectives.tracking_filter import (
+    FilteredTracking,
     covariance_gain,
     information_gain,
     sensing_of,
 )
-from planopt.objectives.tracking import Tracking, tracking_value
-from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.targets.information_filter import TargetModel
 from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import Sensor
-from planopt.targets.target_model import TargetModel
 
 POSTERIOR = condition(CHANNEL, drawn(15))
 SETTINGS = FilteredTracking(

@@ -8,11 +8,6 @@ from path_scene import CHANNEL, NOTHING, PATH, START, drawn
 
 from planopt.channel.measurements import join
 from planopt.channel.posterior import condition
-from planopt.objectives.information_derivatives import (
-    average_reduction_derivatives,
-    path_information_derivatives,
-    path_loss_derivatives,
-)
 from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.mapping import (
     Region,
@@ -20,9 +15,16 @@ from planopt.objectives.mapping import (
     average_reduction,
     path_information,
     path_uncertainty,
+    path_uncertainty_derivatives,
 )
-from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
-from planopt.objectives.path_loss_learning import Criterion, goal_criterion, path_loss_value
+from planopt.objectives.path_loss_learning import (
+    Criterion,
+    average_reduction_derivatives,
+    goal_criterion,
+    path_information_derivatives,
+    path_loss_derivatives,
+    path_loss_value,
+)
 
 DATA = drawn(12)
 POSTERIOR = condition(CHANNEL, DATA)
@@ -117,10 +119,10 @@ def test_derivatives_are_those_of_central_differences(name, path):
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_with_tiny_roundings_the_value_is_exact(name, count, monkeypatch):
     """All measurements used and roundings a billionth: the objective itself, to 1e-7."""
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 1e-9)
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
-    monkeypatch.setattr("planopt.objectives.path_form_derivatives.CUSP_ROUNDING", 1e-9)
-    monkeypatch.setattr("planopt.objectives.path_form_derivatives.THRESHOLD_ROUNDING", 1e-9)
+    monkeypatch.setattr("planopt.objectives.local_channel.CUSP_ROUNDING", 1e-9)
+    monkeypatch.setattr("planopt.objectives.local_channel.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.mapping.CUSP_ROUNDING", 1e-9)
+    monkeypatch.setattr("planopt.objectives.mapping.THRESHOLD_ROUNDING", 1e-9)
     posterior = condition(CHANNEL, drawn(count) if count else NOTHING)
     exact = OBJECTIVES[name][1](posterior, PATH)
     assert evaluate(name, PATH, posterior).value == pytest.approx(exact, rel=1e-7, abs=1e-7)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, NOTHING, PATH, drawn
 
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import predict
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import regressors
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.objectives.local_channel import local_channel, local_grid

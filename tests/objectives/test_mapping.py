@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, NOTHING, PATH, START, drawn, measured_at, moved, power_at
 
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import predict
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition, extend

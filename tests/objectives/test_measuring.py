@@ -7,13 +7,8 @@ import pytest
 from path_scene import CHANNEL, START, drawn
 
 from planopt.channel.posterior import condition
-from planopt.objectives.information_derivatives import (
-    average_reduction_derivatives,
-    path_information_derivatives,
-    path_loss_derivatives,
-)
 from planopt.objectives.local_channel import local_channel, local_grid
-from planopt.objectives.mapping import Uncertainty
+from planopt.objectives.mapping import Uncertainty, path_uncertainty_derivatives
 from planopt.objectives.measuring import (
     CLOSED_SPACINGS,
     FEW_PAIRS,
@@ -23,8 +18,12 @@ from planopt.objectives.measuring import (
     Gates,
     MeasuringRule,
 )
-from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
-from planopt.objectives.path_loss_learning import Criterion
+from planopt.objectives.path_loss_learning import (
+    Criterion,
+    average_reduction_derivatives,
+    path_information_derivatives,
+    path_loss_derivatives,
+)
 
 SPACING_M = 2.0
 POSTERIOR = condition(CHANNEL, drawn(30, side_m=20.0))

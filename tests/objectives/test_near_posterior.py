@@ -6,8 +6,8 @@ from path_scene import CHANNEL, PATH, START, drawn
 
 from planopt.channel.kriging import predict
 from planopt.channel.posterior import condition
+from planopt.objectives.local_channel import factored_near
 from planopt.objectives.mapping import Region, average_reduction, path_information
-from planopt.objectives.near_posterior import factored_near
 from planopt.objectives.path_loss_learning import Criterion, path_loss_value
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import sampled_arrivals

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, NOTHING, PATH, drawn, measured_at, moved
 
-from planopt.channel.conditioning import WEAK_THETA_DEVIATION
-from planopt.channel.kernel import shadow_covariance_db2
 from planopt.channel.kriging import kriging_terms
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station
-from planopt.channel.posterior import condition, extend
+from planopt.channel.parameters import Station, regressors
+from planopt.channel.posterior import WEAK_THETA_DEVIATION, condition, extend
 from planopt.errors import InputError
 from planopt.objectives.path_loss_learning import (
     Criterion,

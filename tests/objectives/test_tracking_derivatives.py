@@ -6,10 +6,11 @@ from path_scene import CHANNEL, PATH, drawn
 
 from planopt.channel.derivatives import posterior_derivatives
 from planopt.channel.posterior import condition
-from planopt.objectives.tracking import Tracking, tracking_stage_rewards
-from planopt.objectives.tracking_derivatives import (
+from planopt.objectives.tracking import (
+    Tracking,
     connectivity_derivatives,
     tracking_reward_derivatives,
+    tracking_stage_rewards,
 )
 from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import Sensor, sensing_derivatives

@@ -21,9 +21,12 @@ from planopt.objectives.tracking_filter import (
     sampled_arrivals,
     sampled_tracking,
 )
-from planopt.targets.information_filter import position_variance_m2, predicted_information
+from planopt.targets.information_filter import (
+    TargetModel,
+    position_variance_m2,
+    predicted_information,
+)
 from planopt.targets.sensor import Sensor
-from planopt.targets.target_model import TargetModel
 
 POSTERIOR = condition(CHANNEL, drawn(15))
 MODEL = TargetModel(0.5, 0.02 * np.eye(2))

@@ -21,9 +21,9 @@ from planopt.objectives.tracking_scenarios import (
     scenario_derivatives,
     scenario_gain,
 )
+from planopt.targets.information_filter import TargetModel
 from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import Sensor, sensing_information
-from planopt.targets.target_model import TargetModel
 
 POSTERIOR = condition(CHANNEL, drawn(15))
 OTHER = condition(CHANNEL, drawn(9))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from planopt.planning.programme.margin_source import StageMargins
 from planopt.planning.programme.polish import OutagePrice, ReachTask
-from planopt.planning.programme.stage_kernel import StageMargins
 from planopt.world.separation import EMPTY_OFFSET_M, SeparatingLines
 
 

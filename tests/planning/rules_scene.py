@@ -10,8 +10,7 @@ from typing import Any
 from scenes import small_problem
 from terms_scene import TABLES, TRACKING
 
-from planopt.problems.connectivity_rule import ConnectivityRule
-from planopt.problems.constraints import Constraints
+from planopt.problems.constraints import ConnectivityRule, Constraints
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 

@@ -25,7 +25,7 @@ from planopt.planning.prepare import Prepared
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
-from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.planning.ground import Ground, build_ground
 from planopt.planning.judge import Judge
 from planopt.planning.prepare import prepare
-from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.predictions import broad_prediction
+from planopt.planning.scene import Ground, build_ground
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.region import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.casadi_term import casadi_term

@@ -19,8 +19,7 @@ from scenes import (
 )
 from scipy.stats import norm
 
-from planopt.planning.candidate import Candidate
-from planopt.planning.judge import Judge
+from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Rung, Termination, Verdict
 from planopt.planning.scene import build_scene
 from planopt.planning.worth.reach_cost import ReachCost

@@ -12,12 +12,11 @@ from terms_scene import ENERGY, LEARNING, TRACKING, terms_problem
 
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
-from planopt.planning.ground import build_ground
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Rung, Verdict
-from planopt.planning.shifted import shifted_drive
+from planopt.planning.plan import Rung, Verdict, shifted_drive
+from planopt.planning.scene import build_ground
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.region import workspace_region
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out
 from planopt.robots.unicycle import Unicycle

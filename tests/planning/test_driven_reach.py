@@ -16,10 +16,9 @@ from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.plan import Pivot, Verdict
+from planopt.planning.plan import Pivot, Verdict, shifted_drive
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.shifted import shifted_drive
 from planopt.planning.solve import solve
 from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
 from planopt.problems.problem import Problem

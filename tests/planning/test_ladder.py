@@ -24,7 +24,7 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.nlp_functions import NlpPoint
-from planopt.planning.programme.reach_nlp import IPOPT_OPTIONS
+from planopt.planning.programme.path_nlp import IPOPT_OPTIONS
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 

@@ -11,11 +11,11 @@ from scenes import small_problem
 
 from planopt import Planner, Verdict, load
 from planopt.errors import InputError
-from planopt.planning.check.provenance import provenance_faults
+from planopt.planning.check.rebuilt import provenance_faults
 from planopt.planning.leaving import leaving_path
 from planopt.planning.plan import Rung
 from planopt.world.clearance import index_obstacles
-from planopt.world.moving_discs import NOTHING_MOVES
+from planopt.world.moving_obstacle import NOTHING_MOVES
 
 HOUSE = shapely.box(18.0, 10.0, 22.0, 20.0)
 PROBLEM = small_problem(HOUSE)

@@ -16,7 +16,7 @@ from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.programme import path_nlp
-from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.problems.objective import MotionEnergyTerm, TrackingTerm
 from planopt.problems.problem import Problem

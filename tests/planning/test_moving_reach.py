@@ -17,7 +17,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.world.moving_obstacle import MovingObstacle, centres_at
 
 SHARES = np.linspace(0.0, 1.0, 201)

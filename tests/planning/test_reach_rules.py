@@ -14,14 +14,13 @@ from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
 from planopt.planning.explain.explain import explain_blocked
 from planopt.planning.files.saved import save_run
-from planopt.planning.ground import first_moves
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.scene import build_scene
+from planopt.planning.scene import build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 
 GAP = bad_band(17.0, 23.0)
 """Across the whole workspace, three steps wide."""

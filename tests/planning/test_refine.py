@@ -22,8 +22,8 @@ import planopt.planning.refine as refine
 from planopt.planning.budget import Budget
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.programme.path_nlp import build_reach_nlp
 from planopt.planning.programme.pivot import Ahead
-from planopt.planning.programme.reach_nlp import build_reach_nlp
 from planopt.planning.worth.reach_cost import ReachCost
 
 

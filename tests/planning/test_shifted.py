@@ -9,10 +9,9 @@ import pytest
 import shapely
 from scenes import belief_of, small_problem
 
-from planopt.planning.plan import Verdict
+from planopt.planning.plan import Verdict, shifted_path
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.shifted import shifted_path
 from planopt.world.clearance import index_obstacles
 
 PROBLEM = small_problem(horizon=5)

@@ -16,10 +16,10 @@ from planopt.errors import InputError
 from planopt.objectives.local_channel import local_channel
 from planopt.planning.baselines.foresight import best_nodes, clairvoyant_paths, oracle_paths
 from planopt.planning.baselines.strategies import StrategyPlanner, remembered_reward
-from planopt.planning.ground import build_ground
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.prepare import prepare
+from planopt.planning.scene import build_ground
 from planopt.targets.sensor import sensing_information
 
 STRATEGIES = ("path_loss_only", "informed_disk", "unaware")

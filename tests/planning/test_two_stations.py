@@ -20,7 +20,7 @@ from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.run import Run
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
 from tests.planning.scenes import WALL, bad_disc, belief_of, small_problem

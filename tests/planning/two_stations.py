@@ -9,8 +9,8 @@ import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.planning.prepare import Prepared
-from planopt.planning.proof.broad_prediction import broad_prediction
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
+from planopt.planning.proof.predictions import broad_prediction
 from planopt.problems.base_station import BaseStation
 from planopt.problems.problem import Problem
 from tests.planning.scenes import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planopt.errors import InputError
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 GOOD = {

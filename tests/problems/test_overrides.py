@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from planopt.errors import InputError
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
 from planopt.robots.unicycle import Unicycle

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from planopt.errors import InputError
-from planopt.planning.ground import build_ground
 from planopt.planning.planners import planner_for
+from planopt.planning.scene import build_ground
 from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
 from planopt.problems.save import problem_from_dict, problem_to_dict

@@ -20,7 +20,7 @@ from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.run import Run, RunSummary, summary_of
 from planopt.planning.solution import Solution
-from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.situation import Aim
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints

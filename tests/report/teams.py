@@ -9,7 +9,7 @@ import numpy as np
 
 from planopt.planning.loop.log import ChannelLog, TargetLog
 from planopt.planning.run import Run
-from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.situation import Aim
 from planopt.problems.objective import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
 from planopt.problems.robot import Robot
 from planopt.problems.target import Target

@@ -7,7 +7,7 @@ from artists import collection_of, drawn, labels_of, legend_of, panel_of
 
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
-from planopt.report.belief_map import draw_belief
+from planopt.report.map_figure import draw_belief
 
 
 def test_three_maps_with_units(problem, belief):

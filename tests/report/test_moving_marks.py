@@ -12,7 +12,7 @@ from artists import collection_of, drawn, legend_of, line_of, panel_of
 from planopt import load, solve
 from planopt.planning.loop.closed_loop import simulate
 from planopt.report.result_figures import draw_plan, draw_team_plan, draw_team_run
-from planopt.world.closest_approach import closest_approach_m
+from planopt.world.least_distance import closest_approach_m
 from planopt.world.moving_obstacle import MovingObstacle, centres_at, growth_m
 
 LABEL, TITLE = "moving obstacle, paler later", "least distance"

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import Verdict
-from planopt.planning.rule_result import RuleResult
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.report.result_figures import MEANING, plan_words
 
 

@@ -8,7 +8,7 @@ import pytest
 from artists import collection_of, drawn, labels_of, line_of, panel_of
 
 from planopt.planning.plan import Rung
-from planopt.report.run_series import RUNG_LOOKS, draw_run_series
+from planopt.report.run_figure import RUNG_LOOKS, draw_run_series
 
 
 def test_units(simulation):

@@ -10,7 +10,7 @@ from teams import team_problem, team_run
 from planopt.commands.pictures import picture_run, picture_solution
 from planopt.planning.plan import Verdict
 from planopt.planning.solution import Solution
-from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.situation import Aim
 from planopt.problems.channel_setup import GivenParameters
 from planopt.report.result_figures import draw_team_plan, draw_team_run
 

@@ -5,10 +5,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from planopt.channel.joint import predict_readings
 from planopt.channel.multipath.multipath_models import Rician
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction
-from planopt.channel.readings import predict_readings
 from planopt.channel.validation.held_out import learn_path_loss
 from planopt.studies.estimation import (
     EstimationCase,

@@ -17,10 +17,10 @@ from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_to_dict
 from planopt.studies import compare as compare_module
-from planopt.studies import finished_runs
+from planopt.studies import study
 from planopt.studies.compare import compare
 from planopt.studies.comparison import Comparison
-from planopt.studies.finished_runs import FinishedRuns, run_key
+from planopt.studies.study import FinishedRuns, run_key
 
 
 def short(name: str, steps: int = 2) -> Problem:
@@ -62,7 +62,7 @@ def test_the_same_comparison_again_drives_nothing(name, tmp_path: Path, driven) 
     assert all(isinstance(run, RunSummary) for run in again.runs)
     assert repr(again.rows) == repr(first.rows)
     for one, other in zip(again.runs, first.runs, strict=True):
-        assert finished_runs.encoded(one) == finished_runs.encoded(other)
+        assert study.encoded(one) == study.encoded(other)
 
 
 def test_only_what_is_missing_is_driven(tmp_path: Path, driven) -> None:
@@ -115,7 +115,7 @@ def test_what_decides_a_run_is_in_its_key(tmp_path: Path, monkeypatch) -> None:
 
     assert key == run_key(moved(b""), 0)
     assert key != run_key(moved(b"0"), 0)
-    monkeypatch.setattr(finished_runs, "program", lambda: (("planopt", "9.9"),))
+    monkeypatch.setattr(study, "program", lambda: (("planopt", "9.9"),))
     assert key != run_key(problem, 0)
 
 

@@ -9,16 +9,17 @@ from filterpy.kalman import KalmanFilter
 from planopt.errors import InputError
 from planopt.targets.information_filter import (
     InformationState,
+    TargetModel,
     covariance_of,
     information_state,
     position_variance_m2,
     predict,
     predicted_information,
+    simulate_target,
     time_averaged_variance_m2,
     update,
 )
 from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
-from planopt.targets.target_model import TargetModel, simulate_target
 
 MODEL = TargetModel(0.5, np.array([[0.02, 0.005], [0.005, 0.01]]))
 SENSOR = Sensor(0.008, 0.08, 1.0)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from planopt.world.closest_approach import closest_approach_m
-from planopt.world.moving_discs import (
+from planopt.world.least_distance import closest_approach_m
+from planopt.world.moving_lines import moving_lines
+from planopt.world.moving_obstacle import (
     MovingDiscs,
     joined_discs,
     passing_gaps_m,
     path_distances_m,
     ways_gap_m,
 )
-from planopt.world.moving_lines import moving_lines
 
 STEPS = 6
 

@@ -20,8 +20,7 @@ from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.connection.joint_connectivity import prefix_probabilities
 from planopt.channel.joint import joint_prediction
-from planopt.channel.mean_model import regressors
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.places import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError

@@ -34,9 +34,8 @@ from planopt.channel.estimation.lemma1 import (
 from planopt.channel.estimation.likelihood_data import Covariance
 from planopt.channel.estimation.nls_fit import nls_fit
 from planopt.channel.estimation.reml import RemlFit, reml_fit
-from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, MeanModel, Station
 
 PRIOR_K_PL_STD_DB = 20.0
 """Deviation of K_PL where every measurement is censored."""

@@ -37,14 +37,18 @@ from planopt.channel.estimation.estimate import (
     from_limits_alone,
 )
 from planopt.channel.estimation.identifiability import examine
-from planopt.channel.estimation.profile import WORDS, ProfiledParameter, interval_words
+from planopt.channel.estimation.profile import AXES, WORDS, ProfiledParameter, Ridge, interval_words
 from planopt.channel.estimation.reml import MOST_DENSE
-from planopt.channel.estimation.ridge import AXES, Ridge
-from planopt.channel.mean_model import PRIOR_N_PL, PRIOR_N_PL_STD, mean_model
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.offsets import ReceiverOffset, receiver_offsets
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import (
+    PRIOR_N_PL,
+    PRIOR_N_PL_STD,
+    ChannelParameters,
+    Station,
+    mean_model,
+)
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station
+from planopt.channel.parameters import Station, regressors
 from planopt.errors import InputError
 
 MIN_MEASUREMENTS_THETA = 3

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.intervals.sites import rounded_variance_db2
-from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -25,7 +24,7 @@ from planopt.channel.measurement_covariance import (
     own_variance_db2,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, MeanModel
 
 MAX_SWEEPS = 500
 OFFSET_RIDGE = 1e-6

@@ -24,7 +24,7 @@ from planopt.channel.estimation.covariance_fit import (
     CovarianceFit,
     from_correlation,
 )
-from planopt.channel.kernel import pairwise_distance_m
+from planopt.channel.measurement_covariance import pairwise_distance_m
 
 BINS = 100
 """Bins over the extent."""

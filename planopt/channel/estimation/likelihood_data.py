@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.intervals.censoring import intervals
-from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurement_covariance import (
     ageing,
     measured_origins,
@@ -21,7 +20,7 @@ from planopt.channel.measurement_covariance import (
     own_distance_m,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, MeanModel
 
 LEAST_FREEDOM = 3
 """Starts and weights leave offsets out where fewer measurements would be left over."""

@@ -1,7 +1,7 @@
 """Profile likelihood of xi, beta or omega from measurements.
 
 For each value of one parameter the restricted likelihood is maximised over the other two, theta
-integrated out (:mod:`planopt.channel.estimation.ridge`).
+integrated out (:mod:`planopt.channel.estimation.profile`).
 """
 
 from __future__ import annotations
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from planopt.channel.estimation.estimate import GivenToFit, by_likelihood
 from planopt.channel.estimation.identifiability import examine
-from planopt.channel.estimation.profile import Profile, ProfiledParameter
-from planopt.channel.estimation.ridge import Ridge
-from planopt.channel.mean_model import mean_model
+from planopt.channel.estimation.profile import Profile, ProfiledParameter, Ridge
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import Station
+from planopt.channel.parameters import Station, mean_model
 from planopt.errors import InputError
 
 SHOWN_DROP = 4.0

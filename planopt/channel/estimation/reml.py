@@ -14,28 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.block_data import block_data
-from planopt.channel.estimation.block_likelihood import BlockLikelihood
+from planopt.channel.estimation.block_likelihood import BlockLikelihood, block_data
 from planopt.channel.estimation.covariance_fit import (
     BOUND_TOLERANCE,
     CovarianceBounds,
     CovarianceFit,
     at_bound,
 )
-from planopt.channel.estimation.likelihood_climb import FINE, LikelihoodClimb, Top, variances
-from planopt.channel.estimation.likelihood_data import Covariance, Likelihood, likelihood_data
-from planopt.channel.estimation.likelihood_starts import (
+from planopt.channel.estimation.likelihood_climb import (
+    FINE,
+    LikelihoodClimb,
+    Top,
     at_ends,
     beyond_best,
     block_starts,
     dense_starts,
+    variances,
 )
+from planopt.channel.estimation.likelihood_data import Covariance, Likelihood, likelihood_data
+from planopt.channel.estimation.profile import Ridge
 from planopt.channel.estimation.restricted_likelihood import DenseLikelihood
-from planopt.channel.estimation.ridge import Ridge
 from planopt.channel.intervals.censoring import needs_site
-from planopt.channel.mean_model import MeanModel
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, MeanModel
 
 MOST_DENSE = 800
 """From more measurements the likelihood is that of blocks: a factor's cost grows with the cube."""

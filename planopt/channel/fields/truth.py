@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.fields.field import shadow_field_db
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import MAX_POWER_DB, Measurements
-from planopt.channel.multipath.multipath_field import multipath_field_db
-from planopt.channel.multipath.multipath_models import Lognormal, Multipath
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.multipath.multipath_models import Lognormal, Multipath, multipath_field_db
+from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.places import require_places
 from planopt.errors import InputError
 from planopt.short_repr import short_repr

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from planopt.channel.cholesky import lower_factor, solve_lower
 from planopt.channel.intervals.expectation_propagation import interval_sites
 from planopt.channel.intervals.sites import Intervals, LatentPrior, Sites, rounded_variance_db2
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -23,7 +22,7 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, regressors
 
 MIN_NOISE_VARIANCE_DB2 = 1e-4
 """omega^2 is not taken below this, so that factors exist where positions repeat."""

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.logs.log_cells import read_label, read_number
-from planopt.channel.logs.log_file import DEFAULT_FORMAT, read_columns
+from planopt.channel.logs.log_file import DEFAULT_FORMAT, read_columns, read_label, read_number
 from planopt.channel.logs.log_format import LogFormat
 from planopt.errors import InputError
 

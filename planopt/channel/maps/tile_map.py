@@ -22,7 +22,6 @@ from planopt.channel.cholesky import solve_lower_single
 from planopt.channel.factor import SOLVE_BLOCK
 from planopt.channel.kriging import kriging_terms
 from planopt.channel.maps.many_places import PLACES_AT_ONCE
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     ageing,
     covariance_db2,
@@ -32,6 +31,7 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.nearest.neighbours import local_precision, local_terms
 from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
+from planopt.channel.parameters import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, Prediction, combine

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from planopt.channel.factor import FactorBuffer, append_rows
 from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2, intervals, needs_site
 from planopt.channel.intervals.sites import Sites, rounded_variance_db2
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     measured_origins,
     measured_path_loss_variance_db2,
@@ -40,7 +39,7 @@ from planopt.channel.nearest.windows import (
     surrounding_windows,
     window_sites,
 )
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, regressors
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import whitened_by
 from planopt.channel.factor import whiten
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     own_covariance_db2,
@@ -25,6 +24,7 @@ from planopt.channel.measurement_covariance import (
 from planopt.channel.nearest.close_places import close_together, halves
 from planopt.channel.nearest.near_factors import NearGroup
 from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
+from planopt.channel.parameters import regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 
 if TYPE_CHECKING:

@@ -17,11 +17,10 @@ from planopt.channel.estimation.vecchia import (
     added_products,
     whitened_products,
 )
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import RECEIVER_OFFSET_STD_DB, measured_origins
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.place_index import PlaceIndex
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, regressors
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.cholesky import inverse, lower_factor
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import ageing, own_covariance_db2
 from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms
 

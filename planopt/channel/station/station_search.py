@@ -34,18 +34,20 @@ from planopt.channel.cholesky import solve_lower
 from planopt.channel.estimation.channel_fit import ChannelFit, GivenMethod, Loss
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import require_usable
-from planopt.channel.estimation.likelihood_starts import thinned
+from planopt.channel.estimation.likelihood_climb import thinned
 from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.station.station_position import StationMethod, line_surface, locate
-from planopt.channel.station.station_surface import (
+from planopt.channel.station.station_position import (
     MARGIN,
+    StationMethod,
     StationSurface,
     box_about,
     extent_m,
     gauss_newton,
+    line_surface,
+    locate,
     losses,
     mean_jacobian,
     station_surface,

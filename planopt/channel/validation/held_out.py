@@ -27,13 +27,12 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fitted_parameters
 from planopt.channel.estimation.identifiability import examine
 from planopt.channel.estimation.least_squares import least_squares
-from planopt.channel.mean_model import mean_model, regressors
+from planopt.channel.joint import predict_readings
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction
-from planopt.channel.readings import predict_readings
 from planopt.errors import InputError
 
 Predictor = Callable[[Measurements], Prediction]

@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from planopt.channel.cholesky import log_determinant, lower_factor, solve_lower
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.identifiability import examine, nearest_distance_m
-from planopt.channel.estimation.likelihood_starts import thinned
-from planopt.channel.kernel import pairwise_distance_m
-from planopt.channel.mean_model import mean_model, regressors
+from planopt.channel.estimation.likelihood_climb import thinned
+from planopt.channel.measurement_covariance import pairwise_distance_m
 from planopt.channel.measurements import Measurements, Table, as_measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.channel.validation.calibration import (
     LEVELS,

@@ -21,10 +21,9 @@ from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.local_channel import LocalChannel, LocalGrid
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import Gates, MeasuringRule
-from planopt.objectives.told_batch import ToldBatch
-from planopt.objectives.way_batch import WayBatch
+from planopt.objectives.told_batch import ToldBatch, WayBatch
+from planopt.targets.information_filter import TargetModel
 from planopt.targets.rounding import Derivatives
-from planopt.targets.target_model import TargetModel
 
 Made = TypeVar("Made")
 

@@ -18,8 +18,7 @@ from planopt.objectives.steered import (
 )
 from planopt.objectives.terms.context import NearPath, Nodes, Paths, StepContext
 from planopt.objectives.terms.term import Steers, Structure, Term
-from planopt.objectives.told_batch import ToldBatch
-from planopt.objectives.way_slopes import Pull
+from planopt.objectives.told_batch import Pull, ToldBatch
 from planopt.targets.rounding import Derivatives
 
 

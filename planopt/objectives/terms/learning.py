@@ -11,18 +11,17 @@ from pydantic import Field
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.information_derivatives import path_loss_derivatives
 from planopt.objectives.path_loss_learning import (
     Criterion,
     goal_criterion,
+    path_loss_derivatives,
     path_loss_gain,
     theta_information,
 )
 from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Paths, StepContext
 from planopt.objectives.terms.measured import added, added_derivatives, measured_reward
 from planopt.objectives.terms.term import Term
-from planopt.objectives.told_batch import ToldBatch
-from planopt.objectives.way_slopes import Pull
+from planopt.objectives.told_batch import Pull, ToldBatch
 
 LearningCriterion = Literal["T", "D", "A", "V"]
 

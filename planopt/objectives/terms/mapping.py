@@ -12,17 +12,17 @@ from pydantic import Field
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.information_derivatives import (
-    average_reduction_derivatives,
-    path_information_derivatives,
-)
 from planopt.objectives.mapping import (
     Uncertainty,
     average_reduction,
     path_information,
     path_uncertainty,
+    path_uncertainty_derivatives,
 )
-from planopt.objectives.path_form_derivatives import path_uncertainty_derivatives
+from planopt.objectives.path_loss_learning import (
+    average_reduction_derivatives,
+    path_information_derivatives,
+)
 from planopt.objectives.steered import (
     gained_derivatives,
     gained_m,
@@ -42,9 +42,9 @@ from planopt.objectives.terms.context import (
 )
 from planopt.objectives.terms.measured import added, added_derivatives, measured_reward
 from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
-from planopt.objectives.told_batch import ToldBatch
-from planopt.objectives.way_slopes import (
+from planopt.objectives.told_batch import (
     Pull,
+    ToldBatch,
     kernel_slopes,
     pull_of_legs,
     trend_of_universal,

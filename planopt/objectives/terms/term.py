@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
     from planopt.channel.prediction import Prediction
     from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, StepContext
-    from planopt.objectives.told_batch import ToldBatch
-    from planopt.objectives.way_slopes import Pull
+    from planopt.objectives.told_batch import Pull, ToldBatch
 
 Weight = Annotated[
     float, Field(default=1.0, ge=0, le=1e9, description="In the sum of terms.", title="Weight")

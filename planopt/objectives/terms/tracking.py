@@ -15,22 +15,24 @@ from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
     information_gain_derivatives,
 )
-from planopt.objectives.filter_gain import (
+from planopt.objectives.terms.context import NearPath, Part, Paths, StepContext
+from planopt.objectives.terms.term import Structure, Term, TermSetting
+from planopt.objectives.tracking import (
+    Tracking,
+    connectivity_derivatives,
+    score_derivatives,
+    tracking_reward,
+    tracking_reward_derivatives,
+)
+from planopt.objectives.tracking_filter import (
+    Criterion,
+    FilteredTracking,
     covariance_gain,
     first_steps,
     information_gain,
     sensing_of,
     unobserved_covariances,
 )
-from planopt.objectives.terms.context import NearPath, Part, Paths, StepContext
-from planopt.objectives.terms.term import Structure, Term, TermSetting
-from planopt.objectives.tracking import Tracking, tracking_reward
-from planopt.objectives.tracking_derivatives import (
-    connectivity_derivatives,
-    score_derivatives,
-    tracking_reward_derivatives,
-)
-from planopt.objectives.tracking_filter import Criterion, FilteredTracking
 from planopt.objectives.tracking_scenarios import (
     SOLVER_DRAWS,
     Stations,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
@@ -10,15 +11,117 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.channel.places import require_places
+from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.objectives.energy import (
-    Radio,
-    expected_transmit_power_w,
-    transmission_derivatives,
-)
+from planopt.errors import InputError
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Structure, Term
 from planopt.targets.rounding import Derivatives
+
+WATT_PER_MILLIWATT = 1e-3
+NEPERS_PER_DB = math.log(10.0) / 10.0
+
+
+@dataclass(frozen=True)
+class Radio:
+    """An M-ary QAM link that always sends just strongly enough.
+
+    Attributes
+    ----------
+    bits_per_symbol
+        R, spectral efficiency in bit/s/Hz.
+    bit_error_rate
+        BER that is to be kept, below 0.2.
+    noise_dbm
+        Receiver noise.
+    reference_transmit_dbm
+        The transmit power that the channel's K_PL is for.
+    send_s
+        How long it sends at each place.
+
+    Raises
+    ------
+    InputError
+        A rate is out of its range.
+    """
+
+    bits_per_symbol: float
+    bit_error_rate: float
+    noise_dbm: float
+    reference_transmit_dbm: float
+    send_s: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.bit_error_rate < 0.2:
+            raise InputError(
+                f"{self.bit_error_rate!r} is out of range", key="bit_error_rate", remedy="0 to 0.2"
+            )
+        if not self.bits_per_symbol > 0.0:
+            raise InputError(f"{self.bits_per_symbol!r} is not positive", key="bits_per_symbol")
+
+    @property
+    def k_b(self) -> float:
+        """K_b = -1.5 / ln(5 BER)."""
+        return -1.5 / math.log(5.0 * self.bit_error_rate)
+
+
+def expected_transmit_power_w(
+    mean_db: NDArray[np.float64], deviation_db: NDArray[np.float64], radio: Radio
+) -> NDArray[np.float64]:
+    """E[P_T] = (2^R - 1) / K_b E[1 / CNR], the power that keeps the bit error rate; as `mean_db`.
+
+    CNR is the ratio of channel to noise for one milliwatt sent. Power in dB is Gaussian, so
+    E[1 / CNR] = exp((ln 10 / 10)^2 sigma^2 / 2) / CNR(mean). There is no greatest transmit power
+    here: deep fades are paid in full.
+
+    Parameters
+    ----------
+    mean_db, deviation_db
+        Predicted received power, dBm, and its deviation.
+    radio
+        The link.
+    """
+    cnr_db = mean_db - radio.reference_transmit_dbm - radio.noise_dbm
+    inverse = np.exp(0.5 * (NEPERS_PER_DB * deviation_db) ** 2 - NEPERS_PER_DB * cnr_db)
+    return WATT_PER_MILLIWATT * (2.0**radio.bits_per_symbol - 1.0) / radio.k_b * inverse
+
+
+def transmission_stage_costs_j(
+    posterior: ChannelPosterior, positions_m: NDArray[np.float64], settings: Radio
+) -> NDArray[np.float64]:
+    """Energy that sending from each of `positions_m` (n, 2) is expected to take; ``(n,)``."""
+    prediction = posterior.predict(require_places(positions_m))
+    return settings.send_s * expected_transmit_power_w(
+        prediction.mean_db, prediction.deviation_db, settings
+    )
+
+
+def transmission_derivatives(
+    mean_db: Derivatives, deviation_db: Derivatives, settings: Radio
+) -> Derivatives:
+    """Expected energy of sending at each of n places, with gradient and Hessian by the place.
+
+    f = c exp(a^2 sigma^2 / 2 - a mu), a = ln 10 / 10, has df = f g, g = a^2 sigma dsigma - a dmu,
+    and d2f = f (g g' + a^2 (dsigma dsigma' + sigma d2sigma) - a d2mu).
+    """
+    a = NEPERS_PER_DB
+    sigma = deviation_db.value[:, None]
+    energy = settings.send_s * expected_transmit_power_w(
+        mean_db.value, deviation_db.value, settings
+    )
+    slope = a * a * sigma * deviation_db.gradient - a * mean_db.gradient
+    bend = a * a * sigma * deviation_db.hessian - a * mean_db.hessian
+    for first, scale in ((slope, 1.0), (deviation_db.gradient, a * a)):
+        bend = bend + scale * first[:, [0, 0, 1]] * first[:, [0, 1, 1]]
+    return Derivatives(energy, energy[:, None] * slope, energy[:, None] * bend)
+
+
+def transmission_energy_j(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Radio
+) -> float:
+    """Energy that sending at each place of `path_m` (h, 2) is expected to take."""
+    return float(transmission_stage_costs_j(posterior, path_m, settings).sum())
 
 
 @dataclass(frozen=True)
@@ -32,7 +135,7 @@ class TransmissionEnergyTerm(Term):
     bits, bandwidth_hz
         Bits a step, and symbols a second.
     bits_per_symbol, bit_error_rate, noise_dbm
-        As in :class:`planopt.objectives.energy.Radio`.
+        As in :class:`planopt.objectives.terms.transmission_energy.Radio`.
     """
 
     bits: Annotated[float, Field(gt=0, le=1e15, description="Bits sent at the end of each step.")]

@@ -7,9 +7,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.ground import Ground
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination
+from planopt.planning.scene import Ground
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem

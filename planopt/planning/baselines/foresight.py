@@ -20,10 +20,10 @@ from planopt.channel.fields.truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.prediction import score_probability
 from planopt.errors import InputError
 from planopt.planning.baselines.baseline import held, released
-from planopt.planning.ground import build_ground
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.scene import build_ground
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import sensing_information

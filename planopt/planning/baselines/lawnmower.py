@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.baselines.baseline import held, released
-from planopt.planning.ground import Ground, first_moves
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
+from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.taut_way import stops_along
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation

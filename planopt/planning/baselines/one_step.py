@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.baselines.baseline import free_ends, held, released
-from planopt.planning.ground import Ground
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
+from planopt.planning.scene import Ground
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.to_unmeasured import way_to_unmeasured

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.baselines.baseline import free_ends, held, released
-from planopt.planning.ground import Ground
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
+from planopt.planning.scene import Ground
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation

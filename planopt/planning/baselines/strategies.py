@@ -23,10 +23,10 @@ from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.measuring import SAME_PLACE_M
 from planopt.planning.baselines.baseline import released
-from planopt.planning.ground import Ground
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
+from planopt.planning.scene import Ground
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth

@@ -1,4 +1,4 @@
-"""Judge a saved plan or run again, from its files alone.
+"""Judge a saved plan or run again from its files alone, or read it back as an object.
 
 Nothing the planner computed is taken for granted: places come from ``steps.csv``, the truth from
 the problem and the seed, the channel is fitted and conditioned again on the saved measurements, and
@@ -19,15 +19,16 @@ from pathlib import Path
 from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
-from planopt.errors import InputError
-from planopt.planning.certificate import Certificate, dearest
+from planopt.errors import InputError, NoPlanError
+from planopt.planning.certificate import Certificate, dearest, worst_result
 from planopt.planning.check.agreement import disagreements, in_words
-from planopt.planning.check.check_belief import given_again
-from planopt.planning.check.check_explanation import no_way_faults
-from planopt.planning.check.check_plan import check_plan
-from planopt.planning.check.check_run import check_run
+from planopt.planning.check.check_belief import given_again, learnt_again
+from planopt.planning.check.check_plan import check_plan, no_way_faults, rebuilt_solution
+from planopt.planning.check.check_plan import length_faults as plan_length_faults
+from planopt.planning.check.check_run import check_run, length_faults, rebuilt_run
 from planopt.planning.check.check_steps import label_reasons
-from planopt.planning.files.read_saved import Saved, read_object, saved_from
+from planopt.planning.files.read_saved import Saved, read_object, read_saved, saved_from
+from planopt.planning.files.record import REMEDY
 from planopt.planning.files.run_json import RunRecord, no_run_json
 from planopt.planning.files.saved import FORMAT, PLAN_FILE
 from planopt.planning.files.solution_json import (
@@ -38,8 +39,9 @@ from planopt.planning.files.solution_json import (
 )
 from planopt.planning.given import Given, with_drawn_starts
 from planopt.planning.plan import Verdict
-from planopt.planning.rule_result import worst_result
-from planopt.planning.team.team_certificate import least_of
+from planopt.planning.run import Run
+from planopt.planning.solution import Solution
+from planopt.planning.team.reservations import least_of
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
@@ -212,3 +214,30 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
         min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in certificates),
         rule=worst_result(c.rule for c in certificates),
     )
+
+
+@one_blas_thread()
+def load_result(path: Path | str) -> Solution | Run:
+    """Read a saved plan or run, as :func:`planopt.load_result` does.
+
+    Raises
+    ------
+    InputError
+        A file is missing, damaged, or contradicts the others.
+    NoPlanError
+        The folder says that there is no plan.
+    """
+    saved = read_saved(Path(path))
+    record = saved.record
+    if isinstance(record, NoPlanRecord):
+        raise NoPlanError(record.message)
+    faults = label_reasons(saved.file.name, record)
+    is_plan = isinstance(record, PlanRecord)
+    faults += plan_length_faults(saved) if is_plan else length_faults(saved, record)
+    learnt, unfitted = learnt_again(saved.problem, saved.beliefs)
+    if faults or unfitted:
+        raise InputError([*faults, *unfitted][0], file=saved.file, remedy=REMEDY)
+    if is_plan:
+        return rebuilt_solution(saved, record, learnt[0])[0]
+    given, _ = given_again(saved.problem, record.seed)
+    return rebuilt_run(saved, record, learnt, () if given is None else given.truths).run

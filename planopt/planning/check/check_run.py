@@ -23,13 +23,13 @@ from planopt.planning.check.check_belief import (
 )
 from planopt.planning.check.check_plan import of_robot, order_faults, pending_faults
 from planopt.planning.check.check_steps import steps_reasons
-from planopt.planning.check.provenance import provenance_faults
 from planopt.planning.check.rebuilt import (
     Asked,
     Effort,
     Place,
     obstacles_met_then,
     places_of,
+    provenance_faults,
     rebuilt_plan,
 )
 from planopt.planning.files.belief_file import first_posteriors, last_posteriors, posteriors_at
@@ -41,41 +41,43 @@ from planopt.planning.files.run_json import (
     released_plans_json,
     run_json,
 )
-from planopt.planning.files.run_tables import (
+from planopt.planning.files.saved import FORMAT, RUN_FILE
+from planopt.planning.files.solution_json import aim_again
+from planopt.planning.files.steps_file import (
     FORMER_KNOWLEDGE_COLUMNS,
     KNOWLEDGE_COLUMNS,
     KNOWLEDGE_FILE,
+    STEPS_FILE,
+    joined_steps,
     run_tables,
+    steps_of_run,
 )
-from planopt.planning.files.saved import FORMAT, RUN_FILE
-from planopt.planning.files.solution_json import aim_again
-from planopt.planning.files.steps_file import STEPS_FILE, joined_steps, steps_of_run
-from planopt.planning.free_space import is_joined
-from planopt.planning.given import Given
-from planopt.planning.ground_reasons import obstacles_met
+from planopt.planning.free_space import is_joined, obstacles_met
+from planopt.planning.given import Given, team_seeds
 from planopt.planning.history import history_of
-from planopt.planning.loop.channel_log import channel_log, channel_row
 from planopt.planning.loop.clairvoyant import COSTS, run_costs
 from planopt.planning.loop.ending import Progress, run_ending
-from planopt.planning.loop.log import ChannelLog, Outcome
-from planopt.planning.loop.robot_run import robot_run
-from planopt.planning.loop.target_log import target_log, watched
+from planopt.planning.loop.log import (
+    ChannelLog,
+    Outcome,
+    channel_log,
+    channel_row,
+    target_log,
+    watched,
+)
+from planopt.planning.loop.robot_run import robot_run, true_serving_dbm
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, watch_target
-from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.goal_paths import GoalGrid
 from planopt.planning.roads import build_roads
 from planopt.planning.robot_problem import problem_at, problem_of_robot
 from planopt.planning.run import Run
-from planopt.planning.team.reservations import beside, others_of
-from planopt.planning.team.team_certificate import worst_of_robots
-from planopt.planning.team.team_seeds import team_seeds
-from planopt.planning.worth.aim import Aim
+from planopt.planning.team.reservations import beside, others_of, worst_of_robots
 from planopt.planning.worth.pending import counts_others, places_of_others
+from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
-from planopt.robots.braked_motion import braked_motion
-from planopt.robots.drive import Drive
+from planopt.robots.drive import Drive, braked_motion
 from planopt.world.clearance import ObstacleIndex
 from planopt.world.timed_motion import TimedMotion
 

@@ -6,21 +6,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from planopt.channel.prediction import Prediction
-from planopt.planning.bound_margins import margins_asked_db
-from planopt.planning.explain.case import Case
-from planopt.planning.explain.explanation import Relaxation
-from planopt.planning.explain.fault import Fault, faults_of, met_nowhere
-from planopt.planning.explain.keys import MOST_DB, Key, blamed_keys, moving_keys, other_keys
-from planopt.planning.explain.possible import is_possible
-from planopt.planning.explain.reach_limits import best_probability
+from planopt.planning.explain.explanation import Case, Relaxation
+from planopt.planning.explain.keys import (
+    MOST_DB,
+    Fault,
+    Key,
+    blamed_keys,
+    faults_of,
+    met_nowhere,
+    moving_keys,
+    other_keys,
+)
+from planopt.planning.explain.possible import best_probability, is_possible
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.proof.broad_prediction import broad_prediction
-from planopt.planning.proof.predictions import certified_prediction
+from planopt.planning.proof.predictions import broad_prediction, certified_prediction
+from planopt.planning.proof.rules.asked import is_missed, margin_missed
 from planopt.planning.proof.rules.proven import PathCase
-from planopt.planning.proof.rules.tolerance import is_missed, margin_missed
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
 from planopt.planning.robot_problem import problem_of_robot
+from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
 
 SETTLED_SHARE = 0.02

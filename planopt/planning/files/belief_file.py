@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.connection.connection_outcomes import calibrate_posterior
+from planopt.channel.connection.connection_law import calibrate_posterior
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition, extend

@@ -33,17 +33,19 @@ from planopt.planning.files.belief_file import (
 from planopt.planning.files.drive_table import drive_columns
 from planopt.planning.files.record import REMEDY
 from planopt.planning.files.run_json import ReleasedRecord, RunRecord
-from planopt.planning.files.run_tables import (
+from planopt.planning.files.saved import FORMAT, PLAN_FILE, PLAN_OR_RUN, RUN_FILE, belief_files
+from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, RobotRecord
+from planopt.planning.files.steps_file import (
     FORMER_KNOWLEDGE_COLUMNS,
     KNOWLEDGE_COLUMNS,
     KNOWLEDGE_FILE,
+    STEPS_FILE,
     TARGET_FILE,
+    Steps,
+    read_steps,
     read_table,
     target_columns,
 )
-from planopt.planning.files.saved import FORMAT, PLAN_FILE, PLAN_OR_RUN, RUN_FILE, belief_files
-from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, RobotRecord
-from planopt.planning.files.steps_file import STEPS_FILE, Steps, read_steps
 from planopt.problems.messages import input_error
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict

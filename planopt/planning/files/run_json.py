@@ -32,7 +32,7 @@ from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Plan
 from planopt.planning.run import Run, RunSummary, summary_of
-from planopt.planning.worth.aim import Aim
+from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 
 

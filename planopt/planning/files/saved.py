@@ -17,14 +17,17 @@ from planopt.files.result_folder import ResultFiles, replaced_results
 from planopt.files.whole import strict_text, write_text
 from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
 from planopt.planning.files.run_json import released_plans_json, run_json
-from planopt.planning.files.run_tables import KNOWLEDGE_FILE, TARGET_FILE, run_tables, table_text
 from planopt.planning.files.solution_json import solution_json
 from planopt.planning.files.steps_file import (
+    KNOWLEDGE_FILE,
     STEPS_FILE,
+    TARGET_FILE,
     joined_steps,
+    run_tables,
     steps_of_plan,
     steps_of_run,
     steps_text,
+    table_text,
 )
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution

@@ -21,8 +21,8 @@ from planopt.planning.files.record import NotNegative, Number, Record, finite, f
 from planopt.planning.holes import Hole
 from planopt.planning.plan import Pivot, Plan, Termination, Verdict, share_gained
 from planopt.planning.solution import Solution
-from planopt.planning.team.team_certificate import worst_of_robots
-from planopt.planning.worth.aim import Aim
+from planopt.planning.team.reservations import worst_of_robots
+from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 
 _AnyLabel = TypeVar("_AnyLabel", bound=Enum)

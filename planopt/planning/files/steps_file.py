@@ -1,10 +1,16 @@
-"""``steps.csv``: a row for every place of a plan or run, numbers to the last digit."""
+"""The tables of a saved plan or run, among them ``steps.csv``, with a row for every place.
+
+Numbers are written to the last digit; an empty cell says that there is none.
+
+``target.csv`` and ``knowledge.csv`` hold the target and the known channel over a run. Row 0 is the
+start. What was delivered belongs to the step that ends there, so row 0 has none.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -14,12 +20,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.planning.files.csv_rows import read_number, read_rows
+from planopt.files.regular import read_text
 from planopt.planning.files.drive_table import drive_table
-from planopt.planning.files.record import REMEDY, finite_list
-from planopt.planning.loop.log import StepLog
+from planopt.planning.files.record import LARGEST, REMEDY, finite_list
+from planopt.planning.loop.log import ChannelLog, StepLog, TargetLog
 from planopt.planning.plan import Plan
+from planopt.planning.run import Run
+from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
+
+
+def read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+    """Line number and cells of every row below a header that must be `columns`.
+
+    Raises
+    ------
+    InputError
+        The file is missing or not text, has another header, or a row has too few or too many cells.
+    """
+    text = read_text(path)
+    try:
+        rows = list(csv.reader(io.StringIO(text), strict=True))
+    except csv.Error as error:
+        raise InputError(f"cannot be read: {error}", file=path, remedy=REMEDY) from None
+    if not rows or rows[0] != list(columns):
+        raise InputError(f"the header is not {','.join(columns)}", file=path, row=1, remedy=REMEDY)
+    for line, cells in enumerate(rows[1:], start=2):
+        if len(cells) != len(columns):
+            raise InputError(
+                f"{len(cells)} cells where {len(columns)} should be",
+                file=path,
+                row=line,
+                remedy=REMEDY,
+            )
+        yield line, dict(zip(columns, cells, strict=True))
+
+
+def read_number(cell: str, name: str, path: Path, line: int, *, may_miss: bool) -> float:
+    """A finite number, or NaN for an empty cell of a column that may have some.
+
+    Raises
+    ------
+    InputError
+        It is neither.
+    """
+    if not cell and may_miss:
+        return np.nan
+    try:
+        number = float(cell)
+    except ValueError:
+        number = np.nan
+    if not abs(number) <= LARGEST:
+        raise InputError(
+            f"{cell!r} is not a finite number", file=path, key=name, row=line, remedy=REMEDY
+        )
+    return number
+
 
 STEPS_FILE = "steps.csv"
 
@@ -235,3 +291,92 @@ def read_steps(path: Path, motion_columns: Sequence[str] = ()) -> Steps:
         {name: tuple(column) for name, column in labels.items()},
         {name: np.array(numbers[name]) for name in motion_columns},
     )
+
+
+TARGET_FILE, KNOWLEDGE_FILE = "target.csv", "knowledge.csv"
+
+KNOWLEDGE_COLUMNS = (
+    *("t_s", "rms_db", "anmse_db", "trace_m_db", "log_det_m"),
+    *("rms_without_multipath_db", "path_loss_variance_db2"),
+)
+FORMER_KNOWLEDGE_COLUMNS = KNOWLEDGE_COLUMNS[:5]
+"""Those of files of the former format."""
+
+NumberTable = Mapping[str, NDArray[np.float64]]
+"""Columns of equal length by name, NaN where there is no number."""
+
+
+def table_text(table: NumberTable) -> str:
+    """The file of a table."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    for row in zip(*(finite_list(column) for column in table.values()), strict=True):
+        writer.writerow(["" if cell is None else cell for cell in row])
+    return text.getvalue()
+
+
+def read_table(path: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Read what :func:`table_text` wrote.
+
+    Raises
+    ------
+    InputError
+        It is missing, not text, has other columns or a cell that is no number.
+    """
+    found: dict[str, list[float]] = {name: [] for name in columns}
+    for line, row in read_rows(path, columns):
+        for name in columns:
+            found[name].append(read_number(row[name], name, path, line, may_miss=True))
+    return {name: np.array(column, dtype=np.float64) for name, column in found.items()}
+
+
+def target_columns(problem: Problem) -> tuple[str, ...]:
+    """The columns of ``target.csv``."""
+    return (
+        "t_s",
+        "true_x_m",
+        "true_y_m",
+        "estimated_x_m",
+        "estimated_y_m",
+        "trace_p_m2",
+        *(f"delivered_{robot.name}" for robot in problem.robots),
+    )
+
+
+def target_table(problem: Problem, target: TargetLog) -> NumberTable:
+    """The target over a run."""
+    count = len(target.true_m)
+    arrived = np.vstack([np.full((1, len(problem.robots)), np.nan), target.delivered])
+    columns = (
+        problem.planner.step_s * np.arange(count, dtype=np.float64),
+        *target.true_m.T,
+        *target.station_mean_m.T,
+        target.station_variance_m2,
+        *arrived.T,
+    )
+    return dict(zip(target_columns(problem), columns, strict=True))
+
+
+def knowledge_table(problem: Problem, channel: ChannelLog) -> NumberTable:
+    """How well the channel was known over a run."""
+    columns = (
+        problem.planner.step_s * np.arange(len(channel.rms_db), dtype=np.float64),
+        channel.rms_db,
+        channel.anmse_db,
+        channel.theta_variance_db,
+        channel.log_det_m,
+        channel.rms_without_multipath_db,
+        channel.path_loss_variance_db2,
+    )
+    return dict(zip(KNOWLEDGE_COLUMNS, columns, strict=True))
+
+
+def run_tables(run: Run) -> dict[str, NumberTable]:
+    """Return the tables that a run has, by the name of their file."""
+    tables: dict[str, NumberTable] = {}
+    if run.channel is not None:
+        tables[KNOWLEDGE_FILE] = knowledge_table(run.problem, run.channel)
+    if run.target is not None:
+        tables[TARGET_FILE] = target_table(run.problem, run.target)
+    return tables

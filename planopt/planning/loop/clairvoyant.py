@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import Truth, mean_power_dbm
 from planopt.planning.loop.log import Outcome
-from planopt.planning.loop.true_serving import true_serving_dbm
+from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.roads import node_at, nodes_in_reach
 from planopt.planning.robot_problem import problem_of_robot
 from planopt.problems.problem import Problem

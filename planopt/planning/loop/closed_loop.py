@@ -1,7 +1,7 @@
 """The closed loop: plan, move, measure, update the belief, plan again, until the task has ended.
 
 Robots plan one after the other, each on its own belief, and keep apart as
-:mod:`planopt.planning.team.team_step` says. The seed fixes everything that happens: the ground
+:mod:`planopt.planning.team.crew` says. The seed fixes everything that happens: the ground
 truth, the first measurements, the target's path and the sensors' noise.
 """
 
@@ -14,22 +14,23 @@ import numpy as np
 from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.given import GivenMeasurements, with_drawn_starts, with_measurements
-from planopt.planning.loop.channel_log import channel_log, channel_row
+from planopt.planning.given import (
+    GivenMeasurements,
+    team_seeds,
+    with_drawn_starts,
+    with_measurements,
+)
 from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
-from planopt.planning.loop.log import Outcome
-from planopt.planning.loop.robot_run import robot_run
-from planopt.planning.loop.target_log import target_log
+from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
+from planopt.planning.loop.robot_run import robot_run, true_serving_dbm
 from planopt.planning.loop.target_watch import watch_target
-from planopt.planning.loop.true_serving import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import Run
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper, planning
-from planopt.planning.team.team_seeds import team_seeds
-from planopt.planning.worth.region import workspace_region
+from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem

@@ -8,12 +8,11 @@ from dataclasses import fields, replace
 import numpy as np
 
 from planopt.channel.belief import Belief, update
-from planopt.channel.connection.connection_outcomes import calibrate_posterior
+from planopt.channel.connection.connection_law import calibrate_posterior
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.mean_model import PRIOR_N_PL
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters
+from planopt.channel.parameters import PRIOR_N_PL, ChannelParameters
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.objectives.measuring import MeasuringRule
 from planopt.planning.given import Given

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.fields.truth import Truth, mean_power_dbm, true_power_dbm
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import ChannelPosterior
+from planopt.planning.loop.target_watch import TargetWatch, observed
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.proof.predictions import search_prediction
 from planopt.robots.drive import Drive
 from planopt.short_repr import short_repr
+from planopt.targets.information_filter import predict
+from planopt.targets.sensor import noise_covariance_m2
 
 
 class Outcome(StrEnum):
@@ -200,3 +209,152 @@ class ChannelLog:
     path_loss_variance_db2: NDArray[np.float64]
 
     __repr__ = short_repr
+
+
+LEAST_VARIANCE = 1e-30
+"""Of a path loss that is known, so that its logarithms are numbers."""
+
+
+def channel_errors_db(
+    posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """RMS error, ANMSE and RMS error without multipath of predicted powers at `places_m` (n, 2).
+
+    All in dB. ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB ([GM11], section
+    III-A2). The last is the error against path loss and shadowing: multipath, which nobody can
+    predict, makes all maps look alike. Means over the powers of all stations.
+    """
+    power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
+    predicted = [search_prediction(posterior, places_m).mean_db for posterior in posteriors]
+    error = np.stack(predicted) - power
+    rms = float(np.sqrt((error**2).mean()))
+    shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
+    without = float(np.sqrt(((np.stack(predicted) - shadowed) ** 2).mean()))
+    # A true power of 0 dBm, where the ratio is infinite, is a chance of nothing.
+    ratio = error / np.where(power == 0.0, np.finfo(float).tiny, power)
+    return rms, float(10.0 * np.log10((ratio**2).mean())), without
+
+
+def theta_variance_db(posteriors: Sequence[ChannelPosterior]) -> float:
+    """Return 10 log10 tr M / |theta|^2 (Fig. 2 of [GM11]), each summed over the stations."""
+    spread = sum(float(np.trace(posterior.theta_covariance)) for posterior in posteriors)
+    size = sum(float(posterior.theta @ posterior.theta) for posterior in posteriors)
+    return float(10.0 * np.log10(max(spread / size, LEAST_VARIANCE)))
+
+
+def log_det_m(posteriors: Sequence[ChannelPosterior]) -> float:
+    """Log det M in nats, summed over the stations."""
+    least = 2.0 * float(np.log(LEAST_VARIANCE))
+    found = (float(np.linalg.slogdet(each.theta_covariance)[1]) for each in posteriors)
+    return sum(max(each, least) for each in found)
+
+
+def path_loss_variance_db2(
+    posteriors: Sequence[ChannelPosterior], places_m: NDArray[np.float64]
+) -> float:
+    """Mean over places (n, 2) and stations of gamma^T M gamma: the variance of path loss, dB^2."""
+    rows = [regressors(places_m, each.parameters.station) for each in posteriors]
+    variances = [
+        np.einsum("ni,ij,nj->n", row, each.theta_covariance, row)
+        for row, each in zip(rows, posteriors, strict=True)
+    ]
+    return float(np.mean(variances))
+
+
+def channel_row(
+    posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
+) -> tuple[float, ...]:
+    """Return a row of the log, in the order of :class:`ChannelLog`."""
+    rms, anmse, without = channel_errors_db(posteriors, truths, places_m)
+    return (
+        rms,
+        anmse,
+        theta_variance_db(posteriors),
+        log_det_m(posteriors),
+        without,
+        path_loss_variance_db2(posteriors, places_m),
+    )
+
+
+def channel_log(rows: Sequence[tuple[float, ...]]) -> ChannelLog:
+    """The log of rows of :func:`channel_row`."""
+    return ChannelLog(*np.asarray(rows, dtype=np.float64).T)
+
+
+def target_log(
+    watches: Iterable[TargetWatch | None], delivered: NDArray[np.bool_]
+) -> TargetLog | None:
+    """The log of what was known after each step, the start first; None without target.
+
+    Parameters
+    ----------
+    watches
+        ``steps + 1`` of them, or None throughout.
+    delivered
+        ``(steps, robots)`` whose packets arrived.
+    """
+    known = [watch for watch in watches if watch is not None]
+    if not known:
+        return None
+    return TargetLog(
+        true_m=known[0].true_m[: len(known)],
+        station_mean_m=np.array([watch.station_mean_m for watch in known]),
+        station_variance_m2=np.array([watch.station_variance_m2 for watch in known]),
+        station_determinant_m4=np.array(
+            [np.linalg.det(watch.station.covariance[:2, :2]) for watch in known]
+        ),
+        nees=np.array(
+            [
+                _squared(watch.station_mean_m - true_m, watch.station.covariance[:2, :2])
+                for watch, true_m in zip(known, known[0].true_m, strict=False)
+            ]
+        ),
+        nis=np.array([_innovations(*pair) for pair in pairwise(known)]).reshape(delivered.shape),
+        delivered=delivered,
+    )
+
+
+def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
+    """Return nu' S^-1 nu of each robot's filter for the measurements of one step."""
+    sent, found = after.sent[-1], list[float]()
+    for state, measured, place, seen in zip(
+        before.robots, sent.measured_m, sent.positions_m, sent.seen, strict=True
+    ):
+        ahead = predict(before.model, state)
+        mean = ahead.mean[:2]
+        noise = noise_covariance_m2(before.sensor, place[None], mean)[0]
+        expected = ahead.covariance[:2, :2] + noise
+        found.append(_squared(measured - mean, expected) if seen else float("nan"))
+    return found
+
+
+def _squared(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
+    """Return e' P^-1 e."""
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def watched(
+    first: TargetWatch | None,
+    tracks_m: NDArray[np.float64],
+    delivered: NDArray[np.bool_],
+    generator: np.random.Generator,
+) -> list[TargetWatch | None]:
+    """What is known of the target after each step of robots that have been driven already.
+
+    Parameters
+    ----------
+    first
+        At the start; None without target.
+    tracks_m
+        ``(robots, steps + 1, 2)`` where they were.
+    delivered
+        ``(steps, robots)`` whose packets arrived.
+    generator
+        As it is after drawing `first`.
+    """
+    watches = [first]
+    for step, arrived in enumerate(delivered, start=1):
+        watch = watches[-1]
+        here = tracks_m[:, step]
+        watches.append(None if watch is None else observed(watch, step, here, arrived, generator))
+    return watches

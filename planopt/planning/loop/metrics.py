@@ -20,7 +20,7 @@ from planopt.planning.loop.log import (
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rules.outage import longest_run
 from planopt.planning.proof.rules.proven import proven_rule
-from planopt.planning.team.team_certificate import (
+from planopt.planning.team.reservations import (
     driven_motion,
     least_moving_clearances_m,
     least_separations_m,

@@ -15,19 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.given import free_target_path
-from planopt.planning.worth.aim import Aim
-from planopt.planning.worth.target_model import target_model
+from planopt.planning.worth.situation import Aim, target_model
 from planopt.problems.problem import Problem
 from planopt.problems.target import Packets
 from planopt.targets.information_filter import (
     InformationState,
+    TargetModel,
     information_state,
     position_variance_m2,
     predict,
+    predict_target,
+    simulate_target,
     update,
 )
 from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
-from planopt.targets.target_model import TargetModel, predict_target, simulate_target
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.kkt import Bounds
-from planopt.planning.programme.nlp_functions import NlpPoint, SolveNlp, lost_point, nlp_point
+from planopt.planning.programme.nlp_functions import (
+    Bounds,
+    NlpPoint,
+    SolveNlp,
+    lost_point,
+    nlp_point,
+)
 
 TERMINATIONS: dict[str, Termination] = {
     "Solve_Succeeded": Termination.CONVERGED,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.programme.goal_cost import GoalCharge, goal_cost_gradient
-from planopt.planning.programme.kkt import Bounds
 from planopt.planning.programme.motion_rows import MotionShape, motion_row_values, motion_rows
+from planopt.planning.programme.nlp_functions import Bounds
+from planopt.planning.programme.pivot import GoalCharge, goal_cost_gradient
 from planopt.robots.drive import Drive
 from planopt.world.separation import SeparatingLines
 

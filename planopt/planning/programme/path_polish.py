@@ -7,13 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.programme.goal_cost import GoalCharge
-from planopt.planning.programme.kkt import Bounds, kkt_residual, named_multipliers
+from planopt.planning.programme.cone_rows import path_row_values
+from planopt.planning.programme.margin_source import EvaluatePath
 from planopt.planning.programme.motion_task import MotionNumbers, MotionTask, motion_numbers
-from planopt.planning.programme.nlp_functions import NlpPoint
+from planopt.planning.programme.nlp_functions import (
+    Bounds,
+    NlpPoint,
+    kkt_residual,
+    named_multipliers,
+)
 from planopt.planning.programme.path_nlp import PathNlp
-from planopt.planning.programme.path_row_values import path_row_values
-from planopt.planning.programme.path_value import EvaluatePath
+from planopt.planning.programme.pivot import GoalCharge
 from planopt.planning.programme.polish import Polished
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.separation import SeparatingLines

@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.kkt import Bounds, kkt_residual, named_multipliers
-from planopt.planning.programme.margin_source import MarginFunction
-from planopt.planning.programme.nlp_functions import NlpPoint
-from planopt.planning.programme.path_row_values import path_row_values
-from planopt.planning.programme.reach_nlp import PIVOT_ROUNDING_M, STEP_ROUNDING_M, ReachNlp
-from planopt.planning.programme.stage_kernel import StageMargins
+from planopt.planning.programme.cone_rows import path_row_values
+from planopt.planning.programme.margin_source import MarginFunction, StageMargins
+from planopt.planning.programme.nlp_functions import (
+    Bounds,
+    NlpPoint,
+    kkt_residual,
+    named_multipliers,
+)
+from planopt.planning.programme.path_nlp import PIVOT_ROUNDING_M, STEP_ROUNDING_M, ReachNlp
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.separation import SeparatingLines
 

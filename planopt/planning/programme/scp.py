@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 
 from planopt.planning.plan import Termination
 from planopt.planning.programme.cone_rows import NO_VARIABLE, ConeRows
-from planopt.planning.programme.kkt import Bounds
 from planopt.planning.programme.nlp_functions import (
+    Bounds,
     NlpFunctions,
     NlpPoint,
     SolveNlp,

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.moving import obstacles_ahead
-from planopt.planning.proof.broad_prediction import Broad, broad_prediction
 from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid
+from planopt.planning.proof.predictions import Broad, broad_prediction
 from planopt.problems.problem import Problem
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
 
 _Asked = tuple[bytes, tuple[int, ...]]
 """A state, and steps."""

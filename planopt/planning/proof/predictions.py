@@ -1,19 +1,67 @@
-"""Which posterior serves what: proof rests on the full one, search on as much as it needs."""
+"""Which posterior serves what, and what a connection rests on besides one normal power.
+
+The law is then a mixture over covariances (:mod:`planopt.channel.parameter_uncertainty`). What a
+bound rests on is its quantile, which is found exactly. So that all else may go on with a mean and a
+deviation, they are those of the normal law with the mixture's deviation and that very quantile.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.connection.connection_law import ConnectionLaw
+from planopt.channel.connection.serving_power import Laws, any_probability, serving_prediction
 from planopt.channel.kriging import predict
 from planopt.channel.nearest.near_factors import NearFactors
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, predict_nearby
+from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise, mixture
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
-from planopt.channel.prediction import Prediction
-from planopt.planning.proof.broad_prediction import Broad
-from planopt.planning.proof.serving import Serving
+from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
+from planopt.problems.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Serving:
+    """What is believed of stations, each of which may connect.
+
+    Attributes
+    ----------
+    posteriors
+        Of each station's channel.
+    thresholds_dbm
+        From which power on each connects; predictions are judged by the first.
+    p_min
+        The bound's probability.
+    """
+
+    posteriors: tuple[ChannelPosterior, ...]
+    thresholds_dbm: tuple[float, ...]
+    p_min: float
+
+    @property
+    def laws(self) -> Laws:
+        """Each station's calibrated law of connection; None where its power is normal."""
+        return tuple(connection_law(posterior) for posterior in self.posteriors)
+
+    def law(self, predictions: Sequence[Prediction]) -> Prediction:
+        """What stands for the serving power, from predictions of each station's power."""
+        return serving_prediction(predictions, self.thresholds_dbm, self.p_min, self.laws)
+
+    def probability(self, positions_m: NDArray[np.float64], slack_db: float) -> NDArray[np.float64]:
+        """P(any) at places (n, 2) with all thresholds lowered by a slack; ``(n,)``."""
+        each = [posterior.predict(positions_m) for posterior in self.posteriors]
+        return any_probability(each, self.thresholds_dbm, slack_db, self.laws)
+
+
+def connection_law(posterior: ChannelPosterior) -> ConnectionLaw | None:
+    """Return the calibrated law of a station's connection; None where its power is normal."""
+    return None if posterior.outcomes is None else posterior.outcomes.law
+
 
 KEPT_ERROR_DB = 1e-3
 """Predictions from groups of neighbours that were kept, and have grown, are off those from groups
@@ -75,3 +123,96 @@ def search_prediction(
     if is_search_exact(posterior):
         return predict(posterior, positions_m)
     return predict_nearby(posterior, positions_m, SEARCH_NEIGHBOURS)
+
+
+MOST_ROUNDS = 60
+"""Steps towards a quantile at most: so many bisections lead from hundreds of dB to rounding."""
+NEWTON_STEP_DB = 1e-8
+"""After a step of Newton's method as short as this the next would be within rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class BroadPrediction:
+    """Predicts for a bound that is to hold with probability `p_min` under all parameters.
+
+    Attributes
+    ----------
+    marginal
+        The channel given measurements, over several covariances.
+    p_min
+        The bound's probability.
+    """
+
+    marginal: MarginalPosterior
+    p_min: float
+
+    def __call__(self, positions_m: NDArray[np.float64]) -> Prediction:
+        """Mean and deviation at `positions_m` (n, 2) whose bound margin is the mixture's."""
+        weights = self.marginal.weights
+        parts = [component.predict(positions_m) for component in self.marginal.components]
+        deviation = mixture(weights, parts).deviation_db
+        kept_dbm = mixture_quantile_dbm(weights, parts, self.p_min)
+        return Prediction(kept_dbm + bound_quantile(self.p_min) * deviation, deviation)
+
+
+def mixture_quantile_dbm(
+    weights: NDArray[np.float64], parts: list[Prediction], p_min: float
+) -> NDArray[np.float64]:
+    """The power that a mixture of normal laws exceeds with probability `p_min`; ``(n,)``.
+
+    Between the least and the greatest of the parts' own, by Newton's method, and by bisection where
+    that leaves what is known to hold the quantile.
+    """
+    means = np.stack([part.mean_db for part in parts])
+    deviations = np.stack([part.deviation_db for part in parts])
+    own = means - bound_quantile(p_min) * deviations
+    low: NDArray[np.float64] = own.min(axis=0)
+    high: NDArray[np.float64] = own.max(axis=0)
+    found: NDArray[np.float64] = 0.5 * (low + high)
+    for _ in range(MOST_ROUNDS):
+        # Of (mean - power) above zero.
+        excess = weights @ connection_probability(means - found, deviations, 0.0) - p_min
+        low, high = np.where(excess >= 0.0, found, low), np.where(excess < 0.0, found, high)
+        density = weights @ _normal_density(found - means, deviations)
+        step = np.divide(excess, density, out=np.full(len(found), np.inf), where=density > 0.0)
+        middle = 0.5 * (low + high)
+        better = np.where((low <= found + step) & (found + step <= high), found + step, middle)
+        moved = np.abs(better - found)
+        found = better
+        if (moved <= NEWTON_STEP_DB).all():
+            break
+    return found
+
+
+def _normal_density(
+    away_db: NDArray[np.float64], deviation_db: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Density of normal laws; zero where the deviation is."""
+    spread = deviation_db > 0.0
+    score = np.divide(away_db, deviation_db, out=np.zeros_like(away_db), where=spread)
+    bell = np.exp(-0.5 * score**2) / math.sqrt(2.0 * math.pi)
+    return np.divide(bell, deviation_db, out=np.zeros_like(away_db), where=spread)
+
+
+Broad = BroadPrediction | Serving
+"""Predictions that are not of one posterior's normal law."""
+
+
+def broad_prediction(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Broad | None:
+    """What the problem's bound rests on; None where the only posterior itself serves.
+
+    Parameters
+    ----------
+    problem
+        What is asked.
+    posteriors
+        Of each of its stations.
+    """
+    if len(posteriors) > 1 or posteriors[0].outcomes is not None:
+        thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
+        return Serving(tuple(posteriors), thresholds, problem.constraints.p_min)
+    (posterior,) = posteriors
+    if problem.constraints.rule.parameter_uncertainty == "path_loss":
+        return None
+    marginal = marginalise(posterior.parameters, posterior.measurements)
+    return BroadPrediction(marginal, problem.constraints.p_min)

@@ -21,9 +21,8 @@ from planopt.planning.arrival import is_at_goal
 from planopt.planning.certificate import Certificate
 from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.apart import judge_apart
 from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.motion import judge_motion, swept_motion
+from planopt.planning.proof.motion import judge_apart, judge_motion, swept_motion
 from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
 from planopt.planning.proof.rules.proven import PathCase
 from planopt.planning.proof.rules.single_steps import judge_single_steps

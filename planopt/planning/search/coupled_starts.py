@@ -30,16 +30,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.budget import UNLIMITED, Budget
-from planopt.planning.ground import Ground
+from planopt.planning.scene import Ground
 from planopt.planning.search.local_ranking import LocalRanking, can_climb
 from planopt.planning.search.moving_moves import steps_apart
-from planopt.planning.search.way_climb import climb_ways
-from planopt.planning.search.way_search import APART_STEPS, distinct, search_ways
+from planopt.planning.search.way_search import APART_STEPS, climb_ways, distinct, search_ways
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, inside_bounds, segments_clear
-from planopt.world.moving_discs import ways_gap_m
+from planopt.world.moving_obstacle import ways_gap_m
 
 CELLS_PER_STEP = 4.0
 """Cells of the raster along a longest step."""

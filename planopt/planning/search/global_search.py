@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
-from planopt.planning.ground import first_moves
 from planopt.planning.history import History
-from planopt.planning.scene import Scene
+from planopt.planning.roads import node_at
+from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.lattice_search import search_lattice
 from planopt.planning.search.moving_moves import first_steps_apart
 from planopt.planning.search.node_margins import NodeMargins
@@ -35,7 +35,7 @@ from planopt.planning.worth.path_worth import rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.moving_obstacle import MovingDiscs
 from planopt.world.road_map import Ways, shortest_ways, way_from
 
 FORBIDDEN = 1e6
@@ -49,6 +49,9 @@ OUT_OF_BOUND_STEP_S = 1e5
 """Penalty of a step below the level that a guide asks for: no saving of time is worth one."""
 MISSING_DB_S = 1e3
 """Penalty of a missing dB: among as many steps below the level, the least missing dB wins."""
+BACK_STEPS = 10
+"""No plan ends where the way on costs more than from here by this many longest steps, unless others
+or a rule make it. Nodes farther off than that need no cost-to-go."""
 CORRECTION_ROUNDS = 8
 """How often the search is repeated with exact margins along its path."""
 
@@ -70,7 +73,7 @@ class GlobalStart:
     beyond_m
         ``(b, 2)`` its beginning, as far as it keeps the bound and may be come to in N steps.
     ways
-        Cost-to-go of every node, in metres.
+        Cost-to-go of the nodes, in metres; infinite at those that it was not looked for at.
     metre_cost
         ``(n,)`` what a metre costs at every node.
     is_blocked
@@ -122,6 +125,13 @@ class GlobalSearch:
         nodes, lengths = first_moves(scene.ground, problem, start)
         self._direct_m = float((lengths + scene.ways.cost_m[nodes]).min(initial=np.inf))
         self._forbids = rule.connectivity == "each_step" and rule.slack_max_db is not None
+        self._is_alone = (
+            rule.is_plain
+            and len(problem.robots) == 1
+            and not problem.robots[0].dynamics
+            and not problem.workspace.moving
+        )
+        self._here_m = np.inf
 
     def find_start(self, situation: Situation) -> GlobalStart | None:
         """Search from where the robot is; None if no node is in reach.
@@ -139,7 +149,7 @@ class GlobalSearch:
             nodes = self._shortest(situation, ways)
             return None if nodes is None else self._start(situation, ways, nodes, direct=True)
         if problem.reach.cost_to_go == "connected":
-            ways = shortest_ways(scene.road_map, scene.goal_node, self._metre_cost())
+            ways = self._ways_from(situation.position_m)
         nodes = self._cheapest(situation, ways, None, priced=True)
         if nodes is None:
             return None
@@ -239,6 +249,24 @@ class GlobalSearch:
             return False
         allowed = (1.0 + self._problem.reach.outage_price) * self._direct_m
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
+
+    def _ways_from(self, position_m: NDArray[np.float64]) -> Ways:
+        """Cheapest paths to the goal from where the robot is and from where it may plan to be.
+
+        How far to look is guessed from the cost-to-go a step ago. Where that was too little, all
+        paths are found.
+        """
+        scene, metre_cost = self._scene, self._metre_cost()
+        node = node_at(scene.road_map, position_m)
+        back_m = BACK_STEPS * self._problem.step_length_m
+        limit_m = self._here_m + 2.0 * back_m
+        ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost, limit_m=limit_m)
+        here_m = float(ways.cost_m[node]) if node >= 0 else np.inf
+        if here_m + back_m > limit_m:
+            ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+            here_m = float(ways.cost_m[node]) if node >= 0 else np.inf
+        self._here_m = here_m if self._is_alone else np.inf
+        return ways
 
     def _metre_cost(self) -> NDArray[np.float64]:
         """What a metre costs at every node, in metres."""

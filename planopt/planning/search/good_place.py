@@ -12,10 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.candidate import Candidate
-from planopt.planning.judge import Judge
+from planopt.planning.judge import Candidate, Judge
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.search.retime import retime
+from planopt.planning.search.lattice_search import retime
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
 from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M

@@ -23,10 +23,8 @@ from planopt.objectives.local_channel import (
     local_grid,
 )
 from planopt.objectives.terms.context import Paths
-from planopt.objectives.told_batch import ToldBatch
-from planopt.objectives.way_batch import WayBatch
-from planopt.objectives.way_slopes import Pull, slopes_of
-from planopt.planning.worth.region import region_along
+from planopt.objectives.told_batch import Pull, ToldBatch, WayBatch, slopes_of
+from planopt.planning.worth.left_to_learn import region_along
 from planopt.planning.worth.rules.planned import planned_rule
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem

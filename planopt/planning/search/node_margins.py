@@ -1,4 +1,4 @@
-"""Connectivity at every lattice node: a cached map, corrected where plans touch it.
+"""What is predicted at the nodes of a lattice: connectivity, and what terms ask.
 
 The map conditions each tile on the measurements nearest to it, which is fast and slightly off.
 Wherever a path is about to rest on a node's value, the exact posterior's value replaces it.
@@ -12,14 +12,83 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
-from planopt.planning.proof.broad_prediction import Broad
-from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.search.lattice_map import LatticeMap
+from planopt.planning.proof.predictions import Broad, Serving, search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
+from planopt.planning.worth.situation import Situation
+from planopt.world.lattice import Lattice, node_positions
 from planopt.world.road_map import RoadMap
+
+
+class LatticeMap:
+    """A tile map for each station, combined where there are several.
+
+    Parameters
+    ----------
+    lattice
+        Its nodes.
+
+    Attributes
+    ----------
+    mean_db, deviation_db
+        ``(ny, nx)`` as in :class:`planopt.channel.maps.tile_map.TileMap`; after a refresh they may
+        be other arrays.
+    """
+
+    def __init__(self, lattice: Lattice) -> None:
+        self._lattice = lattice
+        self._maps = [self._tile_map()]
+        self.mean_db = self._maps[0].mean_db
+        self.deviation_db = self._maps[0].deviation_db
+
+    def _tile_map(self) -> TileMap:
+        lattice = self._lattice
+        ny, nx = lattice.shape
+        return TileMap(
+            lattice.origin_m[0] + lattice.spacing_m * np.arange(nx),
+            lattice.origin_m[1] + lattice.spacing_m * np.arange(ny),
+            lattice.free,
+        )
+
+    def refresh(
+        self,
+        posterior: ChannelPosterior,
+        broad: Broad | None = None,
+        window_m: tuple[float, float, float, float] | None = None,
+    ) -> None:
+        """Follow what is believed, within a window or everywhere.
+
+        Parameters
+        ----------
+        posterior
+            Of the first station.
+        broad
+            All stations, where there are several.
+        window_m
+            As for :meth:`planopt.channel.maps.tile_map.TileMap.refresh`.
+        """
+        if not isinstance(broad, Serving):
+            self._maps[0].refresh(posterior, window_m)
+            return
+        while len(self._maps) < len(broad.posteriors):
+            self._maps.append(self._tile_map())
+        for own, station in zip(self._maps, broad.posteriors, strict=True):
+            own.refresh(station, window_m)
+        known = np.isfinite(self._maps[0].mean_db)
+        law = broad.law(
+            [Prediction(own.mean_db[known], own.deviation_db[known]) for own in self._maps]
+        )
+        self.mean_db = np.full(known.shape, np.nan)
+        self.deviation_db = np.full(known.shape, np.nan)
+        self.mean_db[known], self.deviation_db[known] = law.mean_db, law.deviation_db
+
+    @property
+    def stations(self) -> list[TileMap]:
+        """Each station's own predictions."""
+        return self._maps
 
 
 class NodeMargins:
@@ -114,3 +183,77 @@ class NodeMargins:
         margin = bound_margin_db(mean, deviation, self._threshold_dbm, self._p_min)
         probability = connection_probability(mean, deviation, self._threshold_dbm)
         return margin, outage_share(probability, margin < MARGIN_PAD_DB, self._everywhere)
+
+
+class NodeField:
+    """Predicted power on a lattice, corrected where plans touch it.
+
+    The map conditions each tile on the measurements nearest to it, which is fast and slightly off.
+    Wherever a path is about to rest on a node's value, that of more measurements replaces it.
+
+    Parameters
+    ----------
+    lattice
+        Its nodes.
+
+    Attributes
+    ----------
+    grid_m
+        ``(ny, nx, 2)`` positions of the nodes.
+    mean_db, deviation_db
+        ``(ny, nx)``; NaN at nodes that are not free, or were never within reach.
+    window
+        Rows and columns of the nodes that the last refresh was for.
+    """
+
+    def __init__(self, lattice: Lattice) -> None:
+        self._map = LatticeMap(lattice)
+        self._exact = np.zeros(lattice.shape, dtype=bool)
+        self._lattice = lattice
+        self._situation: Situation | None = None
+        self.grid_m = node_positions(lattice)
+        self.mean_db = self._map.mean_db
+        self.deviation_db = self._map.deviation_db
+        self.window = slice(0, 0), slice(0, 0)
+
+    def refresh(self, situation: Situation, reach_m: float) -> None:
+        """Follow the belief within `reach_m` of the robot along both axes."""
+        low, high = situation.position_m - reach_m, situation.position_m + reach_m
+        self._map.refresh(
+            situation.posterior,
+            situation.circumstances.broad,
+            (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
+        )
+        self.mean_db, self.deviation_db = self._map.mean_db, self._map.deviation_db
+        lattice = self._lattice
+        first = np.ceil((low - lattice.origin_m) / lattice.spacing_m)
+        last = np.floor((high - lattice.origin_m) / lattice.spacing_m)
+        columns, rows = (
+            slice(max(int(first[axis]), 0), max(int(last[axis]) + 1, 0)) for axis in (0, 1)
+        )
+        self.window = rows, columns
+        self._exact[:] = False
+        self._situation = situation
+
+    def places_m(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Positions of `nodes` (n, 2), given as (iy, ix)."""
+        return self.grid_m[nodes[:, 0], nodes[:, 1]]
+
+    def correct(self, nodes: NDArray[np.intp]) -> bool:
+        """Put better values at `nodes` (n, 2); true if any of them had not been corrected."""
+        if self._situation is None:
+            raise AssertionError("refresh first")
+        rows, columns = nodes[:, 0], nodes[:, 1]
+        new = nodes[~self._exact[rows, columns]]
+        if not len(new):
+            return False
+        power = self._situation.power(self.places_m(new))
+        self.mean_db[new[:, 0], new[:, 1]] = power.mean_db
+        self.deviation_db[new[:, 0], new[:, 1]] = power.deviation_db
+        self._exact[new[:, 0], new[:, 1]] = True
+        return True
+
+    @property
+    def stations(self) -> list[TileMap]:
+        """Each station's own predictions; those of several are not corrected."""
+        return self._map.stations

@@ -17,15 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.search.move_table import (
+from planopt.planning.search.moving_moves import (
     REACH,
     MoveTable,
+    MovingMoves,
     Window,
     window_around,
     window_shape,
     without_margin,
 )
-from planopt.planning.search.moving_moves import MovingMoves
 from planopt.world.lattice import MOVES
 
 

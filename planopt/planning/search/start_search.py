@@ -15,12 +15,17 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.planning.budget import UNLIMITED, Budget
-from planopt.planning.ground import Ground, first_moves
-from planopt.planning.programme.goal_cost import GoalCharge
+from planopt.planning.programme.pivot import GoalCharge
+from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts
-from planopt.planning.search.move_table import REACH, Window, move_table
-from planopt.planning.search.moving_moves import MovingMoves, first_steps_apart
-from planopt.planning.search.node_field import NodeField
+from planopt.planning.search.moving_moves import (
+    REACH,
+    MovingMoves,
+    Window,
+    first_steps_apart,
+    move_table,
+)
+from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.reward_lattice import LatticeValues, RewardSearch
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
@@ -30,14 +35,13 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.worth.path_worth import PathWorth, rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule
-from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import bends_starts
+from planopt.planning.worth.situation import Situation, bends_starts
 from planopt.problems.objective import Term
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.lattice import MOVES
 from planopt.world.lattice_size import LONGEST_MOVE
-from planopt.world.moving_discs import ways_gap_m
+from planopt.world.moving_obstacle import ways_gap_m
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns of single nodes."""

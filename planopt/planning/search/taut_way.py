@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.ground import Ground, first_moves
+from planopt.planning.scene import Ground, first_moves
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear

@@ -17,8 +17,8 @@ from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
-from planopt.world.closest_approach import closest_approach_m
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.least_distance import closest_approach_m
+from planopt.world.moving_obstacle import MovingDiscs
 from planopt.world.road_map import RoadMap, Ways, shortest_ways
 
 DELAYS_STEPS = (16, 64, 200)

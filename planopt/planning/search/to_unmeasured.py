@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.nearest.place_tree import PlaceTree
-from planopt.planning.ground import Ground
+from planopt.planning.scene import Ground
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M

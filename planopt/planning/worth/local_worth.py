@@ -16,23 +16,22 @@ from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
 from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.terms.context import NearPath, NearStation, Part
 from planopt.objectives.terms.term import Structure
-from planopt.objectives.tracking_derivatives import connectivity_derivatives
-from planopt.planning.programme.path_value import (
+from planopt.objectives.tracking import connectivity_derivatives
+from planopt.planning.programme.margin_source import (
     EvaluatePath,
     Evaluation,
     PathValue,
+    margins_of,
     remembering,
 )
-from planopt.planning.programme.stage_kernel import margins_of
-from planopt.planning.worth.region import region_along
+from planopt.planning.worth.left_to_learn import region_along
 from planopt.planning.worth.rules.planned import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.serving_stages import (
     serving_of,
     stage_powers,
     stage_predictor,
 )
-from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.structure import structure_of
+from planopt.planning.worth.situation import Situation, structure_of
 from planopt.problems.problem import Problem
 from planopt.targets.rounding import Derivatives
 

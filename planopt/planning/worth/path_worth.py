@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
-from planopt.planning.bound_margins import margins_asked_db
+from planopt.planning.certificate import RuleResult
+from planopt.planning.proof.rules.asked import is_missed
 from planopt.planning.proof.rules.proven import PathCase, asked_steps
-from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
-from planopt.planning.rule_result import RuleResult
-from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.planning.worth.situation import Situation
 
 

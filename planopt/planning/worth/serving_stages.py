@@ -13,7 +13,7 @@ Predicted power and deviation of every stage with exact derivatives, all stages 
 
 From the measurements nearest to each stage and with the uncertainty of theta counted.
 Two things differ from the exact posterior, both only here: the kernel's cusp at a measured position
-is rounded (:mod:`planopt.objectives.rounded_kernel`), and fewer measurements are used. The verifier
+is rounded (:mod:`planopt.objectives.local_channel`), and fewer measurements are used. The verifier
 uses neither.
 
 A solver asks some twenty times a step. Kernel values and derivatives of all stages are therefore
@@ -32,13 +32,12 @@ from planopt.channel.connection.serving_power import Laws, any_score_derivatives
 from planopt.channel.nearest.neighbours import NeighbourModel, neighbour_model
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.objectives.rounded_kernel import (
+from planopt.objectives.local_channel import (
     fill_rounded_kernel,
     rounded_log_distance,
     softened_m2,
 )
-from planopt.planning.proof.broad_prediction import Broad
-from planopt.planning.proof.serving import Serving
+from planopt.planning.proof.predictions import Broad, Serving
 from planopt.targets.rounding import Derivatives, add_products
 
 LEAST_VARIANCE_DB2 = float(np.finfo(float).tiny)

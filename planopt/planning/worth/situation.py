@@ -15,16 +15,69 @@ from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
+from planopt.objectives.terms.term import Structure
 from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.proof.serving import Serving
+from planopt.planning.proof.predictions import Serving, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.worth.left_to_learn import region_near
 from planopt.planning.worth.pending import NOTHING_PENDING, Pending, anticipated
-from planopt.planning.worth.region import region_near
 from planopt.planning.worth.steering_way import SteeringWay
-from planopt.planning.worth.target_model import target_model
 from planopt.problems.problem import Problem
-from planopt.targets.target_model import TargetModel
+from planopt.targets.information_filter import TargetModel
+
+
+def structure_of(problem: Problem) -> Structure:
+    """How the worth of a path couples its places.
+
+    A dynamic programme over places is exact unless it couples all of them.
+    """
+    found = {term.structure for term in problem.terms}
+    if "full" in found:
+        return "full"
+    return "chain" if "chain" in found else "stagewise"
+
+
+def bends_starts(problem: Problem, *, steered: bool = True) -> bool:
+    """Whether the places of a path are coupled by a term that no lattice search stands in for.
+
+    Then paths in all directions are tried besides those of the lattice, and more are followed. A
+    term that steers the robot may do without them, but not where it is steered nowhere.
+    """
+    return any(
+        term.structure == "full"
+        and (term.bends_starts or (not steered and term.steers is not None))
+        for term in problem.terms
+    )
+
+
+def target_model(problem: Problem) -> TargetModel:
+    """Constant velocity but for white acceleration, alike along both axes; there is a target."""
+    deviation = problem.targets[0].acceleration_std_m_s2
+    return TargetModel(problem.planner.step_s, deviation**2 * np.eye(2))
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """External inputs of one plan's objective: expected target and steering path, if any.
+
+    Attributes
+    ----------
+    target_m
+        ``(N, 2)`` where the target was expected at the end of each step; None without target.
+    steering_turns_m
+        ``(m, 2)`` the way that the two-layer form steered along: where the robot was, where the
+        way turns, and its end; None if it did not steer.
+    information
+        ``(4, 4)`` J_{t|t} of the station's filter then; None without target.
+    pending
+        Where the other robots measure, as the plan counts it.
+    """
+
+    target_m: NDArray[np.float64] | None = None
+    steering_turns_m: NDArray[np.float64] | None = None
+    information: NDArray[np.float64] | None = None
+    pending: Pending = NOTHING_PENDING
+
 
 Made = TypeVar("Made")
 

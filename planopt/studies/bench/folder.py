@@ -29,8 +29,7 @@ from planopt.problems.load import load
 from planopt.studies.bench.cases import Case
 from planopt.studies.bench.references import OBJECTIVE_SHARE
 from planopt.studies.bench.row import Row, answer, key_of, start_of
-from planopt.studies.finished_runs import FinishedRuns, program, run_key
-from planopt.studies.study import Study, run_study
+from planopt.studies.study import FinishedRuns, Study, program, run_key, run_study
 
 MANIFEST, ROWS, TABLE = "bench.json", "rows", "rows.csv"
 

@@ -27,7 +27,7 @@ from planopt.planning.solve import solve_on
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.studies.bench.cases import RUN, Case, Question, problem_of
-from planopt.studies.finished_runs import run_key
+from planopt.studies.study import run_key
 
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 """Outcomes of single plans; runs have those of :class:`planopt.planning.loop.log.Outcome`."""

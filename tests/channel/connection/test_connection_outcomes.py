@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from planopt.channel.connection.connection_outcomes import (
+from planopt.channel.connection.connection_law import (
     LEFT_OUT,
     LEFT_OUT_WEIGHT,
     REMEMBERED,
@@ -14,9 +14,8 @@ from planopt.channel.connection.connection_outcomes import (
     fit_connection_law,
 )
 from planopt.channel.fields.field import shadow_field_db
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import condition
 
 STATION = Station((60.0, 60.0), 5.0)

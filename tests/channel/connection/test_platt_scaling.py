@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
-from planopt.channel.connection.connection_law import NEUTRAL_SLOPE
-from planopt.channel.connection.connection_outcomes import (
+from planopt.channel.connection.connection_law import (
     INTERCEPT_STD,
     LOG_SLOPE_STD,
+    NEUTRAL_SLOPE,
     fit_connection_law,
 )
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 from simulated_channel import simulated
 
-from planopt.channel.connection.several_stations import (
+from planopt.channel.connection.serving_power import (
     SharedShadowing,
     connected_to_any,
     strongest_station,

@@ -7,14 +7,12 @@ import pytest
 from simulated_channel import simulated
 from varied_measurements import DRIFTING, varied
 
-from planopt.channel.estimation.block_data import block_data, exact_part
-from planopt.channel.estimation.block_likelihood import BlockLikelihood
+from planopt.channel.estimation.block_likelihood import BlockLikelihood, block_data, exact_part
 from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.restricted_likelihood import evaluate
-from planopt.channel.mean_model import mean_model
 from planopt.channel.nearest.windows import BESIDE, BLOCK
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 POINT = (30.0, 5.0, 25.0)

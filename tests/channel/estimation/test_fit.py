@@ -14,9 +14,14 @@ from planopt.channel.estimation.profile import CUT_95
 from planopt.channel.estimation.profile_likelihood import profile_likelihood
 from planopt.channel.logs.log_file import read_log
 from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.mean_model import PRIOR_N_PL, mean_model, regressors
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import (
+    PRIOR_N_PL,
+    ChannelParameters,
+    Station,
+    mean_model,
+    regressors,
+)
 from planopt.errors import InputError
 
 METHODS = ("lemma1", "capped", "convex", "nls", "reml")

@@ -19,8 +19,7 @@ from planopt.channel.estimation.profile_likelihood import (
     profiles_around,
 )
 from planopt.channel.estimation.restricted_likelihood import evaluate
-from planopt.channel.mean_model import mean_model
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model
 from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))

@@ -8,13 +8,12 @@ from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.covariance_fit import covariance_bounds
 from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.likelihood_climb import START_MEASUREMENTS, thinned
 from planopt.channel.estimation.likelihood_data import likelihood_data
-from planopt.channel.estimation.likelihood_starts import START_MEASUREMENTS, thinned
 from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.estimation.restricted_likelihood import evaluate
-from planopt.channel.mean_model import mean_model
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 

@@ -15,9 +15,8 @@ from planopt.channel.estimation.restricted_likelihood import (
     expected_information,
     profiled_log_likelihood,
 )
-from planopt.channel.mean_model import mean_model
 from planopt.channel.measurement_covariance import measured_path_loss_variance_db2
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 POINT = (30.0, 5.0, 25.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.fields.conditional_field import conditional_field, conditional_values_db
+from planopt.channel.fields.field import conditional_field, conditional_values_db
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition

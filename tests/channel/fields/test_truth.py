@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from planopt.channel.fields.truth import measure, model_truth, raster_truth, true_power_dbm
-from planopt.channel.mean_model import regressors
 from planopt.channel.multipath.multipath_models import Nakagami, Rician
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.world.raster import Raster
 
 GAINS = np.array([[-80.0, -100.0, np.nan], [-129.0, -131.0, -95.0]])

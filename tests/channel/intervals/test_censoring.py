@@ -8,10 +8,9 @@ from scipy.stats import norm
 
 from planopt.channel.intervals.censoring import FINE_STEP, gaussian_sites, intervals, needs_site
 from planopt.channel.intervals.sites import MAX_SITE_VARIANCE_DB2
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.mean_model import regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((0.0, 0.0), 10.0))
 

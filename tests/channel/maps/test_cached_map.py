@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt.channel.maps.cached_map import CachedMap
+from planopt.channel.maps.posterior_map import CachedMap
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition, extend
 from planopt.errors import InputError
@@ -25,7 +25,7 @@ def agree(found, posterior):
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_one_by_one_equals_batch(monkeypatch, share):
     """After every step, past the growth of both buffers; repeated places included."""
-    monkeypatch.setattr("planopt.channel.maps.cached_map.COLUMNS", 128)
+    monkeypatch.setattr("planopt.channel.maps.posterior_map.COLUMNS", 128)
     data = simulated(CHANNEL, 1, 130, 50.0, share)
     data = subset(data, np.concatenate([np.arange(130), [3, 4]]))
     posterior = condition(CHANNEL, subset(data, np.arange(5)))
@@ -44,12 +44,12 @@ def test_only_new_rows_are_computed(monkeypatch):
     first = condition(CHANNEL, subset(data, np.arange(30)))
     cached = CachedMap(PLACES)
     cached.refresh(first)
-    from planopt.channel.maps import cached_map
+    from planopt.channel.maps import posterior_map
 
     asked = []
-    kernel = cached_map.covariance_db2
+    kernel = posterior_map.covariance_db2
     monkeypatch.setattr(
-        cached_map,
+        posterior_map,
         "covariance_db2",
         lambda a, b, parameters: asked.append(len(a.positions_m)) or kernel(a, b, parameters),
     )

@@ -7,8 +7,14 @@ import pytest
 from scipy.special import exp1, psi
 from scipy.stats import kstest, loggamma, norm, rice
 
-from planopt.channel.multipath.multipath_field import multipath_field_db, multipath_of
-from planopt.channel.multipath.multipath_models import Lognormal, Nakagami, Rician, rician_std_db
+from planopt.channel.multipath.multipath_models import (
+    Lognormal,
+    Nakagami,
+    Rician,
+    multipath_field_db,
+    multipath_of,
+    rician_std_db,
+)
 from planopt.errors import InputError
 
 NEPER_DB = 10.0 / math.log(10.0)

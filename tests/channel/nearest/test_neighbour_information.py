@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,
     measured_origins,
@@ -15,7 +14,7 @@ from planopt.channel.nearest.neighbour_information import (
     neighbour_information,
 )
 from planopt.channel.nearest.place_index import PlaceIndex
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

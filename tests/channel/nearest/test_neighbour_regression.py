@@ -3,8 +3,7 @@
 import numpy as np
 
 from planopt.channel.estimation.vecchia import regress_on_neighbours
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.measurement_covariance import Origins
+from planopt.channel.measurement_covariance import Origins, shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters, Station
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from planopt.channel.intervals.censoring import gaussian_sites
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.near_factors import neighbour_sites
 from planopt.channel.nearest.windows import SITE_BESIDE
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

@@ -7,9 +7,8 @@ import pytest
 from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.station.station_search import fit_channel_and_station
 from planopt.errors import InputError
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.kernel import shadow_covariance_db2
-from planopt.channel.mean_model import MIN_DISTANCE_M, regressors
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.station.station_surface import (
+from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station, regressors
+from planopt.channel.station.station_position import (
     gauss_newton,
     gaussian_covariance_db2,
     losses,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.mean_model import regressors
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.channel.station.station_position import losses, station_surface
 from planopt.channel.station.station_search import (
     fisher_information,
     fit_channel_and_station,
@@ -17,7 +17,6 @@ from planopt.channel.station.station_search import (
     line_covariance_m2,
     theta_by_position,
 )
-from planopt.channel.station.station_surface import losses, station_surface
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 3.0, 20.0, 1.0, Station((130.0, 70.0), 10.0))
 

@@ -7,7 +7,7 @@ import pytest
 from scenes import small_problem
 
 from planopt.planning.certificate import Certificate
-from planopt.planning.check.provenance import provenance_faults
+from planopt.planning.check.rebuilt import provenance_faults
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 
 PROBLEM = small_problem()

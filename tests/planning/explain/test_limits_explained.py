@@ -12,10 +12,10 @@ from relaxed import shorter, with_value
 from silent_field import TABLES, belief_in
 
 from planopt.channel.kriging import predict
-from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.explain.explain import explain
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve_on
+from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planopt.errors import InputError
-from planopt.planning.files.run_tables import read_table, table_text
+from planopt.planning.files.steps_file import read_table, table_text
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from planopt import load, simulate
+from planopt.planning.loop.log import target_log, watched
 from planopt.planning.loop.metrics import nis_interval
-from planopt.planning.loop.target_log import target_log, watched
 from planopt.planning.loop.target_watch import watch_target
 from planopt.targets.sensor import noise_covariance_m2
 

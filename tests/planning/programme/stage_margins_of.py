@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planopt.channel.nearest.neighbours import NeighbourModel
-from planopt.planning.programme.stage_kernel import StageMargins, margins_of
+from planopt.planning.programme.margin_source import StageMargins, margins_of
 from planopt.planning.worth.serving_stages import StagePredictor
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from planopt.planning.plan import Termination
 from planopt.planning.programme.cone_rows import step_cones
-from planopt.planning.programme.kkt import Bounds
+from planopt.planning.programme.nlp_functions import Bounds
 from planopt.planning.programme.scp import TERMINATIONS, Model, convex_step
 
 N, OTHER, SLACKS = 4, 6, 2

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.planning.programme.margin_source import MarginSource
-from planopt.planning.programme.stage_kernel import StageMargins
+from planopt.planning.programme.margin_source import MarginSource, StageMargins
 
 
 class Counter:

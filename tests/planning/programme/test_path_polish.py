@@ -10,11 +10,15 @@ from scipy.optimize import minimize
 
 from planopt.planning.plan import Termination
 from planopt.planning.programme import ipopt
+from planopt.planning.programme.margin_source import (
+    Evaluation,
+    PathValue,
+    StageMargins,
+    ValueSource,
+)
 from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
-from planopt.planning.programme.path_value import Evaluation, PathValue, ValueSource
-from planopt.planning.programme.stage_kernel import StageMargins
 from planopt.world.separation import SeparatingLines
 
 N = 4

@@ -33,12 +33,12 @@ from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db, bound_quantile
 from planopt.planning.plan import Termination
 from planopt.planning.programme import ipopt
-from planopt.planning.programme.polish import polish
-from planopt.planning.programme.reach_nlp import (
+from planopt.planning.programme.path_nlp import (
     PIVOT_ROUNDING_M,
     STEP_ROUNDING_M,
     build_reach_nlp,
 )
+from planopt.planning.programme.polish import polish
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 from planopt.world.separation import pack_pieces, separating_lines
@@ -646,7 +646,7 @@ def test_a_new_process_prints_nothing():
     program = (
         "from reach_tasks import reach_task\n"
         "from planopt.planning.programme.polish import polish\n"
-        "from planopt.planning.programme.reach_nlp import build_reach_nlp\n"
+        "from planopt.planning.programme.path_nlp import build_reach_nlp\n"
         "assert polish(build_reach_nlp(1, 0), reach_task(1, 0)).termination == 'converged'\n"
     )
     done = subprocess.run(

@@ -6,16 +6,15 @@ from reach_tasks import bowl_margins, constant_margins, scored
 from scipy.stats import norm
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.kkt import Bounds
-from planopt.planning.programme.margin_source import MarginSource
+from planopt.planning.programme.margin_source import MarginSource, StageMargins
+from planopt.planning.programme.nlp_functions import Bounds
 from planopt.planning.programme.path_callback import PathCallback
-from planopt.planning.programme.reach_nlp import (
+from planopt.planning.programme.path_nlp import (
     HEAD,
     PIVOT_ROUNDING_M,
     STEP_ROUNDING_M,
     build_reach_nlp,
 )
-from planopt.planning.programme.stage_kernel import StageMargins
 
 N, LINES = 3, 2
 ROWS = N + N * LINES + (N - 1) * LINES  # speed, line ends, line starts; then connectivity

@@ -17,10 +17,9 @@ from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, term
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Termination, Verdict
 from planopt.planning.programme.cone_rows import no_cones
-from planopt.planning.programme.kkt import Bounds
-from planopt.planning.programme.nlp_functions import NlpFunctions
+from planopt.planning.programme.nlp_functions import Bounds, NlpFunctions
+from planopt.planning.programme.path_nlp import build_reach_nlp
 from planopt.planning.programme.polish import polish
-from planopt.planning.programme.reach_nlp import build_reach_nlp
 from planopt.planning.programme.scp import scp_solve
 
 N, LINES = 6, 2

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from planopt.planning.proof.apart import judge_apart
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.planning.proof.motion import judge_apart
+from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
 from planopt.world.timed_motion import TimedMotion
 
 STEPS = 4

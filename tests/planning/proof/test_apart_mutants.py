@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.robots.braked_motion import braked_motion
 from planopt.robots.double_integrator import DoubleIntegrator
-from planopt.robots.drive import rolled_out
+from planopt.robots.drive import braked_motion, rolled_out
 from planopt.robots.unicycle import Unicycle
 from planopt.world.ways import PointWay
 
-APART = "planopt.planning.proof.apart"
-DISCS = "planopt.world.moving_discs"
-CLOSEST = "planopt.world.closest_approach"
+APART = "planopt.planning.proof.motion"
+DISCS = "planopt.world.moving_obstacle"
+CLOSEST = "planopt.world.least_distance"
 LEAST = "planopt.world.least_distance"
 TIMED = "planopt.world.timed_motion"
 OBSTACLE = "planopt.world.moving_obstacle"

@@ -17,7 +17,7 @@ from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.broad_prediction import (
+from planopt.planning.proof.predictions import (
     BroadPrediction,
     broad_prediction,
     mixture_quantile_dbm,

@@ -9,15 +9,14 @@ import pytest
 from scipy.special import expit
 
 from planopt.channel.belief import Belief
-from planopt.channel.connection.connection_law import ConnectionLaw
-from planopt.channel.connection.connection_outcomes import ConnectionOutcomes
+from planopt.channel.connection.connection_law import ConnectionLaw, ConnectionOutcomes
 from planopt.channel.prediction import connection_probability
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 from tests.planning.scenes import THRESHOLD_DBM, belief_of, small_problem, straight_path

@@ -24,7 +24,7 @@ HISTORY = "planopt.planning.history"
 ROOM = "planopt.planning.proof.rules"
 PROVEN = f"{ROOM}.proven"
 ASKED, OUTAGE = f"{ROOM}.asked", f"{ROOM}.outage"
-WHOLE, TOLERANCE = f"{ROOM}.whole_plan", f"{ROOM}.tolerance"
+WHOLE = f"{ROOM}.whole_plan"
 DATA, DRAWS = f"{ROOM}.probable_data", f"{ROOM}.path_draws"
 STEPS = f"{ROOM}.single_steps"
 USERS = (
@@ -35,7 +35,6 @@ USERS = (
     DATA,
     DRAWS,
     WHOLE,
-    TOLERANCE,
     STEPS,
     "planopt.planning.proof.verify",
 )
@@ -83,8 +82,8 @@ MUTANTS = (
         "path_draws_dbm(case.posterior, case.positions_m[1:], case.broad)",
         "path_draws_dbm(case.posterior, case.positions_m[:-1], case.broad)",
     ),
-    (TOLERANCE, "result.missing > RULE", "result.missing < RULE"),
-    (TOLERANCE, "margin_db < -MARGIN", "margin_db > MARGIN"),
+    (ASKED, "result.missing > RULE", "result.missing < RULE"),
+    (ASKED, "margin_db < -MARGIN", "margin_db > MARGIN"),
     (STEPS, "missing > limit + MARGIN_TOLERANCE_DB", "missing > 1e3 + limit"),
     (STEPS, "missing > limit + MARGIN_TOLERANCE_DB", "missing < limit"),
     (STEPS, "(margins < -MARGIN_TOLERANCE_DB) & asked", "margins < -MARGIN_TOLERANCE_DB"),

@@ -15,7 +15,7 @@ from planopt.planning.history import History
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.verify import judge
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 from tests.planning.scenes import bad_everywhere, straight_path

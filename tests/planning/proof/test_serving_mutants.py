@@ -20,9 +20,9 @@ from planopt.planning.proof.rules.proven import PathCase
 
 SCORE = "planopt.channel.connection.serving_power"
 POWER = "planopt.channel.connection.serving_power"
-SERVING = "planopt.planning.proof.serving"
+SERVING = "planopt.planning.proof.predictions"
 PREDICTIONS = "planopt.planning.proof.predictions"
-BROAD = "planopt.planning.proof.broad_prediction"
+BROAD = "planopt.planning.proof.predictions"
 PROVEN = "planopt.planning.proof.rules.proven"
 DRAWS = "planopt.planning.proof.rules.path_draws"
 USERS = (

@@ -23,7 +23,9 @@ from scenes import (
 
 from planopt.objectives.reach import outage_share
 from planopt.planning.history import BEGINNING
+from planopt.planning.programme.pivot import Ahead
 from planopt.planning.proof.verify import verify
+from planopt.planning.search import global_search
 from planopt.planning.search.global_search import GlobalStart
 
 
@@ -203,3 +205,25 @@ def test_who_has_wandered_drives_the_shortest_path():
         start = search.find_start(situation_of(problem, belief, here, history))
         assert start.is_direct == direct
     assert start.path_m[:, 1] == pytest.approx(15.0, abs=2.0)
+
+
+@pytest.mark.parametrize("jump", [False, True])
+def test_nodes_far_behind_are_left_out_and_change_no_path(jump, monkeypatch):
+    """A search that looked before finds what a fresh one finds, even if the robot is elsewhere."""
+    monkeypatch.setattr(global_search, "BACK_STEPS", 3)
+    problem = small_problem(horizon=5)
+    search, belief, scene = search_of(problem)
+    nodes_m = scene.road_map.nodes_m
+    away = np.linalg.norm(nodes_m - np.asarray(problem.goal_m), axis=1)
+    near, far = nodes_m[np.argsort(away)[3]], nodes_m[np.argmax(away)]
+    search.find_start(situation_of(problem, belief, near))
+    situation = situation_of(problem, belief, far if jump else near)
+    again, fresh = search.find_start(situation), search_of(problem)[0].find_start(situation)
+    assert again is not None and fresh is not None
+    assert (again.nodes == fresh.nodes).all() and (again.route_m == fresh.route_m).all()
+    known = np.isfinite(again.ways.cost_m)
+    assert known.all() == jump and known[away <= 3.0 * problem.step_length_m].all()
+    assert (again.ways.cost_m[known] == fresh.ways.cost_m[known]).all()
+    ahead = [Ahead(problem, scene, start, None)(far) for start in (again, fresh)]
+    assert ahead[0].cost_m == ahead[1].cost_m
+    assert (ahead[0].position_m == ahead[1].position_m).all()

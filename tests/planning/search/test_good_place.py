@@ -11,7 +11,7 @@ from scenes import bad_where, belief_of, situation_of, small_problem
 from scipy.optimize import brentq
 from terms_scene import SENDING, judge_of, terms_problem
 
-import planopt.planning.ladder as ladder_module
+import planopt.planning.horizon_planner as ladder_module
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.planning.horizon_planner import HorizonPlanner

@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 from scenes import WALL, good_everywhere, search_of, small_problem
 
-from planopt.planning.ground import build_ground, first_moves
+from planopt.planning.scene import build_ground, first_moves
 from planopt.planning.search.lattice_search import search_lattice
-from planopt.planning.search.move_table import move_table
-from planopt.planning.search.moving_moves import MovingMoves, steps_apart
+from planopt.planning.search.moving_moves import MovingMoves, move_table, steps_apart
 from planopt.planning.search.reward_lattice import search_rewards
 from planopt.planning.search.start_search import best_ends, path_to
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES
-from planopt.world.moving_discs import NOTHING_MOVES, path_distances_m
-from planopt.world.moving_obstacle import MovingObstacle, predicted_discs
+from planopt.world.moving_obstacle import (
+    NOTHING_MOVES,
+    MovingObstacle,
+    path_distances_m,
+    predicted_discs,
+)
 
 CART = MovingObstacle("cart", 1.2, (0.0,), ((14.0, 13.0),), (-1.5, -1.0))
 VAN = MovingObstacle("van", 0.7, (0.0,), ((8.0, 12.0),), (1.0, 0.3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planopt.planning.ladder import CLOSE_SHARE, MERGED_STEPS, is_worth_following
+from planopt.planning.horizon_planner import CLOSE_SHARE, MERGED_STEPS, is_worth_following
 from planopt.planning.search.start_search import Start
 
 PATH = np.zeros((4, 2))

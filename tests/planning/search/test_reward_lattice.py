@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scenes import CUP, WALL, small_problem
 
-from planopt.planning.ground import build_ground, first_moves
-from planopt.planning.search.move_table import REACH, move_table
+from planopt.planning.scene import build_ground, first_moves
+from planopt.planning.search.moving_moves import REACH, move_table
 from planopt.planning.search.reward_lattice import search_rewards
 from planopt.planning.search.start_search import best_ends, path_to
 from planopt.world.lattice import MOVES

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.planning.search.node_field import NodeField
+from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.start_search import StageRewards
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.rules.planned import Guide

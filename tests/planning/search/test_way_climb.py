@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planopt.planning.budget import Budget
-from planopt.planning.search.way_climb import climb_ways
+from planopt.planning.search.way_search import climb_ways
 
 START = np.array([1.0, -2.0])
 

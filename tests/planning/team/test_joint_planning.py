@@ -15,8 +15,8 @@ from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team import team_step
-from planopt.planning.team.team_step import TeamMoment
+from planopt.planning.team import crew as team_step
+from planopt.planning.team.crew import TeamMoment
 
 MAPPING = {"kind": "mapping", "form": "information"}
 
@@ -76,9 +76,9 @@ def test_rounds_never_make_the_team_worse(terms):
 
 def _worth_together(solution):
     """The plans' values, each given those before it, from a crew of its own."""
+    from planopt.planning.given import team_seeds
     from planopt.planning.history import BEGINNING
     from planopt.planning.team.crew import build_crew
-    from planopt.planning.team.team_seeds import team_seeds
     from planopt.planning.worth.pending import Pending
 
     crew = build_crew(solution.problem, team_seeds(solution.problem, solution.seed))

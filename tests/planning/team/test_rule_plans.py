@@ -21,7 +21,7 @@ from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.planning.start_polish import RETURNED
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 
 SEED = 3
 

@@ -5,10 +5,10 @@ from terms_scene import TRACKING, situation_of, terms_problem
 
 import planopt.planning.proof.predictions as predictions
 import planopt.planning.team.crew as crew_module
+from planopt.planning.given import team_seeds
 from planopt.planning.team.crew import build_crew
-from planopt.planning.team.team_seeds import team_seeds
-from planopt.planning.worth.aim import Aim
 from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.situation import Aim
 
 
 @pytest.mark.parametrize("name", ["auto", "lattice", "one_step"])

@@ -19,11 +19,11 @@ from planopt.objectives.until_connected import (
     counted_legs_m,
     search_length_m,
 )
-from planopt.planning.ground import build_ground
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.worth.connection_steering import ConnectionSteering
+from planopt.planning.scene import build_ground
 from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.steering import ConnectionSteering
 from planopt.world.clearance import is_clear, swept_clearance_m
 
 THRESHOLD_DBM = -33.0

@@ -13,8 +13,8 @@ from terms_scene import ENERGY, LEARNING, judge_of, situation_of, terms_problem
 
 from planopt import InputError, check, load, load_result, simulate, solve
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.worth.goal_steering import GoalSteering
 from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.steering import GoalSteering
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.load import problem_from_tables
 from planopt.problems.save import problem_to_dict

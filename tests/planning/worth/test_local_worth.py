@@ -18,7 +18,7 @@ from terms_scene import (
 
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.structure import structure_of
+from planopt.planning.worth.situation import structure_of
 
 
 def mapping(form):

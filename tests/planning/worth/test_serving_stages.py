@@ -8,16 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from planopt.channel.connection.connection_law import ConnectionLaw
-from planopt.channel.connection.connection_outcomes import ConnectionOutcomes
+from planopt.channel.connection.connection_law import ConnectionLaw, ConnectionOutcomes
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
-from planopt.objectives.tracking_derivatives import connectivity_derivatives
-from planopt.planning.programme.stage_kernel import margins_of
-from planopt.planning.proof.serving import Serving
+from planopt.objectives.tracking import connectivity_derivatives
+from planopt.planning.programme.margin_source import margins_of
+from planopt.planning.proof.predictions import Serving
 from planopt.planning.worth.serving_stages import ServingStages, StagePredictor, stage_predictor
 
 PATH = np.array([[12.0, 9.0], [16.3, 11.2], [21.1, 13.0], [27.7, 12.1], [33.4, 8.2]])

@@ -17,8 +17,8 @@ from terms_scene import (
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.semidefinite import semidefinite_factor
-from planopt.objectives.energy import expected_transmit_power_w
-from planopt.objectives.filter_gain import covariance_gain, sensing_of
+from planopt.objectives.terms.transmission_energy import expected_transmit_power_w
+from planopt.objectives.tracking_filter import covariance_gain, sensing_of
 from planopt.objectives.until_connected import counted_legs_m
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.search.local_ranking import LocalRanking

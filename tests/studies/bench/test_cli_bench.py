@@ -23,7 +23,7 @@ from planopt.planning.baselines.baseline import held
 from planopt.planning.plan import Rung, Termination
 from planopt.problems.library import find_problem
 from planopt.problems.planner_kinds import PlannerKind, register_planner, unregister_planner
-from planopt.studies import finished_runs
+from planopt.studies import study
 from planopt.studies.bench import references, row
 from planopt.studies.bench.references import read_references, write_references
 
@@ -92,7 +92,7 @@ def test_again_answers_nothing(folder: Path, answered: list[str], capsys) -> Non
 
 def test_another_program_is_refused(folder: Path, monkeypatch, capsys) -> None:
     """Rows of two programs could not be compared; the message names both."""
-    made = dict(finished_runs.program())
+    made = dict(study.program())
     from planopt.studies.bench import folder as module
 
     monkeypatch.setattr(module, "program", lambda: tuple({**made, "planopt": "9.9"}.items()))

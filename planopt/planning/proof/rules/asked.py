@@ -1,12 +1,24 @@
-"""What a rule of connectivity asks of one plan, given what has happened before it."""
+"""What a rule of connectivity asks of one plan, and when its bound counts as missed."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History, data_of_steps_mbit
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, RULE_TOLERANCE
 from planopt.problems.problem import Problem
+
+
+def margin_missed(margin_db: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Where margins are below zero by more than rounding."""
+    return margin_db < -MARGIN_TOLERANCE_DB
+
+
+def is_missed(result: RuleResult) -> bool:
+    """Whether a rule is missed by more than rounding."""
+    return result.missing > RULE_TOLERANCE * max(1.0, abs(result.asked))
 
 
 def data_asked_mbit(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
-from planopt.planning.proof.rules.tolerance import margin_missed
-from planopt.planning.rule_result import RuleResult
+from planopt.planning.proof.rules.asked import margin_missed
 from planopt.problems.problem import Problem
 
 

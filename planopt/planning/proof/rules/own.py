@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.proven import BySlack, PathCase, ProvenRule
-from planopt.planning.rule_result import RuleResult
 from planopt.problems.rule_kinds import register_rule
 
 

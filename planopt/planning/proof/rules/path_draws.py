@@ -20,10 +20,9 @@ from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.channel.prediction import Prediction
-from planopt.planning.proof.broad_prediction import Broad
+from planopt.planning.certificate import RuleResult
+from planopt.planning.proof.predictions import Broad, Serving, connection_law
 from planopt.planning.proof.rules.probable_data import DRAWN, drawn_powers_dbm, share_at_least
-from planopt.planning.proof.serving import Serving, connection_law
-from planopt.planning.rule_result import RuleResult
 from planopt.problems.problem import Problem
 
 SEED = 0

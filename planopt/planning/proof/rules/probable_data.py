@@ -12,9 +12,9 @@ from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableTyp
 
 from planopt.channel.joint import JointPrediction
 from planopt.channel.semidefinite import semidefinite_factor
+from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.asked import data_asked_mbit
-from planopt.planning.rule_result import RuleResult
 from planopt.problems.problem import Problem
 
 DRAWS, SEED = 10_000, 0

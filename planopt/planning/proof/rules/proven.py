@@ -15,15 +15,14 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History, data_of_steps_mbit
-from planopt.planning.proof.broad_prediction import Broad
+from planopt.planning.proof.predictions import Broad, Serving
 from planopt.planning.proof.rules.asked import data_asked_mbit
 from planopt.planning.proof.rules.outage import longest_run, outage_result
 from planopt.planning.proof.rules.path_draws import joint_by_slack, path_draws_dbm
 from planopt.planning.proof.rules.probable_data import probable_data_result
-from planopt.planning.proof.serving import Serving
-from planopt.planning.rule_result import RuleResult
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.problem import Problem
 
 

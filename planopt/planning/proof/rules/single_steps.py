@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
+from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
-from planopt.planning.proof.broad_prediction import Broad
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.goal_paths import (
     PricedPath,
@@ -26,11 +26,10 @@ from planopt.planning.proof.goal_paths import (
     goal_costs,
     price_path,
 )
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.predictions import Broad, search_prediction
 from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
 from planopt.planning.proof.rules.asked import is_priced
 from planopt.planning.proof.rules.proven import asked_steps
-from planopt.planning.rule_result import RuleResult
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from planopt.planning.certificate import RuleResult
+from planopt.planning.proof.rules.asked import is_missed
 from planopt.planning.proof.rules.proven import PathCase, proven_rule
-from planopt.planning.proof.rules.tolerance import is_missed
-from planopt.planning.rule_result import RuleResult
 from planopt.problems.problem import Problem
 
 HALVINGS = 22

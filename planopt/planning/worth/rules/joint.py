@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.objectives.way_batch import WayBatch
-from planopt.objectives.way_slopes import Pull
+from planopt.objectives.told_batch import Pull, WayBatch
 from planopt.planning.plan import Plan
+from planopt.planning.proof.rules.asked import is_missed
 from planopt.planning.proof.rules.path_draws import joint_by_slack
-from planopt.planning.proof.rules.tolerance import is_missed
 from planopt.planning.worth.risk_allocation import LARGEST_RISK, allocated_again
 from planopt.planning.worth.rules.planned import (
     BestWithin,

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
-from planopt.planning.bound_margins import margins_asked_db
 from planopt.planning.history import History
 from planopt.planning.plan import Plan
+from planopt.planning.proof.rules.asked import margin_missed
 from planopt.planning.proof.rules.outage import longest_run
-from planopt.planning.proof.rules.tolerance import margin_missed
+from planopt.planning.tolerances import margins_asked_db
 from planopt.planning.worth.rules.planned import (
     BestWithin,
     Guide,

@@ -21,13 +21,12 @@ from planopt.channel.prediction import (
     bound_quantile,
     connection_probability,
 )
-from planopt.objectives.way_batch import WayBatch
-from planopt.objectives.way_slopes import Pull, pull_of_power
+from planopt.objectives.told_batch import Pull, WayBatch, pull_of_power
 from planopt.planning.plan import Plan
+from planopt.planning.proof.predictions import connection_law
 from planopt.planning.proof.rules.proven import ProvenRule, proven_rule
-from planopt.planning.proof.serving import connection_law
 from planopt.planning.worth.situation import Situation
-from planopt.problems.connectivity_rule import ConnectivityRule
+from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.problem import Problem
 
 UNASKED = 0.5

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
-from planopt.objectives.way_batch import WayBatch
-from planopt.objectives.way_slopes import Pull
+from planopt.objectives.told_batch import Pull, WayBatch
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan
 from planopt.planning.worth.rules.planned import (

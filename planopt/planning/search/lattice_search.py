@@ -100,15 +100,18 @@ def search_lattice(
         + first_length_m * (half[first_nodes] + half[-1])
         + penalty_s[0, first_nodes]
     )
+    # A stage's nodes are the first of `near`: what belongs to their moves is looked up once.
+    sources = road_map.sources[near]
+    # A closed move comes from node n, which costs infinity whatever its surcharge.
+    surcharge = road_map.lengths_m * (half[sources] + half[near, None])
     came_by: list[NDArray[np.intp]] = []
     stages: list[NDArray[np.intp]] = []
     for k in range(1, horizon):
         stage = near[: np.searchsorted(radius, reach * (k + 2), side="right")]
-        sources = road_map.sources[stage]
-        arriving = cost[sources] + move_cost
+        arriving = cost[sources[: len(stage)]]
+        arriving += move_cost
         if surcharge_s_m is not None:
-            # A closed move comes from node n, which costs infinity whatever its surcharge.
-            arriving += road_map.lengths_m * (half[sources] + half[stage, None])
+            arriving += surcharge[: len(stage)]
         rests = _without_blocked(road_map, moving, first_step + k, stage, arriving, goal_node)
         move = arriving.argmin(axis=1)
         best = arriving[np.arange(len(stage)), move] + penalty_s[k, stage]

@@ -26,7 +26,7 @@ from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
-from planopt.problems.objective_forms import OutageCharge
+from planopt.problems.objective_forms import OutageCharge, ReachObjective
 from planopt.studies.bench.cases import library_names
 from planopt.studies.compare import mean_interval
 
@@ -204,7 +204,9 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--horizon", type=int, default=10)
-    parser.add_argument("--charge", default="below_p_min", choices=get_args(OutageCharge))
+    parser.add_argument(
+        "--charge", default=ReachObjective.outage_charge, choices=get_args(OutageCharge)
+    )
     parser.add_argument("--log", type=Path, required=True)
     asked = parser.parse_args()
     names = asked.problems or reach_problems()

@@ -4,8 +4,8 @@ The continuous cost is the integral of ``1 + w v^2`` dt until arrival, in second
 and w the effort weight. In discrete time a step of length l and duration h that starts short of the
 goal costs ``h + w l^2 / h``; standing at the goal costs nothing. A way of length D beyond the
 horizon costs at least ``D min_v (1 + w v^2) / v`` over the speeds allowed: the cost rate below.
-A metre driven where the probability of connection P is below p_min counts more than one metre, by
-the outage price: ``1 + price (1 - P)``.
+A metre driven where the probability of connection is P counts ``1 + price (1 - P)`` metres at the
+outage price, everywhere or only where P is below p_min.
 """
 
 from __future__ import annotations

@@ -225,6 +225,7 @@ class DrivenReach:
             pivot.position_m,
             problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
             cost.rate_s_m * pivot.metre_cost,
+            cost.rate_s_m * (pivot.metre_cost - 1.0),
             1.0 / steps if ends else 0.0,
             ROUNDING_STEPS * problem.step_length_m,
         )

@@ -16,8 +16,7 @@ class ReachObjective:
     """Reach the goal in least time and effort, out of contact as little as that is worth.
 
     The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
-    driven where the probability of connection P is below p_min counts ``1 + outage_price (1 - P)``
-    metres; with the charge everywhere, any metre does.
+    driven where the probability of connection is P counts ``1 + outage_price (1 - P)`` metres.
 
     Attributes
     ----------
@@ -29,13 +28,13 @@ class ReachObjective:
     outage_price
         What a metre that is certainly out of contact costs besides, in metres (a number).
     outage_charge
-        Where that is charged: ``below_p_min``, or ``everywhere``, which is the expected cost.
+        Where that is charged: ``everywhere``, which is the expected cost, or ``below_p_min`` only.
     """
 
     effort_weight_s2_m2: float = 0.1
     cost_to_go: CostToGo = "connected"
     outage_price: float = 10.0
-    outage_charge: OutageCharge = "below_p_min"
+    outage_charge: OutageCharge = "everywhere"
 
     @property
     def charges_everywhere(self) -> bool:

@@ -29,13 +29,13 @@ class ObjectiveTable(Table):
         default=ReachObjective.outage_price,
         ge=0,
         le=1e6,
-        description="A metre driven where the probability of connection P is below p_min counts "
-        "1 + outage_price (1 - P) metres (a number). constraints.slack_max_db = 0 forbids it.",
+        description="A metre driven where the probability of connection is P counts "
+        "1 + outage_price (1 - P) metres (a number). constraints.slack_max_db = 0 forbids holes.",
     )
     outage_charge: OutageCharge = Field(
         default=ReachObjective.outage_charge,
-        description="Where outage_price is charged: below_p_min, or everywhere, so that plans have "
-        "the least expected cost.",
+        description="Where outage_price is charged: everywhere, so that plans have the least "
+        "expected cost, or below_p_min, so that places that keep p_min cost nothing.",
     )
     terms: list[Annotated[Term, ANY_TERM]] = Field(
         default=[],

@@ -11,16 +11,19 @@ from motion_scene import with_dynamics
 from scenes import WALL, bad_band, belief_of, good_everywhere, prepared_of, small_problem
 
 from planopt import load
+from planopt.channel.prediction import Prediction
 from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.plan import Verdict, shifted_drive
+from planopt.planning.plan import Pivot, Verdict, shifted_drive
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
+from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
 from planopt.problems.problem import Problem
 from planopt.robots.double_integrator import DoubleIntegrator
+from planopt.robots.drive import rolled_out
 from planopt.robots.dynamics import Dynamics
 from planopt.robots.unicycle import Unicycle
 from planopt.world.workspace import Obstacle
@@ -156,6 +159,34 @@ def test_cost_of_a_plan_counts_from_where_it_would_stand() -> None:
     rate = (1.0 + 0.1 * 2.0**2) / 2.0
     expected = 2.0 + 0.1 * (lengths**2).sum() + rate * ahead
     assert plan.objective == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_way_to_where_it_would_stand_is_charged() -> None:
+    """At P = 1/2 everywhere each metre counts alike, driven, braked or left."""
+    problem = reach(dynamics=BOAT, horizon=3)
+    rule = problem.stations[0].threshold_dbm
+    drive = rolled_out(BOAT, (5.0, 15.0, 1.0, 0.0), np.full((3, 2), (0.3, 0.1)), 1.0)
+    goal = Pivot(np.asarray(problem.goal_m), 0.0, 6.0)
+
+    def even(places_m: np.ndarray) -> Prediction:
+        return Prediction(np.full(len(places_m), rule), np.full(len(places_m), 3.0))
+
+    cost = ReachCost(problem, drive.positions_m[0], even, ahead=lambda _: goal)
+    places = np.vstack([drive.positions_m, resting_places_m(drive)[-1], goal.position_m])
+    metres = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+    left = np.linalg.norm(places[-1] - places[-2])
+    expected = 3.0 + 0.5 * (left + 10.0 * 0.5 * metres)
+    assert cost(drive.positions_m[1:], drive) == pytest.approx(expected, rel=1e-9)
+
+
+def test_goal_out_of_contact_is_driven_to_at_once() -> None:
+    """With speed left at the horizon's end nothing is free: nobody takes a run-up instead."""
+    problem = reach(dynamics=BOAT, cost_to_go="connected", horizon=8)
+    simulation = driven(problem, bad_band(24.0, 40.0, 40.0))
+    assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
+    straight = np.linalg.norm(np.subtract(problem.goal_m, problem.robots[0].start_m))
+    assert simulation.run.metrics.path_m <= 1.1 * straight
+    assert simulation.run.metrics.goal_time_s <= 1.5 * bang_bang_s(straight, BOAT)
 
 
 def test_unconnected_gap_is_crossed_or_gone_round() -> None:

@@ -154,6 +154,12 @@ def faint_about(positions_m: np.ndarray) -> np.ndarray:
     return np.where(bad_disc(9, 15, 1.9)(positions_m) < THRESHOLD_DBM, BAD, THRESHOLD_DBM + 0.8)
 
 
+def charged_below_p_min() -> Problem:
+    """The small problem where places that keep the bound cost nothing."""
+    problem = small_problem()
+    return replace(problem, objective=replace(problem.objective, outage_charge="below_p_min"))
+
+
 def at_price(price: float) -> Problem:
     """The small problem at a price of outage."""
     problem = small_problem()
@@ -398,7 +404,15 @@ CASES: dict[str, Case] = {
         best_m=330.0,
     ),
     "hole in faint contact": Case(
-        along(5, 7, 9, 11), power_at=faint_about, relaxed=(2,), cost_m=128.8, best_m=136.3
+        along(5, 7, 9, 11), power_at=faint_about, relaxed=(2,), cost_m=130.7, best_m=136.5
+    ),
+    "hole in faint contact, charged where it misses the bound": Case(
+        along(5, 7, 9, 11),
+        problem=charged_below_p_min(),
+        power_at=faint_about,
+        relaxed=(2,),
+        cost_m=128.8,
+        best_m=136.3,
     ),
     "at one place only": Case(
         along(5, 7, 9), power_at=one_good_place, relaxed=(1, 2), cost_m=330.0, best_m=330.0
@@ -691,6 +705,11 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         STEPS,
         "outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere)",
         "outage_share(chance, margin < np.inf, everywhere)",
+    ),
+    "never charged everywhere": (
+        STEPS,
+        "outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere)",
+        "outage_share(chance, margin < -MARGIN_TOLERANCE_DB)",
     ),
     "no path cost said": (STEPS, "path_cost_m=priced.cost_m,", "path_cost_m=None,"),
     "costs exchanged": (STEPS, "path_cost_m=priced.cost_m,", "path_cost_m=priced.best_m,"),

@@ -24,6 +24,7 @@ from planopt.planning.free_space import obstacles_met
 from planopt.planning.message import plan_message
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.verify import judge
 from planopt.planning.robot_problem import problem_at
 from planopt.planning.worth.left_to_learn import workspace_region
@@ -356,7 +357,7 @@ def rebuilt_plan(
         place = np.array([record.pivot.x_m, record.pivot.y_m])
         pivot = Pivot(place, record.pivot.cost_m, record.pivot.metre_cost)
     if problem.task == "reach":
-        objective = _reach_cost(problem, path_m, drive, power, pivot, record.rung)
+        objective = _reach_cost(asked, path_m, drive, power, pivot, record.rung)
     else:
         objective = _worth(asked, path_m)
     return Plan(
@@ -385,21 +386,24 @@ def rebuilt_plan(
 
 
 def _reach_cost(
-    problem: Problem,
+    asked: Asked,
     path_m: NDArray[np.float64],
     drive: Drive | None,
     power: Prediction,
     pivot: Pivot | None,
     rung: str,
 ) -> float:
-    """Return the cost of a path to a goal, at the power that the verifier predicted."""
+    """Return the cost of a path to a goal, at the power that the verifier predicted along it."""
 
-    def certified(_: NDArray[np.float64]) -> Prediction:
-        return power
+    def certified(places_m: NDArray[np.float64]) -> Prediction:
+        if np.array_equal(places_m, path_m):
+            return power
+        return search_prediction(asked.posteriors[0], places_m, asked.circumstances.broad)
 
     ahead = None if pivot is None else partial(_pivot_itself, pivot)
     priced = rung != Rung.DIRECT.value
-    return ReachCost(problem, path_m[0], certified, ahead, priced)(path_m[1:], drive)
+    cost = ReachCost(asked.problem, path_m[0], certified, ahead, priced)
+    return cost(path_m[1:], drive)
 
 
 def _pivot_itself(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:

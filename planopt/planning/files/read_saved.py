@@ -314,6 +314,13 @@ ON_THE_WAY = ("pivot", "route", "holes")
 OWN_METRICS = ("path_m", "true_connected_share", "longest_outage_m", "measured_steps")
 """Metrics of a run that its robots have as well."""
 
+FORMER_DEFAULTS = (
+    ("planner", "coordination", "decoupled"),
+    ("objective", "outage_charge", "below_p_min"),
+)
+"""Table, key and value of what was so before there was a key: robots of a team counted nothing of
+the others', and places that keep p_min cost nothing on the way to a goal."""
+
 NO_AIM = dict.fromkeys(("target_x_m", "target_y_m", "steering_m", "steering_turns_m"))
 
 Table = dict[str, Any]
@@ -324,7 +331,7 @@ def without_former_forms(file: Path, data: Mapping[str, Any]) -> tuple[Mapping[s
 
     What does not have the form that it should have is left as it is, for the reader to report.
     """
-    data = _decoupled(data)
+    data = _with_former_defaults(data)
     if "format" in data or not isinstance(data.get("robots"), list):
         return data, False
     table = {"format": FORMAT, **data}
@@ -338,14 +345,18 @@ def without_former_forms(file: Path, data: Mapping[str, Any]) -> tuple[Mapping[s
         return {"format": FORMAT, **data}, True
 
 
-def _decoupled(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Robots of a team counted nothing of the others' before there was a key that says so."""
-    problem = data.get("problem_file")
-    planner = cast("Table", problem).get("planner") if isinstance(problem, dict) else None
-    if not isinstance(planner, dict) or "coordination" in planner:
-        return data
-    settings = {**cast("Table", planner), "coordination": "decoupled"}
-    return {**data, "problem_file": {**cast("Table", problem), "planner": settings}}
+def _with_former_defaults(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Say what was meant before there were keys that say so."""
+    given = data.get("problem_file")
+    tables = cast("Table", given) if isinstance(given, dict) else {}
+    task = tables.get("problem")
+    reaches = isinstance(task, dict) and cast("Table", task).get("task") == "reach"
+    changed: Table = {}
+    for table, key, former in FORMER_DEFAULTS:
+        settings = tables.get(table)
+        if isinstance(settings, dict) and key not in settings and (reaches or table != "objective"):
+            changed[table] = {**cast("Table", settings), key: former}
+    return {**data, "problem_file": {**tables, **changed}} if changed else data
 
 
 def _reaches(data: Table) -> bool:

@@ -14,6 +14,10 @@ from planopt.planning.plan import Pivot
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 
+BRAKING_PLACES = 9
+"""Places on the way to where a robot would come to stand: it begins where a hole does, and where
+its two ends alone were charged, standing before the hole would look cheaper than crossing it."""
+
 
 @dataclass(frozen=True)
 class ReachCost:
@@ -62,7 +66,8 @@ class ReachCost:
             The places.
         drive
             How the robot drives along them; None for the single integrator. What lies ahead of any
-            other is counted from where it would come to stand, and with the time it turns before.
+            other is counted from where it would come to stand, with the price of outage on the way
+            there and with the time it turns before.
         """
         problem = self.problem
         resting = None if drive is None else resting_places_m(drive)
@@ -80,6 +85,10 @@ class ReachCost:
         if self.ahead is None:
             return cost
         end = path_m[-1] if resting is None else resting[-1]
+        if resting is not None and self.priced:
+            along = np.linspace(0.0, 1.0, BRAKING_PLACES)[:, None]
+            braking = path_m[-1] + along * (end - path_m[-1])
+            cost += self.rate_s_m * self.outage_price * self._charged_m(braking)
         pivot = self.ahead(end)
         to_pivot = float(np.linalg.norm(end - pivot.position_m))
         if drive is not None:

@@ -82,7 +82,7 @@ class ReachPlanner:
         self.problem = problem
         self.scene = scene
         self._eased = eased(problem)
-        self._search = GlobalSearch(self._eased, scene)
+        self._search = GlobalSearch(self._eased, scene, others)
         self._region = workspace_region(problem)
         # What the verifier compares prices on; a bound that may not be missed has none.
         may_miss = problem.constraints.rule.slack_max_db is None

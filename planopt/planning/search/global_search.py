@@ -103,6 +103,8 @@ class GlobalSearch:
     ----------
     problem, scene
         What is planned, and where.
+    others
+        Robots beside the problem's, for which it may have to make room.
 
     Attributes
     ----------
@@ -110,7 +112,7 @@ class GlobalSearch:
         Connectivity at the lattice nodes, as the last search left it.
     """
 
-    def __init__(self, problem: Problem, scene: Scene) -> None:
+    def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self._problem = problem
         self._scene = scene
         constraints = problem.constraints
@@ -127,7 +129,7 @@ class GlobalSearch:
         self._forbids = rule.connectivity == "each_step" and rule.slack_max_db is not None
         self._is_alone = (
             rule.is_plain
-            and len(problem.robots) == 1
+            and not others
             and not problem.robots[0].dynamics
             and not problem.workspace.moving
         )

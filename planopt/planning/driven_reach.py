@@ -27,7 +27,7 @@ from planopt.planning.horizon_planner import Ladder
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.pivot import ROUNDING_STEPS, GoalCharge, find_pivot
+from planopt.planning.programme.pivot import ROUNDING_STEPS, Ahead, GoalCharge, find_pivot
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.lattice_search import retime
@@ -96,23 +96,29 @@ class DrivenReach:
         if start.is_direct and (direct := self._direct(judge, start, warm)) is not None:
             return direct, None
         starts = self._starts(situation, judge, start, warm)
+        ahead = Ahead(self._problem, self._scene, start, node_margin_db)
+        cost = ReachCost(
+            self._problem, judge.position_m, situation.power, ahead, priced=not start.is_direct
+        )
         # Of ways that come too near to obstacles, nobody knows where they would end.
         ends = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
         now = np.array(dynamics_of(self._problem).resting_place(tuple(judge.state)))
-        pivot = self._pivot(start, ends or [now], node_margin_db)
-        cost = ReachCost(
-            self._problem, judge.position_m, situation.power, priced=not start.is_direct
-        )
-        found = self._climb(situation, judge, starts, cost, pivot, warm, budget)
+        shared = self._pivot(start, ends or [now], node_margin_db)
+
+        def own(each: Start) -> Pivot:
+            if not each.clear or each.drive is None:
+                return shared
+            return self._pivot(start, [resting_places_m(each.drive)[-1]], node_margin_db)
+
+        found = self._climb(situation, judge, starts, cost, own, warm, budget)
         if self._gets_nowhere(found):
             # Perhaps the pivot is not seen from here: then the straight way to it leads nowhere.
             nearer = self._pivot(start, [now], node_margin_db)
-            if not np.array_equal(nearer.position_m, pivot.position_m):
-                pivot = nearer
-                found = self._climb(situation, judge, starts, cost, pivot, warm, budget)
+            if not np.array_equal(nearer.position_m, shared.position_m):
+                found = self._climb(situation, judge, starts, cost, lambda _: nearer, warm, budget)
         if start.is_direct:
-            found = _named_direct(found, replace(cost, ahead=_always(pivot), priced=True))
-        return found, pivot
+            found = _named_direct(found, replace(cost, priced=True))
+        return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
     def _direct(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> Candidate | None:
         """Drive the shortest path from rest to rest, node by node; None where nobody knows how.
@@ -190,12 +196,11 @@ class DrivenReach:
         judge: Judge,
         starts: list[Start],
         cost: ReachCost,
-        pivot: Pivot,
+        pivot_of: Callable[[Start], Pivot],
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """What the ladder makes of the starts, charged by a pivot."""
-        cost = replace(cost, ahead=_always(pivot))
+        """What the ladder makes of the starts, each drawn to a pivot."""
         judge = _charging(judge, cost)
         if stops_at_goal(self._problem, judge.state):
             stopped = _stopped(judge)
@@ -205,7 +210,7 @@ class DrivenReach:
             replace(
                 each,
                 worth=judge.sense * cost(each.path_m, each.drive),
-                charge=self._charge(cost, pivot, each.drive),
+                charge=self._charge(cost, pivot_of(each), each.drive),
             )
             for each in starts
             if each.drive is not None
@@ -237,15 +242,6 @@ class DrivenReach:
         resting = resting_places_m(found.drive)
         moved = float(np.linalg.norm(resting - resting[0], axis=1).max())
         return moved <= STAGNANT_STEPS * self._problem.step_length_m
-
-
-def _always(pivot: Pivot) -> Callable[[NDArray[np.float64]], Pivot]:
-    """The same pivot wherever a path ends."""
-
-    def ahead(_end_m: NDArray[np.float64]) -> Pivot:
-        return pivot
-
-    return ahead
 
 
 def _named_direct(found: Candidate, priced: ReachCost) -> Candidate:

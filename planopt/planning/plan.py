@@ -86,7 +86,7 @@ class Pivot:
     position_m
         ``(2,)``.
     cost_m
-        Metres from there to the goal, those below the bound counted at the outage price.
+        Metres from there to the goal, outage counted at its price.
     metre_cost
         What a metre on the way to it counts, at least 1.
     """

@@ -15,7 +15,12 @@ from pydantic import ValidationError
 from planopt.errors import InputError, require_text
 from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.build import build
-from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth, SampledMeasurements
+from planopt.problems.channel_setup import (
+    GivenParameters,
+    LoggedMeasurements,
+    RasterTruth,
+    SampledMeasurements,
+)
 from planopt.problems.checks import check
 from planopt.problems.library import find_problem
 from planopt.problems.messages import input_error
@@ -38,12 +43,13 @@ def check_files(problem: Problem) -> None:
         A station's map or its log of measurements is not a file.
     """
     truth, measurements = problem.channel.truth, problem.channel.measurements
-    if isinstance(measurements, SampledMeasurements) and measurements.count == 0:
+    none_taken = isinstance(measurements, SampledMeasurements) and measurements.count == 0
+    if none_taken and not _is_known(problem.channel.given):
         raise InputError(
             "is 0, should be greater than or equal to 1",
             file=problem.file,
             key="channel.measurements.count",
-            remedy="take some, or give the file of a log",
+            remedy="take some, give the file of a log, or all of channel.fit.given",
         )
     for number, radio in enumerate(problem.stations):
         if isinstance(truth, RasterTruth):
@@ -54,6 +60,11 @@ def check_files(problem: Problem) -> None:
             own = radio.log_file is not None
             key = f"stations[{number}].log_file" if own else "channel.measurements.file"
             _check_file(problem, log_of(measurements, radio).file, key)
+
+
+def _is_known(given: GivenParameters | None) -> bool:
+    """Whether nothing of the channel's parameters is left to be estimated."""
+    return given is not None and given.k_pl_db is not None
 
 
 def _check_map(problem: Problem, path: Path, key: str) -> None:

@@ -14,6 +14,7 @@ from planopt.channel.posterior import condition
 from planopt.planning.given import with_drawn_starts
 from planopt.planning.prepare import prepare
 from planopt.problems.channel_setup import GivenParameters, SampledMeasurements
+from planopt.problems.load import check_files
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 SEEDS = range(60)
@@ -140,5 +141,9 @@ def test_without_a_first_measurement(fig4, tmp_path):
     assert run.first_measurements == 0 and run.verified_rate == 1.0
     run.save(tmp_path / "run")
     assert check(tmp_path / "run").verdict.value == "verified"
+    check_files(replace(fig4, channel=channel))
+    unknown = replace(fig4, channel=replace(channel, given=None))
     with pytest.raises(InputError, match="no first measurements"):
-        simulate(replace(fig4, channel=replace(channel, given=None)), seed=1)
+        simulate(unknown, seed=1)
+    with pytest.raises(InputError, match=r"or all of channel\.fit\.given"):
+        check_files(unknown)

@@ -186,7 +186,17 @@ def test_goal_out_of_contact_is_driven_to_at_once() -> None:
     assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
     straight = np.linalg.norm(np.subtract(problem.goal_m, problem.robots[0].start_m))
     assert simulation.run.metrics.path_m <= 1.1 * straight
-    assert simulation.run.metrics.goal_time_s <= 1.5 * bang_bang_s(straight, BOAT)
+    assert simulation.run.metrics.goal_time_s <= 1.75 * bang_bang_s(straight, BOAT)
+
+
+@pytest.mark.parametrize(("low_m", "high_m", "horizon"), [(12.0, 20.0, 8), (10.0, 26.0, 12)])
+def test_hole_is_crossed_without_hovering(low_m: float, high_m: float, horizon: int) -> None:
+    """What a drive that crosses is worth is told by the search's cost-to-go where it comes to."""
+    problem = reach(dynamics=BOAT, cost_to_go="connected", horizon=horizon)
+    simulation = driven(problem, bad_band(low_m, high_m))
+    assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
+    assert "direct" not in simulation.run.rungs
+    assert simulation.run.metrics.goal_time_s <= 1.5 * bang_bang_s(30.0, BOAT)
 
 
 def test_unconnected_gap_is_crossed_or_gone_round() -> None:

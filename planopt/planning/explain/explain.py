@@ -408,7 +408,8 @@ def explain_crossing(
     scene = build_scene(problem)
     rule, constraints = problem.constraints.rule, problem.constraints
     threshold_dbm = problem.stations[0].threshold_dbm - (rule.slack_max_db or 0.0)
-    margins = NodeMargins(scene.road_map, threshold_dbm, constraints.p_min)
+    everywhere = problem.reach.charges_everywhere
+    margins = NodeMargins(scene.road_map, threshold_dbm, constraints.p_min, everywhere)
     margins.refresh(posteriors[0], broad_prediction(problem, posteriors))
     price, start = problem.reach.outage_price, plan.positions_m[0]
     cost_m, _ = _way(problem, scene, margins, start, price * margins.outage_share)

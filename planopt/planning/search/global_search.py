@@ -1,6 +1,6 @@
 """The global start of a plan to a goal: the cheapest lattice path at the outage price.
 
-The cost-to-go is the length of the cheapest path to the goal, a metre below the bound counting
+The cost-to-go is the length of the cheapest path to the goal, a metre counting
 ``1 + outage_price (1 - P)`` metres; the path of N steps is found by dynamic programming with the
 same charges, so that both agree about every metre. A rule of connectivity over several steps is
 searched for under guides (:class:`planopt.planning.worth.rules.planned.Guide`); of the paths that

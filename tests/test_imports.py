@@ -13,13 +13,12 @@ import planopt
 HEAVY = {"casadi", "cvxpy", "matplotlib", "networkx", "sklearn"}
 SOLVING = (
     "planopt.planning.judge",
-    "planopt.planning.judge",
     "planopt.planning.programme",
     "planopt.planning.reach_planner",
     "planopt.planning.refine",
     "planopt.planning.search",
 )
-"""Modules and rooms that plan."""
+"""Modules and packages that plan."""
 
 
 def modules_after(statement: str) -> set[str]:
@@ -34,7 +33,7 @@ def modules_after(statement: str) -> set[str]:
 
 
 def test_import_of_package_is_light() -> None:
-    """`import planopt` loads none of its rooms."""
+    """`import planopt` loads none of its packages."""
     loaded = modules_after("import planopt")
     assert {name for name in loaded if name.startswith("planopt")} == {
         "planopt",

@@ -9,12 +9,10 @@ errors as below. The offset is a random effect: a constant of each receiver that
 so that no mean needs a column for it. Predictions are for receiver 0, the reference, so that places
 have no offset.
 
-What an error of a position (GPS) does to a power measured or predicted there.
-
-The power belongs to the true place, the record names another one. With independent planar Gaussian
-errors e of deviation sigma in either coordinate, the covariance of two powers is the kernel
-averaged over the errors (Cressie and Kornak, Spatial Statistics in the Presence of Location Error,
-2003). Here xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
+A measured power belongs to the true place, but the record names another one (GPS). With independent
+planar Gaussian errors e of deviation sigma in either coordinate, the covariance of two powers is
+the kernel averaged over the errors (Cressie and Kornak, Spatial Statistics in the Presence of
+Location Error, 2003). Here xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
 
     xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta),    c = 1.2 sigma^2.
 

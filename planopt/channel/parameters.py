@@ -1,9 +1,8 @@
 """The parameters of the channel model, and the part of path loss that is estimated.
 
-Where the distances to the station hardly differ, n_PL is not identifiable. It is then held at a
-stated prior value, and its uncertainty is carried into the covariance of theta.
-
-Path loss: the mean of the received power, linear in theta = (K_PL, n_PL).
+Path loss, the mean of the received power, is linear in theta = (K_PL, n_PL). If the distances to
+the station hardly differ, n_PL is not identifiable. It is then held at a stated prior value, and
+its uncertainty is carried into the covariance of theta.
 """
 
 from __future__ import annotations

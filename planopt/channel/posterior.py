@@ -1,14 +1,14 @@
 """The posterior: received power anywhere, given measurements, with path loss estimated.
 
-The factor of the measurements' covariance is what costs. It is kept, shared between successive
-posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies nothing. Beyond
-`EXACT_LIMIT` there is none: theta comes from Vecchia's approximation and a prediction from the
-measurements near it, so that one more measurement costs the same whatever there are.
+The expensive part is the factor of the measurements' covariance. It is kept, shared between
+successive posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies
+nothing. Beyond `EXACT_LIMIT` there is none: theta comes from Vecchia's approximation and a
+prediction from the measurements near it, so that the cost of one more does not depend on their
+number.
 
-Rows of a factor, or sums over neighbours. Path loss is found by generalised least squares from
-products of whitened columns, or by ordinary least squares with the error that it has under the
-model: the latter weighs every measurement alike, which is not best where shadowing is correlated,
-but does not depend on xi, beta and omega.
+Path loss is found by generalised least squares from products of whitened columns, or by ordinary
+least squares with the error that it has under the model: the latter weighs every measurement alike,
+which is not best where shadowing is correlated, but does not depend on xi, beta and omega.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""S and B of equation 1.11 with derivatives by the path, of measurements that count in part too.
+"""S and B of equation 1.11 with derivatives by the path; measurements may count in part.
 
 Row and column i of S, and row i of B, depend on q_i. So the derivative of S by coordinate a of q_i
 is ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are kept. Coordinates are numbered
-x_1, y_1, x_2, y_2, ... throughout. Where measurements are gated a
-place has its gate as a third coordinate, and what is said of 2 h coordinates holds of 3 h.
+x_1, y_1, x_2, y_2, ... throughout.
 
 A measurement of gate g in [0, 1] is one of g times what the channel gives there, with noise that
 fills its variance up to that of measuring blindly, kappa = xi^2 + omega^2:
@@ -12,7 +11,8 @@ fills its variance up to that of measuring blindly, kappa = xi^2 + omega^2:
 
 With g = 1 that is the measurement itself, with g = 0 one that tells nothing, and every objective of
 S and B stays what it is. Each gate is a third coordinate of its place, on which row and column i of
-S_g depend as they do on the place; :func:`by_places` then puts in how gates change with the places.
+S_g depend as they do on the place, so that with gates 2 h coordinates become 3 h;
+:func:`by_places` then puts in how gates change with the places.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """The channel near a path, smooth and at a cost that does not grow, for derivatives.
 
 The places of a path belong together in the information objectives, so that they share one set of
-measurements: of those nearest to each place, in turn, until there are enough.
+measurements: of those nearest to each place, in turn, until there are enough. A joint law needs the
+factor of the measurements' covariance, which a posterior of very many does not have; it is then
+conditioned anew on those near the places.
 
 exp(-d / beta) has a cusp at d = 0 and log d a pole. As everywhere in planning, distances to a
 measurement become ``sqrt(d^2 + eps^2)`` with eps a hundredth of the decorrelation distance, and the
 distance to the station ``sqrt(d^2 + MIN_DISTANCE_M^2)``. The kernel is then smaller than the exact
 one by at most the share eps / beta = 0.01, at d = 0; at d = 10 eps by a twentieth of that.
-
-A joint law needs the factor of the measurements' covariance, which a posterior of very many does
-not have. It is then conditioned anew on those near the places in question.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
-"""The value of a path for the map of the channel (equations 4.3 to 4.6), with derivatives.
+"""The value of a path for the map of the channel (equations 4.3 to 4.6), and its derivatives.
 
 `universal` says which variance counts: that as if theta were known (Lemma 2 of [GM11]), or that
 with the uncertainty of theta (exact). Where theta is known they are the same.
 
-Besides the kernel's, two kinks are rounded: the threshold, within `THRESHOLD_ROUNDING` of the
-channel's variance, and the length of a leg, within the kernel's rounding. Beyond these widths the
-value is that of the local channel.
+Derivatives are those of the local channel (:mod:`planopt.objectives.local_channel`). Besides its
+kernel, two kinks are rounded: the threshold, within `THRESHOLD_ROUNDING` of the channel's variance,
+and the length of a leg, within the kernel's rounding. Beyond these widths the value is that of
+the local channel.
 """
 
 from __future__ import annotations
@@ -244,7 +245,7 @@ def path_uncertainty_derivatives(
     settings: Uncertainty,
     gates: Gates | None = None,
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.mapping.path_uncertainty` with derivatives.
+    """Return :func:`path_uncertainty` with derivatives.
 
     Parameters
     ----------

@@ -1,19 +1,18 @@
 """Information that a path gathers on path loss, and information objectives with derivatives.
 
-All rest on M_{t+h}^-1 = M_t^-1 + B' S^-1 B, which is exact. [GM11] maximises the trace of the
-increment, criterion T. That is scale dependent, (10 log10 d)^2 dominates it and the robot runs for
-the far walls; D, the default, and A and V look at what is left unknown instead.
+Criteria T, D, A and V all rest on M_{t+h}^-1 = M_t^-1 + B' S^-1 B, which is exact. [GM11] maximises
+the trace of the increment, criterion T. That is scale dependent, (10 log10 d)^2 dominates it and
+the robot runs for the far walls; D, the default, and A and V look at what is left unknown instead.
 
-Where the measurements do not identify theta, the posterior has a weak prior on it
+If the measurements do not identify theta, the posterior has a weak prior on it
 (:data:`planopt.channel.posterior.WEAK_THETA_DEVIATION`). It is part of M_t and stays in the
 plan, so that every criterion is finite from no measurement on.
 
-Criteria T, D, A and V of :mod:`planopt.objectives.path_loss_learning`, and information and
-spatial average of :mod:`planopt.objectives.mapping`. Two things differ from the values there: cusps
-are rounded (:mod:`planopt.objectives.local_channel`) and only the measurements of the local
-channel are used. What a solver returns is to be valued again with the exact posterior. Places that
-bring no measurement, or are near to that, count by their gates
-(:mod:`planopt.objectives.batch_derivatives`).
+Derivatives, here also of the information and the spatial average of
+:mod:`planopt.objectives.mapping`, differ from the values in two ways: cusps are rounded and only
+the measurements of the local channel are used (:mod:`planopt.objectives.local_channel`). The path
+that a solver returns is to be valued again with the exact posterior. Places that bring no
+measurement, or nearly none, count by their gates (:mod:`planopt.objectives.batch_derivatives`).
 """
 
 from __future__ import annotations
@@ -209,7 +208,7 @@ def path_loss_derivatives(
     criterion: Criterion,
     gates: Gates | None = None,
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.path_loss_learning.path_loss_value` with derivatives.
+    """Return :func:`path_loss_value` with derivatives.
 
     With N = M^-1 + B' S^-1 B the criterion's derivative by N is a positive semidefinite Z = F F'
     (I for T, N^-1 for D, N^-1 G N^-1 for V), and its curvature -c tr(Z dN N^-1 dN), c = 0, 1, 2.
@@ -256,7 +255,7 @@ def path_information_derivatives(
     universal: bool = True,
     gates: Gates | None = None,
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.mapping.path_information` with derivatives; omega > 0."""
+    """Return :func:`planopt.objectives.mapping.path_information` with derivatives; omega > 0."""
     batch = batch_derivatives(channel, require_places(path_m), universal)
     batch = gated_batch(batch, gates, channel.parameters)
     factor = batch_factor(batch.covariance)
@@ -289,7 +288,7 @@ def average_reduction_derivatives(
     universal: bool = True,
     gates: Gates | None = None,
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.mapping.average_reduction` with derivatives.
+    """Return :func:`planopt.objectives.mapping.average_reduction` with derivatives.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Predictions along many ways at once, what the measurements on them tell, and slopes by place.
+"""Predictions along many ways at once, what measurements on them tell, and slopes by place.
 
-A place of gate g counts as :mod:`planopt.objectives.batch_derivatives` has it: 1 where it brings a
-measurement, 0 where it brings none, and between where ways climb, so that slopes show the way out.
-
-The kernel in single precision: for choosing among ways, where its cost counts most.
+The kernel between places and measurements is in single precision: this is for choosing among ways,
+where its cost counts most. A place of gate g counts as in
+:mod:`planopt.objectives.batch_derivatives`: 1 where it brings a measurement, 0 where it brings
+none, and between where ways climb, so that slopes show the way out.
 
 Whatever a term does with S and B, its derivatives by the places follow from those by S, by B and by
 the covariances with the measurements, at the cost of one more valuation for all ways together.

@@ -1,6 +1,6 @@
-"""Draw what a problem and a seed give before anything is learnt.
+"""Draw the initial data of a run: ground truth, first measurements, and drawn starts.
 
-The ground truth, the first measurements, and starts that are drawn.
+All follow from the problem and the seed, each from a random stream of its own.
 """
 
 from __future__ import annotations

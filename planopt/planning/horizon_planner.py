@@ -1,6 +1,8 @@
 """One receding-horizon step for a sum of terms: global starts, and the failure ladder over them.
 
-Whether one more start is worth a polish once others have been polished.
+The ladder polishes starts in turn, the best first, until a candidate is verified, and goes on only
+to starts that may lead to something better. Without a verified candidate it falls back on the rest
+of the last plan or on stopping.
 """
 
 from __future__ import annotations
@@ -101,7 +103,7 @@ class Ladder:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Go down the failure ladder until a candidate is verified; else the least bad one.
+        """Try each fallback in turn; return the first verified candidate, else the least bad one.
 
         Parameters
         ----------

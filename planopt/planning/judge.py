@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.certificate import Certificate
+from planopt.planning.certificate import Certificate, plan_message
 from planopt.planning.leaving import leaving_path
-from planopt.planning.message import plan_message
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.verify import judge

@@ -1,6 +1,7 @@
 """A plan: a trajectory, why the solver stopped, what the point is worth, and its next step.
 
-What no plan may give up, whatever becomes of connectivity: clearance, workspace, speed.
+Whatever becomes of connectivity, no plan may give up clearance, workspace and speed
+(:func:`is_sound`), so that the rest of a verified plan can be driven in place of a new one.
 """
 
 from __future__ import annotations

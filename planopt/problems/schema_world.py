@@ -1,4 +1,4 @@
-"""``[world]``: where robots may be, and what stands or moves there."""
+"""``[world]``: the workspace, its obstacles, and those that move."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""What the tables of a problem file have in common, and those of frozen dataclasses.
+"""The common rules of a problem file's tables, and tables that describe frozen dataclasses.
 
 Numbers are finite, integers are no booleans, text is no number, and a key that is not known is
 an error: a problem file with a slip in it must not plan something else.
 
-Types, ranges and meanings stand in the annotations of the dataclass, and its defaults are those of
-the table: what a file may say and what Python works with are one definition.
+If a table describes a dataclass, types, ranges and meanings stand in the annotations of the
+dataclass, and its defaults are those of the table: file and Python share one definition.
 """
 
 from __future__ import annotations

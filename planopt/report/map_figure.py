@@ -1,4 +1,4 @@
-"""Maps of the channel, of logs and beliefs: predicted power, deviation, chance of connection."""
+"""Maps of what is known of the channel: predicted power, deviation, chance of connection."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """How a robot drives along a path, and where it is at which time until it stands.
 
-Of the single integrator, q+ = q + h v with a speed limit, the way within a step is straight.
+The single integrator, q+ = q + h v with a speed limit, drives straight within a step.
 """
 
 from __future__ import annotations

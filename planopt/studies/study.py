@@ -1,10 +1,10 @@
 """Run studies: many results in processes, each kept and recorded when it is finished.
 
-A study that was stopped, however that was, goes on when it is run again with the same record.
+A study that was stopped, in whatever way, goes on when it is run again with the same record.
 
-Each run has a file, named by a digest of all that decides its result: the problem with the content
-of the files that it names, the seed, and the program. A run is written when it is finished, whole,
-by whichever process drove it.
+Each closed-loop run has a file, named by a digest of all that decides its result: the problem with
+the content of the files that it names, the seed, and the program. Whichever process drove the run
+writes its file when it is finished, whole.
 """
 
 from __future__ import annotations

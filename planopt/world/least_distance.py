@@ -1,8 +1,8 @@
-"""How near two motions come to each other at equal times: straight ones, and curved ones.
+"""Least distance of two motions at equal times: of straight ones, and of curved ones.
 
-Seen from the second, the first moves on a curve. Between two times that are d apart it is nowhere
-farther than ``c d^2 / 8`` from straight and even motion, c the sum of how far both curve; that
-motion's least distance has a closed form, and so the true one is known within ``c d^2 / 8``.
+Straight and even motions have a closed form. Seen from the second, a curved first one is, between
+two times that are d apart, nowhere farther than ``c d^2 / 8`` from straight and even motion, c the
+sum of how far both curve; so its least distance is known within ``c d^2 / 8`` of the closed form.
 Intervals that may hold the least distance are halved until it is known closely enough.
 """
 

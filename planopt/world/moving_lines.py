@@ -6,12 +6,12 @@ the start path, gives two linear rows with offsets of their own::
 
     n . (q_{k-1} - c_{k-1}) >= R,    n . (q_k - c_k) >= R
 
-Where both hold, the whole step keeps the distance R.
+If both hold, the whole step keeps the distance R.
 
-How it stops is a consequence of where and how fast the last step ends. After the start path the way
-of stopping keeps ``g = min_t n . (p(t) - c(t)) - R`` more than it must from a disc, the normal n
-fixed where they are nearest. Where neither the last place nor the place of standstill moves more
-than g towards the disc, no place between does.
+The way of stopping is a consequence of where and how fast the last step ends. After the start path
+it keeps ``g = min_t n . (p(t) - c(t)) - R`` more than it must from a disc, the normal n fixed where
+they are nearest. If neither the last place nor the place of standstill moves more than g towards
+the disc, no place between does.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What moves: discs that are straight during each step, predicted between known places.
+"""Moving obstacles: discs that are straight during each step, predicted between known places.
 
-What is not known of its way may grow the disc. The error of the predicted centre, t seconds after
+Uncertainty of its way may grow a disc. The error of the predicted centre, t seconds after
 the prediction was made, is ``e_0 + a t^2 / 2`` with e_0 and a Gaussian, independent, and of equal
 deviation along both axes. During a step it moves straight from its value at the begin to that at
 the end, so it stays within a disc if both do. An error of deviation sigma exceeds

@@ -1,46 +1,41 @@
-"""The calibrated law of a connection, and what measurements say of it.
+"""The calibrated probability of a connection: its law, the fit to outcomes, and the outcomes.
 
 With u = (mean - threshold) / deviation, the score of a prediction, the normal law says
 
     P(power >= threshold) = Phi(u).
 
-The calibrated law says (Platt, "Probabilistic outputs for support vector machines", 1999)
+The calibrated law (Platt, "Probabilistic outputs for support vector machines", 1999) is
 
     logit P(power >= threshold) = intercept + slope u,
 
 a logistic law of the power about a shifted mean, whose tails are heavier than the normal one's. Its
-quantiles are of the same form as the normal ones: the bound P >= p_min is
+quantiles have the same form as the normal ones: the bound P >= p_min is
 
     mean - q_p deviation - threshold >= 0,    q_p = (logit p_min - intercept) / slope.
 
 :data:`NEUTRAL_SLOPE` with intercept 0 is the logistic law nearest to the normal one.
 
-A distribution known by draws from it, with the intervals that their number leaves.
+Each outcome compares a prediction with the later measurement: was the power at least the threshold?
+The first measurements are predicted from all others (leave one out), each later one from those
+before it, as the robot that took it did. The law is fitted to these outcomes by penalised logistic
+regression and fitted again with each measurement. Outcomes are few and mostly of one kind, so a
+prior holds the law near the neutral one: the intercept is normal about 0, the logarithm of the
+slope about that of the neutral slope. Within two deviations of the prior, what the normal law calls
+0.8 may be anything from 0.43 to 0.96. The fit is the mode.
 
-Each outcome compares a prediction with what was then measured: was the power at least the
-threshold? The first measurements are predicted from all others (leave one out); each later one from
-those before it, as the robot that took it did. The calibrated law
-(:mod:`planopt.channel.connection.connection_law`) is fitted to these outcomes and fitted again with
-each measurement.
+Leaving one out takes no new factor. With U the measurements' covariance, e_i the i-th unit vector,
+w = L^-1 e_i and theta by generalised least squares with covariance M, column i of
+Q = U^-1 - U^-1 Gamma M Gamma' U^-1 follows from w. The prediction of measurement i from all others
+is off by [Q y]_i / Q_ii, with variance 1 / Q_ii, its own noise included (Dubrule, "Cross validation
+of kriging in a unique neighborhood", 1983). Without a factor the nearest others stand for all, with
+theta of all measurements.
 
-The law assumes that outcomes at places to come are like those at measured ones of equal score. It
-corrects the shape of the predictive law, and what driving selects among places, as far as the
+The law assumes that outcomes at future places are like those at measured ones of equal score. It
+corrects the shape of the predictive law, and the selection of places by driving, as far as the
 outcomes show it; it does not know that some streets are worse than others.
 
-Fit of the calibrated law to outcomes: penalised logistic regression.
-
-The outcomes are few and mostly of one kind, so that a prior holds the law near the neutral one: the
-intercept is normal about 0, the logarithm of the slope about that of the neutral slope. Within two
-deviations of the prior, what the normal law calls 0.8 may be anything from 0.43 to 0.96. What is
-fitted is the mode.
-
-Predict measurements from all others, in closed form from the factor that is there.
-
-With U the measurements' covariance, e_i the i-th unit vector, w = L^-1 e_i and theta by generalised
-least squares with covariance M, column i of Q = U^-1 - U^-1 Gamma M Gamma' U^-1 follows from w. The
-prediction of measurement i from all others is off by [Q y]_i / Q_ii, with variance 1 / Q_ii, its
-own noise included (Dubrule, "Cross validation of kriging in a unique neighborhood", 1983). Where
-there is no factor, the nearest others stand for all, with theta of all measurements.
+A :class:`SampledDistribution` is a number known by draws, with the intervals that their count
+leaves.
 """
 
 from __future__ import annotations
@@ -150,7 +145,7 @@ class ConnectionLaw:
 
 
 CONFIDENCE = 0.95
-"""Of every interval here."""
+"""Probability that an :class:`Interval` contains the true value."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +195,7 @@ class SampledDistribution:
     def mean(self) -> Interval:
         """The mean, its interval by the central limit theorem."""
         value = float(self.draws.mean())
-        half = _score() * float(self.draws.std(ddof=1)) / math.sqrt(self.count)
+        half = _half_width() * float(self.draws.std(ddof=1)) / math.sqrt(self.count)
         return Interval(value, value - half, value + half)
 
     def quantile(self, share: float) -> Interval:
@@ -213,7 +208,7 @@ class SampledDistribution:
         """
         if not 0.0 <= share <= 1.0:
             raise InputError(f"{share!r} is no probability", key="share", remedy="give 0 to 1")
-        half = _score() * math.sqrt(share * (1.0 - share) / self.count)
+        half = _half_width() * math.sqrt(share * (1.0 - share) / self.count)
         shares = np.clip([share, share - half, share + half], 0.0, 1.0)
         value, low, high = np.quantile(self.draws, shares, method="inverted_cdf").tolist()
         return Interval(value, low, high)
@@ -228,7 +223,8 @@ class SampledDistribution:
         return Interval(above / self.count, low, high)
 
 
-def _score() -> float:
+def _half_width() -> float:
+    """Return half the width of an interval of a normal law, in its standard deviations."""
     return bound_quantile(0.5 + 0.5 * CONFIDENCE)
 
 

@@ -1,25 +1,24 @@
-"""Several stations: the one furthest above its threshold, and connection to any of them.
+"""Connection to any of several stations: its probability, its margin, and the serving power.
 
 With powers P_i and thresholds t_i, each station's fading its own,
 
     S = max_i (P_i - t_i) + t_1
 
 is a power that one threshold judges, the first station's: a place is connected to at least one
-station if and only if S >= t_1. S is not normal. All that works with a mean and a deviation goes on
-with those of the normal law that agrees with the law of S where it counts:
+station if and only if S >= t_1. S is not normal. Everything that works with a mean and a deviation
+uses the normal law that agrees with the law of S where it counts:
 
 - the probability of S >= t_1 is that of a connection to any station, exactly;
-- so is the power that S exceeds with probability p_min, and with it the margin in dB: by so much
-  may all thresholds be raised until the bound p_min is just kept.
+- so is the power that S exceeds with probability p_min, and with it the margin in dB: the amount by
+  which all thresholds may be raised until the bound p_min is just kept.
 
-Connected to any of several stations as one score: how far in a standard normal's deviations.
-
-A station connects with probability Phi(z_i). With independent stations
+Station i connects with probability Phi(z_i). With independent stations
 
     P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
 
-defines the score z of them all, which says as much as P where that has long been 0 or 1 to all
-digits. Logarithms of both tails are kept, so that z has twelve digits from -1e3 to 1e3.
+defines the score z of them all, which stays informative where P is 0 or 1 to all digits. Logarithms
+of both tails are kept, so that z has twelve digits from -1e3 to 1e3. With shared shadowing
+:func:`connected_to_any` and :func:`strongest_station` use the joint law of the powers instead.
 """
 
 from __future__ import annotations
@@ -36,7 +35,11 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     ndtri_exp,
 )
 
-from planopt.channel.connection.connection_law import LEAST_DEVIATION_DB, ConnectionLaw
+from planopt.channel.connection.connection_law import (
+    LEAST_DEVIATION_DB,
+    LOG_ROOT_2PI,
+    ConnectionLaw,
+)
 from planopt.channel.connection.joint_connectivity import prefix_probabilities
 from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.kriging import predict
@@ -44,8 +47,6 @@ from planopt.channel.places import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.errors import InputError
-
-LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,19 +1,16 @@
-"""Climbing the restricted likelihood, and where to begin so that no maximum of it is missed.
+"""Maximise the restricted likelihood: climbs in a box, and starts that miss no maximum.
 
-In logarithms, so that none can become negative, that steps do not depend on units, and that the
-ridge along which xi^2 and beta grow together is straight. The likelihood may have several maxima,
-above all two: a steep path loss with a short decorrelation distance, and a flat one with a long
-distance, in whose slow shadowing the slope is hidden.
+Climbs run in logarithms, so that no variance can become negative, steps do not depend on units, and
+the ridge along which xi^2 and beta grow together is straight. They are damped Newton steps
+(Levenberg and Marquardt) on the free variables, with the active set of the box found by clipping.
+The curvature is the likelihood's average information, corrected so that it explains the differences
+of the last gradients (BFGS): a climb needs half the evaluations of a quasi-Newton method, which has
+to learn the curvature first.
 
-A minimiser in a box for a few variables whose gradient and approximate curvature are cheap.
-
-Damped Newton steps (Levenberg and Marquardt) on the free variables, with the active set of the box
-found by clipping. The curvature is the one given, corrected so that it explains the differences of
-the last gradients (BFGS): with the likelihood's average information for it a climb needs half the
-evaluations of a quasi-Newton method, which has to learn the curvature first.
-
-From a sample of the measurements, over a range of decorrelation distances: between a steep path
-loss with short shadowing and a flat one with long shadowing it is beta that tells the basins apart.
+The likelihood may have several maxima, above all two: a steep path loss with a short decorrelation
+distance, and a flat one with a long distance, in whose slow shadowing the slope is hidden. It is
+beta that tells their basins apart, so the starts come from a sample of the measurements, over a
+range of decorrelation distances.
 """
 
 from __future__ import annotations

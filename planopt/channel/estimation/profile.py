@@ -1,10 +1,11 @@
 """Profiles of the likelihood: which values of a parameter measurements do not rule out.
 
-Unlike a standard error it shows asymmetry, and that a parameter has no end on one side: where the
-profile does not fall below the cut, no value is ruled out.
+Unlike a standard error a profile shows asymmetry, and that a parameter has no end on one side:
+where the profile does not fall below the cut, no value is ruled out.
 
-It is followed outwards from the best optimum, each point the start of the next, and back inwards,
-so that no better basin beside it is missed for long. Other optima that are known are starts too.
+Its ridge, the likelihood maximised over the other parameters, is followed outwards from the best
+optimum, each point the start of the next, and back inwards, so that no better basin beside it is
+missed for long. Other known optima are starts too.
 """
 
 from __future__ import annotations

@@ -3,13 +3,14 @@
 The lattice is laid on a larger torus, whose covariance matrix the Fourier transform diagonalises.
 Where the torus is too small some eigenvalues are negative; it is grown until the share that must
 be clipped is negligible. A realisation is never standardised: that would destroy the covariance.
-SciPy's transforms, which ship no types, are given some here.
 
-An unconditional field is drawn at the places and at the measurements alike; what it misses of the
-measured values is kriged and added. Mean and covariance of the result are those of the posterior
-(conditioning by kriging), at the cost of one kriging for each draw and no covariance between
-places. Drawn fields are of one time and at known places, so that measurements of a channel that
-forgets, or with errors of position, cannot be had here.
+A field given measurements is an unconditional one, drawn at the places and at the measurements
+alike, to which the kriged difference from the measured values is added (conditioning by kriging).
+Its mean and covariance are those of the posterior, at the cost of one kriging for each draw and no
+covariance between places. Drawn fields are of one time and at known places, so measurements of a
+channel that forgets, or with errors of position, are refused.
+
+SciPy's transforms, which ship no types, are given some here.
 """
 
 from __future__ import annotations

@@ -3,11 +3,9 @@
 Lines that start with ``#`` and empty lines are skipped, other columns are ignored, a byte order
 mark is tolerated. Everything that cannot be used is one error with file, line and column.
 
-Longitudes and latitudes as metres east and north of an origin, on the plane that touches there.
-
-Places on the ellipsoid WGS 84 are projected at right angles onto its tangent plane. Distances from
-the origin come out too short by their cube over six squared radii of the earth: 4 mm at 10 km, 4 m
-at 100 km.
+Longitudes and latitudes become metres east and north of an origin: places on the ellipsoid WGS 84
+are projected at right angles onto the tangent plane there. Distances from the origin come out too
+short by their cube over six squared radii of the earth: 4 mm at 10 km, 4 m at 100 km.
 """
 
 from __future__ import annotations

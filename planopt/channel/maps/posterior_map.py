@@ -1,14 +1,13 @@
-"""The posterior on a grid and at fixed places, kept up to date measurement by measurement.
+"""The posterior on a grid, computed once, and at fixed places, updated with each measurement.
 
-Kriging on a grid, where rows and columns share their coordinate differences.
+Kriging on a grid is sooner than place by place, because rows and columns share their coordinate
+differences.
 
-What a new measurement tells of every place is one more row of L^-1 Phi. The rows so far are kept,
-so that a row costs one product with them, and no factor and no earlier row is touched. The price
-is memory, ``8 kappa n`` bytes; :class:`planopt.channel.maps.tile_map.TileMap` needs less and is
-faster, but uses the nearest measurements only.
-
-Where the channel forgets, the rows are those of the time when they were begun. All measurements age
-by the same factor, so that what they tell at a later time is a multiple of that.
+At fixed places a new measurement adds one more row of L^-1 Phi. The rows so far are kept, so that a
+row costs one product with them, and no factor and no earlier row is touched. The price is memory,
+``8 kappa n`` bytes; :class:`planopt.channel.maps.tile_map.TileMap` needs less and is faster, but
+uses the nearest measurements only. If the channel forgets, the rows are those of the time when they
+were begun: all measurements age by the same factor, so that a later time is a multiple of it.
 """
 
 from __future__ import annotations

@@ -1,22 +1,15 @@
-"""The distributions of multipath (lognormal, Nakagami-m, Rician), and draws of the truth's.
-
-Of unit mean power, the mean in dB subtracted as the field does (equation 1.5), so that the
-predicted mean stays what it is.
-
-Rician small-scale fading in dB with unit mean power, its mean in dB subtracted.
-
-The amplitude is a constant plus a complex Gaussian; K is the ratio of their powers. Given a
-Poisson variable J of mean K the power times K + 1 is Gamma(1 + J), which gives the moments of
-its logarithm as a series (equation 1.5).
-
-Between the numbers that multipath is given by: Nakagami's m, Rician K, omega in dB.
-
-All exact (equation 1.5). The pairs (m, omega) of [GM11] are those of Rician K = 5, 10, 30: their
-omega is near the Rician one and is not the Nakagami one, so whoever gives m or omega must say
-which of both is meant.
+"""The distributions of multipath (lognormal, Nakagami-m, Rician): parameters and draws.
 
 Every law has unit mean power in the linear domain, and its mean in dB is then subtracted, so that
-path loss and shadowing keep their meaning (equation 1.5).
+path loss and shadowing keep their meaning and the predicted mean stays what it is (equation 1.5).
+
+Rician fading is a constant amplitude plus a complex Gaussian; K is the ratio of their powers. Given
+a Poisson variable J of mean K the power times K + 1 is Gamma(1 + J), which gives the moments of its
+logarithm as a series.
+
+Conversions between Nakagami's m, Rician K and omega in dB are exact. The pairs (m, omega) of [GM11]
+are those of Rician K = 5, 10, 30: their omega is near the Rician one and is not the Nakagami one,
+so a problem that gives m or omega must say which law is meant.
 """
 
 from __future__ import annotations

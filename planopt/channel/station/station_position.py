@@ -2,8 +2,8 @@
 
 ``line`` takes the errors for independent: least squares of the path loss line over the position and
 theta. ``joint`` takes them for shadowing and multipath: maximum likelihood over the position, theta
-and the covariance, the last by REML at the position in turn. Both look at a grid first, since the
-likelihood has several optima, and climb from the best of its minima with the exact gradient.
+and the covariance, the last by REML at the position in turn. The likelihood has several optima, so
+both look at a grid first and climb from the best of its minima with the exact gradient.
 
 With y = Gamma(q) theta + e, e ~ N(0, V), and theta profiled out, minus the logarithm of the
 likelihood of position q is
@@ -12,10 +12,8 @@ likelihood of position q is
     theta = (Gamma' V^-1 Gamma)^-1 Gamma' V^-1 y
 
 V does not depend on q, so that one factor serves every position, and both the values on a grid and
-the Gauss-Newton terms at a place cost a triangular solve each. Where n_PL has a prior it enters as
-one further measurement of n_PL.
-
-Optima of the likelihood of the station's position: minima on a grid, and climbs from them.
+the Gauss-Newton terms at a place cost a triangular solve each. A prior of n_PL enters as one
+further measurement of n_PL.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Judge a saved plan or run again from its files alone, or read it back as an object.
 
-Nothing the planner computed is taken for granted: places come from ``steps.csv``, the truth from
-the problem and the seed, the channel is fitted and conditioned again on the saved measurements, and
-the verifier decides. From that everything that the files say is computed again and compared, key
-by key and cell by cell. A key that cannot be computed again, wall times for one, must at least fit
-the others; a key that is not known is rejected.
+Nothing the planner computed is taken for granted: places come from ``steps.csv``, the ground truth
+from the problem and the seed, the channel is fitted and conditioned again on the saved
+measurements, and the verifier decides. From that everything that the files say is computed again
+and compared, key by key and cell by cell. A key that cannot be computed again, wall times for one,
+must at least fit the others; a key that is not known is rejected.
 
-Nothing in a file proves that its problem is the one that was meant: who edits ``p_min`` in it has
-asked another question. How it differs from the library's of its name is said; it is no reason to
-reject.
+Nothing in a file proves that its problem is the one that was meant: a file with another ``p_min``
+asks another question. Its difference from the library's problem of that name is said; it is no
+reason to reject.
 """
 
 from __future__ import annotations

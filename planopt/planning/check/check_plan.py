@@ -1,7 +1,7 @@
 """Judge saved plans: the verifier decides, and every field must follow from it and the files.
 
-Whether the problem solved again was verified (`verified`) only planning again could tell; it is
-taken as it stands.
+That includes the explanation of a plan that is not verified. Only planning again could tell whether
+the changed problem of an explanation was verified (`verified`); it is taken as it stands.
 """
 
 from __future__ import annotations

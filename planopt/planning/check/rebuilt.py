@@ -1,7 +1,8 @@
-"""What the fields of a plan must be: by its path, the verifier, and how it says it was found.
+"""Rebuild the fields of a saved plan from its path and the verifier, and judge its provenance.
 
-None of it can be computed again without planning again: which rung released a plan, why the solver
-stopped, how long it took. But a rung says something of the path, and a termination of the rung.
+Only planning again could compute the provenance: which fallback released the plan, why the solver
+stopped, how long it took. But a fallback says something of the path, and a termination something of
+the fallback, so that combinations which cannot be are found.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.mapping import Region
+from planopt.planning.certificate import plan_message
 from planopt.planning.check.agreement import EXACT
 from planopt.planning.files.run_json import ReleasedRecord
 from planopt.planning.files.solution_json import RobotPlanRecord
 from planopt.planning.free_space import obstacles_met
-from planopt.planning.message import plan_message
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import search_prediction

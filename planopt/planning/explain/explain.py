@@ -1,10 +1,10 @@
-"""Explain a problem that has no verified plan: which keys are at odds, and what would help.
+"""Explain a problem without verified plan, and plans that cross coverage holes.
 
-Of plans that cross coverage holes: why they do, and what keeping contact would take.
-
-Why no path leads to the goal, and what would open one.
-
-The clearance, an obstacle, steps too long for the lattice, or a hard bound on connectivity.
+If no path leads to the goal, the clearance, an obstacle, steps too long for the lattice, or a hard
+bound on connectivity is in the way; each entry is one change of a key that would open a path, tried
+by planning again. Plans that are not verified are the subject of
+:mod:`planopt.planning.explain.no_verified_plan`. A path that crosses coverage holes is compared
+with the one that is out of contact for the fewest metres.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def explain_blocked(
         if value is not None:
             found.append(_about(problem, key, value))
     [slack] = [key for key in connection_keys(problem) if key.name == "constraints.slack_max_db"]
-    if solve_again(_crossing(problem)) is Verdict.VERIFIED:
+    if solve_again(_with_priced_bound(problem)) is Verdict.VERIFIED:
         found.append(_about(problem, slack, None))
     return tuple(found)
 
@@ -213,7 +213,7 @@ def _least(key: Key, amount: float, problem: Problem, solve_again: SolveAgain) -
     return None
 
 
-def _crossing(problem: Problem) -> Problem:
+def _with_priced_bound(problem: Problem) -> Problem:
     """The problem with a bound that may be missed at a price."""
     rule = replace(problem.constraints.rule, slack_max_db=None)
     return replace(problem, constraints=replace(problem.constraints, rule=rule))
@@ -325,6 +325,7 @@ def _with_clearance(problem: Problem, clearance_m: float) -> Problem:
 
 
 def _is_open(problem: Problem) -> bool:
+    """Return whether obstacles leave the problem's first robot a way to its goal."""
     try:
         build_scene(problem)
     except NoPlanError:
@@ -383,7 +384,7 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     except InputError:
         # Without measurements nothing can be solved again; what opens a way can still be said.
         owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
-        shut = [own for own in owns if not _has_way(own)]
+        shut = [own for own in owns if not _is_open(own)]
         return tuple(one for own in shut for one in explain_no_way(own, lambda _: Verdict.NONE))
 
     found: list[Relaxation] = []
@@ -410,15 +411,6 @@ def _explain_robot(problem: Problem, belief: Belief) -> tuple[Relaxation, ...]:
     margins.refresh(belief.posterior, broad_prediction(problem, belief.posteriors))
     first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
     return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, solve_again)
-
-
-def _has_way(problem: Problem) -> bool:
-    """Return whether obstacles leave the only robot a way to its goal."""
-    try:
-        build_scene(problem)
-    except NoPlanError:
-        return False
-    return True
 
 
 def _verdict(plan: Plan | None) -> Verdict:

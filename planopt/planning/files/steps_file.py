@@ -1,9 +1,9 @@
-"""The tables of a saved plan or run, among them ``steps.csv``, with a row for every place.
+"""The tables of a saved plan or run: ``steps.csv``, ``target.csv`` and ``knowledge.csv``.
 
-Numbers are written to the last digit; an empty cell says that there is none.
-
-``target.csv`` and ``knowledge.csv`` hold the target and the known channel over a run. Row 0 is the
-start. What was delivered belongs to the step that ends there, so row 0 has none.
+``steps.csv`` has a row for every place; ``target.csv`` and ``knowledge.csv`` hold the target and
+the known channel over a run. Row 0 is the start. What was delivered belongs to the step that ends
+there, so row 0 has none. Numbers are written to the last digit; an empty cell says that there is
+none.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Rows and their gradients in NumPy: those of every path, and those that are convex as they are.
+"""Rows of a programme in NumPy: their values and gradients, and which of them are cones.
 
+Residuals are computed from these values, so that they do not rest on the solver's own derivatives.
 A row weight |z|^2 + constant <= upper, with z a pair of variables less another pair or a parameter,
-is the cone |z| <= radius: it need not be linearised.
-
-Residuals are computed from these, so that they do not rest on the solver's own derivatives.
+is the cone |z| <= radius: it is convex as it is and need not be linearised.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""What the callbacks of a built solver evaluate, with exact derivatives, memoised by point.
+"""Evaluations that the callbacks of a built solver ask for, exact and memoised by point.
 
 The constraint of a stage is ``mean - z_p deviation - threshold >= 0`` in dB (equation 3.2), with
-mean and deviation of :mod:`planopt.planning.worth.serving_stages`.
+mean and deviation of :mod:`planopt.planning.worth.serving_stages`. A value of the whole path comes
+with derivatives by all of its positions.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
-"""Values and derivatives of a built programme as NumPy has them, and residuals of its points.
+"""A built programme in NumPy: its functions, its points, and the residuals of a point.
 
-A point is what any solver of a programme over a path is given, and what it gives back.
-
-Nothing here comes from CasADi: gradients are written out again, so that a wrong derivative in the
-programme shows as a residual. Sign convention: with rows g between bounds and variables x between
-bounds, ``grad f + J' lambda_g + lambda_x = 0``, multipliers positive at an active upper bound and
-negative at an active lower bound.
-
-Multipliers of a programme's rows by the names of the rows.
+A point is what a solver of a programme over a path is given, and what it gives back. Residuals are
+those of the Karush-Kuhn-Tucker conditions. Nothing in them comes from CasADi: gradients are written
+out again, so that a wrong derivative in the programme shows as a residual. Sign convention: with
+rows g between bounds and variables x between bounds, ``grad f + J' lambda_g + lambda_x = 0``,
+multipliers positive at an active upper bound and negative at an active lower bound.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # pyright: basic
-"""The two parametric programmes over N steps: to reach a goal, and for any smooth value.
+"""The two parametric programmes over N steps: for any smooth value, and to reach a goal.
 
-What goes in and comes out here is NumPy. Variables are the positions q_1..q_N and a slack s_k of
-each stage's connectivity bound::
+Variables are the positions q_1..q_N. For any smooth value, with a slack s_k of each stage's
+connectivity bound::
 
     max   scale * value(q_1, ..., q_N) - slack_weight sum s_k
     s.t.  the rows of planopt.planning.programme.path_rows
@@ -10,23 +10,8 @@ each stage's connectivity bound::
           total(q_1, ..., q_N) + c t >= bound                             "connectivity"
 
 There are rows of margins, one of a total (a sum over stages), or none. The total's slack t is in dB
-like the others, c what a dB is worth. What the way to a goal costs
+like the others, c what a dB is worth. The cost of the way to a goal
 (:mod:`planopt.planning.programme.pivot`) is subtracted from the value, where it is charged.
-
-Value and margins come by callbacks with exact first and second derivatives. What the value couples
-(:data:`planopt.planning.programme.margin_source.Structure`) is known to the solver. A robot that
-cannot turn or stop at will adds variables after these and rows before "connectivity", those of
-:mod:`planopt.planning.programme.motion_rows`. The solver is built once per structure and reused; a
-failed solve leaves nothing behind, because every call sets start, bounds and parameters anew and
-passes no multipliers on.
-
-The programme over a path as CasADi functions of what its callbacks give.
-
-Value v, margins m and total w come with their gradients (dv, dm, dw) and what is not zero of their
-Hessians (hv, hm, hw); all else is symbolic. Parameters are ``head`` (start, scale, slack weight,
-what a dB is worth in the total), the lines, and those of the robot's dynamics and its goal.
-
-CasADi ships no usable type stubs, hence the looser checking of the files that touch its types.
 
 To reach a goal, with h the step duration and Phi the normal distribution::
 
@@ -37,8 +22,19 @@ To reach a goal, with h the step duration and Phi the normal distribution::
 with step lengths ``l_k = |q_k - q_{k-1}|``, rounded at zero, and the share of a metre that the
 outage price is charged on, ``c_k = charged_k (1 - Phi(score_k(q_k)))``.
 
-Margins and scores come from :mod:`planopt.planning.programme.margin_source` with exact derivatives,
-by callbacks (five times faster than their symbolic form); everything else is symbolic.
+Value v, margins m and total w, or margins and scores, come by callbacks
+(:mod:`planopt.planning.programme.margin_source`) with exact gradients (dv, dm, dw) and what is not
+zero of their Hessians (hv, hm, hw): margins by callbacks take a fifth of the time of their symbolic
+form. All else is symbolic.
+What the value couples (:data:`planopt.planning.programme.margin_source.Structure`) is known to the
+solver. The parameters of the first programme are ``head`` (start, scale, slack weight, what a dB is
+worth in the total), the lines, and those of the robot's dynamics and its goal. A robot with
+dynamics adds variables after the positions and rows before "connectivity", those of
+:mod:`planopt.planning.programme.motion_rows`.
+
+Inputs and outputs are NumPy. A solver is built once per structure and reused; a failed solve leaves
+nothing behind, because every call sets start, bounds and parameters anew and passes no multipliers
+on. CasADi ships no usable type stubs, hence the looser checking of the files that touch its types.
 """
 
 from __future__ import annotations
@@ -299,7 +295,7 @@ def build_path_nlp(
 PIVOT_ROUNDING_M = 1e-2
 """Rounding of the distance to the pivot, so that its gradient exists at the pivot."""
 
-IPOPT_OPTIONS: dict[str, Any] = {**ipopt.OPTIONS, "ipopt.tol": 1e-5, "ipopt.max_soc": 0}
+REACH_OPTIONS: dict[str, Any] = {**ipopt.OPTIONS, "ipopt.tol": 1e-5, "ipopt.max_soc": 0}
 """No second order corrections: with them IPOPT cycled at the rounded kink of a pivot within reach
 in 14 of 180 straight tasks, without in none, and elsewhere they gained nothing."""
 
@@ -333,11 +329,11 @@ class ReachNlp:
 STEP_ROUNDING_M = 1e-2
 """The same of a step's length, at a standstill."""
 
-HEAD = 8
+REACH_HEAD = 8
 """Parameters before those of each step: start (2), pivot (2), effort / h, rate, price, c_0."""
 
 
-def _objective(n: int, q: Any, score: Any, p: Any, charged: Any) -> Any:
+def _reach_objective(n: int, q: Any, score: Any, p: Any, charged: Any) -> Any:
     """Assemble the cost of positions and scores."""
     moved = ca.reshape(q - ca.vertcat(p[0:2], q[: 2 * n - 2]), 2, n)
     squares = ca.sum1(moved**2).T
@@ -358,11 +354,11 @@ def build_reach_nlp(
     n = horizon
     source = MarginSource(n)
     margins = path_callbacks("margin", n, 2 * n, 6 * n, source.at)
-    q, head, charged = ca.SX.sym("q", 2 * n), ca.SX.sym("head", HEAD), ca.SX.sym("charged", n)
+    q, head, charged = ca.SX.sym("q", 2 * n), ca.SX.sym("head", REACH_HEAD), ca.SX.sym("charged", n)
     line = ca.SX.sym("line", 4 * n * lines)
     p_sx = ca.vertcat(head, charged, line)
     m_sx, dm_sx, hm_sx = (ca.SX.sym(f"m{width}", 2 * width * n) for width in (1, 2, 3))
-    f_sx = _objective(n, q, m_sx[n:], head, charged)
+    f_sx = _reach_objective(n, q, m_sx[n:], head, charged)
     f_q, f_m = ca.gradient(f_sx, q), ca.gradient(f_sx, m_sx)
     f_qm, f_mm = ca.jacobian(f_q, m_sx), ca.jacobian(f_m, m_sx)
     g_sx = path_rows(n, lines, q, head[0:2], line)
@@ -396,6 +392,6 @@ def build_reach_nlp(
         jacobian=jacobian(x, p, dm),
         hessian=hessian(x, p, lam_f, lam_g, m, dm, hm),
     )
-    solver = exact_solver("reach", nlp, IPOPT_OPTIONS | ipopt.time_limit(budget_s))
+    solver = exact_solver("reach", nlp, REACH_OPTIONS | ipopt.time_limit(budget_s))
     shape = PathShape(n, lines, "stagewise", bounded=True, slacked=False)
     return ReachNlp(n, lines, source, solver, solve_by(method, solver, shape, budget_s), margins)

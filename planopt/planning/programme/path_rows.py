@@ -1,5 +1,5 @@
 # pyright: basic
-"""Rows that every programme over a path has, and Hessians as CasADi matrices.
+"""Rows that every programme over a path has, and its derivatives as CasADi matrices.
 
 With L the longest step and (n, b, a) separating lines, fixed from the start path and applied to
 both ends of a segment, so that the whole segment is clear::

@@ -1,4 +1,4 @@
-"""Cost to go that a solver can differentiate: by a point on the way, or by a robot's states.
+"""Cost-to-go that a solver can differentiate: the pivot, and the cost of a robot's states to it.
 
 Round obstacles the shortest way from q is straight up to some corner: its length is the distance to
 any visible point of the way plus the length from there. The farthest visible point is the pivot,
@@ -6,16 +6,16 @@ unless the path could come to it and beyond: then a farther point is, seen or no
 length never overestimates the way.
 
 With the state x_k = (q_k, r_k), its resting place s(x_k), and turning(x, pivot) the time before it
-drives towards the pivot, of the dynamics::
+drives towards the pivot, of the dynamics, the cost is::
 
     effort sum |q_k - q_{k-1}|^2
         + sum c_k (rate |s(x_k) - pivot| + braking |s(x_k) - q_k| + turning(x_k, pivot))
 
-c_N is 1: that is the way beyond the horizon. Where the pivot is come to within the horizon, every
-step is charged besides, or arriving late would cost nothing. Charged from where the robot would
-come to stand, it accelerates and brakes as late as it can: past the pivot there is nothing to gain.
-Braking is the price of outage on the way to that place: free, a robot would put off what is dear
-until after the horizon, again and again.
+c_N is 1: that is the way beyond the horizon. If the pivot is reached within the horizon, every step
+is charged besides, or arriving late would cost nothing. Charged from where the robot would come to
+stand, it accelerates and brakes as late as it can: past the pivot there is nothing to gain. Braking
+is the price of outage on the way to that place: free, a robot would put off what is dear until
+after the horizon, again and again.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""What the verifier says of a motion: where it sweeps, if it can be driven, how far apart it is.
+"""Judge a motion: where it sweeps, whether it can be driven, and how far it keeps from others.
 
 For the single integrator the way is straight from place to place. Any other robot says by states
 and inputs how it drives: from them every step is computed again by the robot's dynamics, and the
 way of stopping after the last step counts as swept, so that no next step is without a way.
-Distances at equal times need when a robot is where, too.
 
-A robot that cannot stop at will brakes after the last step, which counts at its own times. So do
-the other robots, until all stand; moving obstacles count until this one does.
+Distances at equal times need the times as well. A robot with dynamics brakes after the last step,
+which counts at its own times. So do the other robots, until all stand; moving obstacles count until
+this robot stands.
 """
 
 from __future__ import annotations

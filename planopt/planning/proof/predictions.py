@@ -1,8 +1,9 @@
-"""Which posterior serves what, and what a connection rests on besides one normal power.
+"""Choose the posterior: certificates rest on all measurements, searches on a nearby subset.
 
-The law is then a mixture over covariances (:mod:`planopt.channel.parameter_uncertainty`). What a
-bound rests on is its quantile, which is found exactly. So that all else may go on with a mean and a
-deviation, they are those of the normal law with the mixture's deviation and that very quantile.
+A bound may also rest on more than one normal power: on several stations, or on a mixture over
+covariances (:mod:`planopt.channel.parameter_uncertainty`). The bound rests on the mixture's
+quantile, which is found exactly. Everything else goes on with the mean and deviation of the normal
+law that has the mixture's deviation and that quantile.
 """
 
 from __future__ import annotations

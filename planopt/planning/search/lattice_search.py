@@ -1,11 +1,11 @@
 """Global search over N steps: dynamic programming on the lattice, then better timing.
 
-Exact for an additive cost on the lattice. The first move goes from the robot's own position to any
-node in reach; every later move is one of the lattice's.
+The search is exact for an additive cost on the lattice. The first move goes from the robot's own
+position to any node in reach; every later move is one of the lattice's.
 
 A lattice path moves at the speeds that its moves happen to have. The separating lines of a polish
-belong to segments, so that a path which passes a corner a step late keeps the polished one late
-too. Sampled anew at cruising speed it passes the corner in time.
+belong to segments, so a path that passes a corner a step late keeps the polished one late too.
+Sampled anew at cruising speed (:func:`retime`) it passes the corner in time.
 """
 
 from __future__ import annotations

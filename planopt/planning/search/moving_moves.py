@@ -1,4 +1,4 @@
-"""The moves of a lattice, stage by stage, and which come too near to what moves.
+"""The moves of a lattice as a table, and which come too near to moving obstacles, by stage.
 
 A window is the part of the lattice that is looked at, with a margin of closed nodes around it.
 """

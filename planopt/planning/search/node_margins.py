@@ -1,7 +1,7 @@
-"""What is predicted at the nodes of a lattice: connectivity, and what terms ask.
+"""Predictions at the nodes of a lattice: connectivity, and what terms ask.
 
-The map conditions each tile on the measurements nearest to it, which is fast and slightly off.
-Wherever a path is about to rest on a node's value, the exact posterior's value replaces it.
+The map conditions each tile on the measurements nearest to it, which is fast and slightly off. If a
+path is about to rest on a node's value, the exact posterior's value replaces it.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Bend the best of many ways further, all at once: where no dynamic programming applies.
+"""Improve many ways at once, where no dynamic programming applies: bend the best, then climb.
 
 Objectives that couple the places of a way have several maxima that no stand-in tells apart. So the
-best ways, told apart by where they lead, are bent at random in a few rounds; what is valued is the
-objective itself, batched. Directions are drawn anew in each round, narrower each time, from one
-generator, so that the same seed finds the same ways.
+best ways, told apart by where they lead, are bent at random in a few rounds (:func:`search_ways`),
+valued by the objective itself, batched. Directions are drawn anew in each round, narrower each
+time, from one generator, so that the same seed finds the same ways.
 
-What a way is worth before it is polished tells little of what it is worth after. So the best ways
-climb together, batched, each with its own inverse Hessian (BFGS), and only those that lead are
-followed on. In headings and speeds the limits of motion are bounds of single variables; where a
-step is blocked the way turns aside as when it was first driven, and the step counts if it gains.
+The value of a way before a polish tells little of its value after. So the best ways climb together
+(:func:`climb_ways`), batched, each with its own inverse Hessian (BFGS), and only those that lead
+are followed on. In headings and speeds the limits of motion are bounds of single variables; at a
+blocked step the way turns aside as when it was first driven, and the step counts if it gains.
 """
 
 from __future__ import annotations

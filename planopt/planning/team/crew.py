@@ -1,10 +1,10 @@
 """The robots of a problem whose objective is a sum of terms, and one step of all of them.
 
 In the first round each robot keeps from what the later ones have reserved
-(:mod:`planopt.planning.team.reservations`), so that everyone has a way out. Where a robot finds no
+(:mod:`planopt.planning.team.reservations`), so that everyone has a way out. If a robot finds no
 verified plan that way, because the others leave it none, a second round asks it first, and each
-robot keeps from the plans made before it only: the others make room if they can. What comes of that
-is released only if all plans keep apart from each other and more of them are verified.
+robot keeps from the plans made before it only: the others make room if they can. The result is
+released only if all plans keep apart from each other and more of them are verified.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Where something is wanted or left to learn: places that a robot may be at.
+"""The region that a map is wanted of, and the places where something is left to learn.
 
-This decides what a robot that stands still is to be called: done, or stalled. It rests on the
-lattice of the search alone, so that a saved run is judged by the same places.
+That anything is left decides how a robot that stands still is called: done, or stalled. It rests on
+the lattice of the search alone, so that a saved run is judged by the same places.
 """
 
 from __future__ import annotations

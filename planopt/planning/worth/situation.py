@@ -1,4 +1,4 @@
-"""What one step of planning a sum of terms knows: the channel, the robot's place, the target."""
+"""The data of one planning step for a sum of terms: the channel, the robot's place, the target."""
 
 from __future__ import annotations
 

@@ -1,16 +1,17 @@
-"""Where robots are steered: by the outer layer of two, to connection, or to the goal.
+"""Steer robots beyond the horizon: towards what is unknown, to a connection, or to the goal.
 
-The place q* has the highest J_CH = max{0, sigma^2 - sigma_TH^2} psi(d) of those that stand for the
-workspace, with d the length of the shortest way to it. Variances come from a map that follows the
-belief, so that the cost does not grow with the measurements.
+To learn the channel, the place q* has the highest J_CH = max{0, sigma^2 - sigma_TH^2} psi(d) of
+those that stand for the workspace, with d the length of the shortest way to it. Variances come from
+a map that follows the belief, so that the cost does not grow with the measurements.
 
-A search that begins with a try at the place z is expected to take R(z) metres
+To connect, a search that begins with a try at the place z is expected to take R(z) metres
 (:func:`planopt.objectives.until_connected.search_length_m`), which is short where z is near and
 where it is likely to be connected. The robot is steered to the place of the shortest search, of
 those that are tries (:attr:`planopt.planning.worth.situation.Situation.tries`).
 
-A sum of terms does not leave contact at a price, so that the way leaves it only where every way
-does, and as little as can be. It turns where it must, for an obstacle or for a hole.
+On the way to a goal a sum of terms does not leave contact at a price, so the way leaves it only
+where every way does, and as little as can be. It turns where it must, for an obstacle or for a
+hole.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ from planopt.planning.programme.margin_source import MarginSource, StageMargins
 from planopt.planning.programme.nlp_functions import Bounds
 from planopt.planning.programme.path_callback import PathCallback
 from planopt.planning.programme.path_nlp import (
-    HEAD,
     PIVOT_ROUNDING_M,
+    REACH_HEAD,
     STEP_ROUNDING_M,
     build_reach_nlp,
 )
@@ -71,7 +71,7 @@ def objective(x, p):
     q = np.vstack([p[:2], x.reshape(N, 2)])
     to_pivot = np.sqrt(((q[-1] - p[2:4]) ** 2).sum() + PIVOT_ROUNDING_M**2)
     squares = (np.diff(q, axis=0) ** 2).sum(1)
-    share = np.append(p[7], p[HEAD : HEAD + N] * norm.sf(waves(q[1:]).value))
+    share = np.append(p[7], p[REACH_HEAD : REACH_HEAD + N] * norm.sf(waves(q[1:]).value))
     lengths = np.sqrt(squares + STEP_ROUNDING_M**2)
     outage = (lengths * (share[:-1] + share[1:]) / 2.0).sum()
     return p[4] * squares.sum() + p[5] * to_pivot + p[6] * outage
@@ -80,7 +80,7 @@ def objective(x, p):
 def rows(x, p):
     """The docstring's rows in NumPy."""
     q = np.vstack([p[:2], x.reshape(N, 2)])
-    lines = p[HEAD + N :].reshape(N, LINES, 4)
+    lines = p[REACH_HEAD + N :].reshape(N, LINES, 4)
     ends = [n @ q[k + 1] - b for k in range(N) for *n, b, _ in lines[k]]
     starts = [n @ q[k] - b for k in range(1, N) for *n, _, b in lines[k]]
     speed = (np.diff(q, axis=0) ** 2).sum(1)
@@ -161,8 +161,8 @@ def test_every_structure_solves(horizon, lines):
     """One step, no lines: as many variables and multipliers as the structure says."""
     nlp = build_reach_nlp(horizon, lines)
     nlp.source.use(scored(bowl_margins([0.0, 0.0], 100.0)))
-    parameters = np.zeros(HEAD + horizon + 4 * horizon * lines)
-    parameters[:HEAD] = [0.0, 0.0, 9.0, 0.0, 0.1, 1.0, 0.5, 0.0]
+    parameters = np.zeros(REACH_HEAD + horizon + 4 * horizon * lines)
+    parameters[:REACH_HEAD] = [0.0, 0.0, 9.0, 0.0, 0.1, 1.0, 0.5, 0.0]
     plain = horizon + (2 * horizon - 1) * lines
     lower = np.concatenate([np.full(horizon, -np.inf), np.zeros(plain)])
     upper = np.concatenate([np.ones(horizon), np.full(plain, np.inf)])

@@ -1,4 +1,4 @@
-"""What the robots know of the channel: fitted parameters and the posterior. Never the truth."""
+"""The robots' belief about the channel: fitted parameters and posterior. Never the truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands on a power log share: their options, and the fit."""
+"""The options and the fit that commands on a power log share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where commands put what they have to say: results to stdout, progress to stderr, files to --out.
+"""The output of commands: results to stdout, progress to stderr, files to --out.
 
 Errors are raised; :func:`planopt.cli.main` prints them.
 """

@@ -1,4 +1,4 @@
-"""What the commands that plan have in common: their options, and problems of a system."""
+"""The options that planning commands share, and problems of a system."""
 
 from __future__ import annotations
 

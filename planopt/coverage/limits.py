@@ -1,4 +1,4 @@
-"""What agents of a network can do and must keep: motion, bodies, and radio links."""
+"""Limits of the agents of a network: motion, bodies, and radio links."""
 
 from __future__ import annotations
 

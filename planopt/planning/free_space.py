@@ -1,4 +1,4 @@
-"""Whether the free space joins start and goal, and which places and ways are not free."""
+"""Free space: whether it joins start and goal, and which places and ways are outside it."""
 
 from __future__ import annotations
 

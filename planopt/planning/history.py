@@ -1,4 +1,4 @@
-"""What has happened on a run before a plan: rules over the whole run count it."""
+"""The history of a run before a plan: rules over the whole run count it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves over a plan's steps, and while robots brake after them: moving obstacles."""
+"""Moving obstacles over a plan's steps, and while robots brake after them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked at one time of a run, and of one robot: its own terms, and what stands then."""
+"""The problem at one time of a run, and of one robot: its own terms, and the obstacles then."""
 
 from __future__ import annotations
 

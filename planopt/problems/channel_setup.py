@@ -1,4 +1,4 @@
-"""Where the true channel and the first measurements of a problem come from."""
+"""The sources of a problem's true channel and of its first measurements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every plan of a problem must keep: clearance, and a rule of connectivity."""
+"""The constraints on every plan of a problem: clearance, and a rule of connectivity."""
 
 from __future__ import annotations
 

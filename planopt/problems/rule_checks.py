@@ -1,4 +1,4 @@
-"""What the rule of connectivity needs of other tables of the problem."""
+"""Check what the rule of connectivity needs of other tables of the problem."""
 
 from __future__ import annotations
 

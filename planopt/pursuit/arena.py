@@ -1,4 +1,4 @@
-"""Where a pursuit takes place: open space, a rectangle, or among obstacles with shortest paths.
+"""Arenas of a pursuit: open space, a rectangle, or obstacles with shortest paths around them.
 
 Everybody keeps to what is left of the bounds without the obstacles, grown by the clearance. The
 detour factor says how much longer shortest paths there are than straight lines at most.

@@ -1,4 +1,4 @@
-"""Whether a network carries a guarantee: every inequality again, from its numbers alone.
+"""Verify the guarantee of a network: every inequality again, from its numbers alone.
 
 Nothing of the search is used: ages, errors and loads are computed from their definitions.
 """

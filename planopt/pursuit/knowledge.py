@@ -1,4 +1,4 @@
-"""What each mote knows of an object: its level, how old and how exact the report is.
+"""Each mote's knowledge of an object: its level, the age and the exactness of the report.
 
 A mote takes the report of the finest level whose last completed round shows the object in its own
 cell of that level or in one around it. Finer levels are never older, so that this is the freshest

@@ -1,4 +1,4 @@
-"""What every map shows: obstacles that stand or move, bounds, marks, and a layer below."""
+"""The parts that every map has: obstacles that stand or move, bounds, marks, a layer below."""
 
 from __future__ import annotations
 

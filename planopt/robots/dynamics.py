@@ -1,4 +1,4 @@
-"""What planners and the verifier ask of a robot's dynamics, whatever they are.
+"""The interface of a robot's dynamics that planners and the verifier use.
 
 States and inputs are tuples of components, so that NumPy numbers, NumPy arrays (of any shape, real
 or complex) and CasADi expressions pass through the same formula. Inputs are constant over a step.

@@ -1,4 +1,4 @@
-"""What not knowing the channel costs: maps from a fitted channel against maps from the true one.
+"""The cost of not knowing the channel: maps from a fitted channel against the true one's.
 
 Channels are drawn from the model with known parameters, measured at random places, and predicted
 all over the workspace: once with the true parameters, path loss included (the oracle, which no

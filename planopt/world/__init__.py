@@ -1,1 +1,1 @@
-"""Where robots may be."""
+"""The workspace and its obstacles."""

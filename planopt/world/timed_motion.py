@@ -1,4 +1,4 @@
-"""Where something is at which time: the ways of several steps, one after the other.
+"""A motion over time: the ways of several steps, one after the other.
 
 Within a step times are shares of it. A way says how far it curves, ``|p''| <= c`` by share, so that
 between two times that are d apart the place is nowhere farther than ``c d^2 / 8`` from even motion

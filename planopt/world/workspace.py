@@ -1,4 +1,4 @@
-"""Where robots may be: a rectangle less the obstacles in it."""
+"""The workspace: a rectangle less the obstacles in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of powers as intervals, and the Gaussian sites that stand for it."""
+"""Powers known as intervals, and the Gaussian sites that stand for them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the columns of a power log are called, which rows count, and what holds for all of them."""
+"""The format of a power log: its columns' names, the rows that count, and values for all rows."""
 
 from __future__ import annotations
 

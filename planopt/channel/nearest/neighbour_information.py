@@ -1,4 +1,4 @@
-"""What measurements of any number say of path loss and of receivers' offsets.
+"""Information of any number of measurements on path loss and on receivers' offsets.
 
 Of the whitened columns only their products are kept, so that one more measurement costs the same
 whatever there are (:mod:`planopt.channel.estimation.vecchia`). Offsets are columns of their own

@@ -1,1 +1,1 @@
-"""Where an unknown station is."""
+"""The position of an unknown station."""

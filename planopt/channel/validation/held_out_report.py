@@ -1,4 +1,4 @@
-"""What held-out walks say of a fitted channel: error and coverage, against path loss alone.
+"""Report a fitted channel on held-out walks: error and coverage, against path loss alone.
 
 All intervals are over the groups that were held out whole
 (:mod:`planopt.channel.validation.held_out`): powers of one walk are not independent.

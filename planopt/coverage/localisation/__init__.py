@@ -1,1 +1,1 @@
-"""Where an event is, from the strength of its signal at the agents."""
+"""Localisation of an event from the strength of its signal at the agents."""

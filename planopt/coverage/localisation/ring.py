@@ -1,4 +1,4 @@
-"""Where to stand for locating an event: Fisher information, the Cramer-Rao bound, and the ring.
+"""Places to locate an event from: Fisher information, the Cramer-Rao bound, and the ring.
 
 A measurement tells of the event along the line to it, in proportion to the squared slope of the
 signal. At the event itself the slope is zero: an agent that has arrived there learns nothing more.

@@ -1,4 +1,4 @@
-"""What an agent measures of an event: a signal that falls with distance, plus noise."""
+"""An agent's measurement of an event: a signal that falls with distance, plus noise."""
 
 from __future__ import annotations
 

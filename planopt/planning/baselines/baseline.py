@@ -1,4 +1,4 @@
-"""What the baseline planners share: a path that is released as it is, if it is sound."""
+"""The step that baseline planners share: a path is released as it is, if it is sound."""
 
 from __future__ import annotations
 

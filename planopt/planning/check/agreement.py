@@ -1,4 +1,4 @@
-"""Where two versions of the same data disagree: what a file says, and what was found again."""
+"""Disagreements of a file's data with the same data computed again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What keeps a problem from having a verified plan, what would help, and why holes are crossed."""
+"""Entries of an explanation: keys that prevent a verified plan, and coverage holes crossed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a plan misses, and which keys of the problem file bear on it."""
+"""The constraints that a plan misses, and the keys of the problem file that bear on them."""
 
 from __future__ import annotations
 

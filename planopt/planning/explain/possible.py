@@ -1,7 +1,7 @@
-"""Whether some plan could keep the rule of connectivity, by what there is within reach.
+"""Bound what any plan can achieve of the rule of connectivity, from the places within reach.
 
 Necessary, not sufficient: the best place within reach by each step is taken for the step's own, as
-if all could be had together. What it denies, no planner needs to try.
+if all could be had together. No planner needs to try what it rules out.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What was known of the channel, as ``belief.npz``: measurements, parameters and how they came.
+"""The belief about the channel as ``belief.npz``: measurements, parameters and their origin.
 
 A posterior is rebuilt by conditioning again on the saved measurements, in the order taken and in
 the portions taken, because a censored measurement's Gaussian site depends on what was known when

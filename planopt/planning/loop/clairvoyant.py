@@ -1,4 +1,4 @@
-"""What a run to a goal cost in truth, and what it costs one who knows the mean power everywhere.
+"""The true cost of a run to a goal, and that of one who knows the mean power everywhere.
 
 A path costs its length, and the outage price for the length of it that is truly out of contact:
 along the whole of it, wherever its steps end. The clairvoyant drives the cheapest path on the true

@@ -1,4 +1,4 @@
-"""What measurements tell of a problem's channels."""
+"""Learn a problem's channels from measurements."""
 
 from __future__ import annotations
 

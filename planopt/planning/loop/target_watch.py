@@ -1,4 +1,4 @@
-"""What robots and their station know of a moving target: one filter each.
+"""The filters of robots and their station for a moving target, one each.
 
 A robot's own filter has all its own measurements of the target; the station's has those whose
 packets arrived (equation 4.9), or, where packets have estimates, all that their senders had

@@ -1,4 +1,4 @@
-"""What one polish needs of a robot that cannot turn or stop at will, as the solver's arrays."""
+"""The data of a robot with dynamics that one polish needs, as the solver's arrays."""
 
 from __future__ import annotations
 

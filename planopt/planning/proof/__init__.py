@@ -1,1 +1,1 @@
-"""What is proven of a path, from the problem and the belief alone."""
+"""Verification of a path, from the problem and the belief alone."""

@@ -1,4 +1,4 @@
-"""What a plan is made and judged under, besides the problem and the posterior."""
+"""The context that a plan is made and verified in, besides the problem and the posterior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the connectivity bound can be met within reach: the verifier's own search.
+"""The verifier's own search for places within reach that meet the connectivity bound.
 
 The places searched contain every place that the robot could reach by a step (a disc about it, cut
 to the free part connected with it; where that has a good place, the ways round the obstacles are

@@ -1,4 +1,4 @@
-"""What many ways are worth at once, from the measurements near them all: for choosing among them.
+"""Value many ways at once, from the measurements near them all, to choose among them.
 
 The terms are those of :mod:`planopt.planning.worth.path_worth`, by the same formulae, batched over
 ways. One set of measurements serves them all, so that the cost grows neither with their number nor,

@@ -1,4 +1,4 @@
-"""Where the polish of a sum of terms starts from: the best ways found by search, all told apart.
+"""Starts for the polish of a sum of terms: the best ways found by search, all told apart.
 
 A lattice is searched stage by stage, and paths to its best ends, apart from each other, are traced
 back. What ending a step at a node is worth is exact for terms that add up. Terms that couple the

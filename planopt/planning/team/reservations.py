@@ -1,4 +1,4 @@
-"""What each robot keeps clear of while the others plan, and how far the plans keep apart.
+"""Reservations that robots keep clear of while others plan, and how far their plans keep apart.
 
 Robots plan one after the other. A robot's *reservation* is the rest of its last released plan, then
 braking if it has dynamics, and standing where that ends for ever after; before the first plan it is

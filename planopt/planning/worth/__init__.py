@@ -1,1 +1,1 @@
-"""What a path is worth by all terms of the objective."""
+"""The objective value of a path, by all terms."""

@@ -1,4 +1,4 @@
-"""What a path is worth: the weighted sum of its terms, from all measurements.
+"""The objective value of a path: the weighted sum of its terms, from all measurements.
 
 This is what plans are compared by and what is reported. Solvers work with
 :mod:`planopt.planning.worth.local_worth`, which is close to it and has derivatives. What a path's

@@ -1,4 +1,4 @@
-"""What the other robots of a team measure: places that are theirs, whatever power is found there.
+"""Measurements pending from other robots of a team: their places count, whatever power they find.
 
 Robots of a team plan one after the other. Each is told the plans that count already, and where the
 others have been. Measurements there are taken for made, with the predicted power as their value:

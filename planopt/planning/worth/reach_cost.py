@@ -1,4 +1,4 @@
-"""What a path costs that is to reach a goal, the way beyond the horizon included."""
+"""The cost of a path that is to reach a goal, the way beyond the horizon included."""
 
 from __future__ import annotations
 

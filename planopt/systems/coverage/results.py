@@ -1,4 +1,4 @@
-"""What a simulated network is reported as: JSON, tables and words."""
+"""Report a simulated network as JSON, tables and words."""
 
 from __future__ import annotations
 

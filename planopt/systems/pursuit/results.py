@@ -1,4 +1,4 @@
-"""What a simulated pursuit is reported as: JSON, tables and words."""
+"""Report a simulated pursuit as JSON, tables and words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rule of connectivity asks of one plan, and when its bound counts as missed."""
+"""The share of a rule of connectivity that one plan must keep, and when it counts as missed."""
 
 from __future__ import annotations
 

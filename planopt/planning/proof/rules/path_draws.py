@@ -1,4 +1,4 @@
-"""What depends on all steps of a path together, by the law of one station or of several.
+"""Quantities of all steps of a path together, by the law of one station or of several.
 
 One station's powers along a path are jointly normal. The serving power of several is not: their
 channels are drawn, each by itself, as many each time and from the same seeds. A calibrated law of

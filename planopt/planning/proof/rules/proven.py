@@ -1,4 +1,4 @@
-"""What each rule of connectivity means: the half of a rule by which plans are judged.
+"""The meaning of each rule of connectivity: the half of a rule by which plans are verified.
 
 Rules on expectations, the average share of connected steps and the data delivered, are here whole.
 """

@@ -30,6 +30,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.local_channel import factored_near
 from planopt.objectives.tracking import Tracking, delivery
+from planopt.objectives.tracking_estimates import Held
 from planopt.targets.information_filter import (
     TargetModel,
     covariance_of,
@@ -60,6 +61,8 @@ class FilteredTracking:
         tr Lambda^-1 per m^2, as their plans have it; None without any.
     criterion
         What is measured of the covariance, by :mod:`planopt.objectives.tracking_scenarios` alone.
+    held
+        What robots hold, where packets have estimates; for that module alone.
 
     Raises
     ------
@@ -72,6 +75,7 @@ class FilteredTracking:
     information: NDArray[np.float64]
     others: NDArray[np.float64] | None = None
     criterion: Criterion = "trace"
+    held: Held | None = None
 
     def __post_init__(self) -> None:
         require_covariance(self.information, 4, "information")

@@ -9,14 +9,13 @@ with m_k the score of the predicted power, z_k its error as drawn, in standard d
 close to one: each draw is smooth in the path, and the probability of each packet is exact. What the
 station's filter then knows after each step is found in closed form (equation 4.22).
 
-The station's estimate and the sensor are alike along x and y, and so is the process noise: the
-filter's covariance is that of one axis, three numbers, for both.
+Packets that have estimates tell of earlier steps too (equation 4.25).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +24,12 @@ from planopt.channel.joint import joint_prediction
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import score_probability
 from planopt.channel.semidefinite import semidefinite_factor
+from planopt.objectives.axis_filter import cost_derivatives, removed, removed_derivatives
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.local_channel import factored_near
 from planopt.objectives.stage_chain import chained
-from planopt.objectives.tracking_filter import Criterion, FilteredTracking
-from planopt.targets.information_filter import TargetModel, covariance_of
+from planopt.objectives.tracking_estimates import counting, log_lost, missing, told_of
+from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import sensing_derivatives, sensing_information
 
@@ -114,9 +114,13 @@ def scenario_gains(
     factor = np.linalg.cholesky(covariance_db2 / shape + 1e-9 * np.eye(scores.shape[1]))
     numbers = _numbers(0, scores.shape[1])[: len(others)]
     errors = numbers @ factor.transpose(0, 2, 1)
-    chance = score_probability(_smoothed(scores[:, None], errors))
+    smoothed = _smoothed(scores[:, None], errors)
     stage = _stages(scores.shape[1], settings)
     sensing = _sensing(ways_m[:, stage], settings)
+    if settings.held is not None:
+        own = _told(log_lost(smoothed), sensing[:, None], settings, -1)
+        return removed(others + own, settings)
+    chance = score_probability(smoothed)
     return removed(others + 0.5 * chance[..., stage] * sensing[:, None], settings)
 
 
@@ -135,6 +139,8 @@ def received_from(
     errors
         Of :func:`drawn_errors`, or of the first draws alone.
     """
+    if settings.held is not None:
+        return _estimates_from(stations, paths_m, errors, settings)
     lost = np.ones_like(errors[0])
     received = np.zeros((errors.shape[2], len(settings.tracking.weight)))
     for (posterior, threshold), error in zip(stations, errors, strict=True):
@@ -146,6 +152,43 @@ def received_from(
         stage = _stages(len(path), settings)
         received += 0.5 * (1.0 - each)[:, stage] * _sensing(path[stage], settings)
     return received
+
+
+def _estimates_from(
+    stations: Stations,
+    paths_m: Sequence[NDArray[np.float64]],
+    errors: NDArray[np.float64],
+    settings: FilteredTracking,
+) -> NDArray[np.float64]:
+    """:func:`received_from` where packets have estimates; ``(draws, k, M + k)``."""
+    held, count = settings.held, len(settings.tracking.weight)
+    if held is None:
+        raise AssertionError("packets have measurements")
+    received = np.zeros((errors.shape[2], count, held.steps + count))
+    for number, path in enumerate(paths_m):
+        lost = np.zeros((errors.shape[2], len(path)))
+        for (posterior, threshold), error in zip(stations, errors, strict=True):
+            power = factored_near(posterior, path).predict(path)
+            scores = (power.mean_db - threshold) / power.deviation_db
+            lost += log_lost(_smoothed(scores, error[number]))
+        stage = _stages(len(path), settings)
+        received += _told(lost, _sensing(path[stage], settings), settings, number)
+    return received
+
+
+def _told(
+    lost: NDArray[np.float64],
+    sensing: NDArray[np.float64],
+    settings: FilteredTracking,
+    number: int,
+) -> NDArray[np.float64]:
+    """u_{s|k} of path number `number` from its logs of losses (..., h) and sensing (..., k)."""
+    held = settings.held
+    if held is None:
+        raise AssertionError("packets have measurements")
+    steps = lost.shape[-1]
+    which = counting(held.steps, _stages(steps, settings))[..., :steps]
+    return told_of(missing(lost, which), sensing, held.sent[number])
 
 
 def drawn_errors(stations: Stations, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -190,6 +233,8 @@ def scenario_derivatives(
     settings
         As there.
     """
+    if settings.held is not None:
+        return _derivatives_of_estimates(scores, errors, others, path_m, settings)
     steps, draws = len(path_m), errors.shape[1]
     stage = _stages(steps, settings)
     sensing = sensing_derivatives(
@@ -226,177 +271,69 @@ def scenario_derivatives(
     return _folded(chained(value, gradient, hessian, inputs), steps)
 
 
-def removed(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
-    """sum_k w_k (f(P_k) without packets - mean f(P_k)) of the position; ``(...)``.
-
-    Parameters
-    ----------
-    received
-        ``(..., draws, k)`` information per axis that arrives in each draw, per m^2.
-    settings
-        The target and what is known of it; f is its criterion.
-    """
-    weight = settings.tracking.weight
-    steps = _Axis.of(settings)
-    total = np.zeros(received.shape[:-1])
-    variance = np.broadcast_to(steps.start.reshape(3, *[1] * total.ndim), (3, *total.shape))
-    alone, idle = steps.start, 0.0
-    for k in range(len(weight)):
-        variance, alone = steps.predicted(variance), steps.predicted(alone)
-        variance = steps.updated(variance, received[..., k])
-        total += weight[k] * criterion_of(variance[0], settings.criterion)
-        idle += weight[k] * float(criterion_of(alone[0], settings.criterion))
-    return idle - total.mean(axis=-1)
-
-
-def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDArray[np.float64]:
-    """Return the trace, determinant or norm of a I_2, a the variance of a coordinate; ``(...)``."""
-    if criterion == "determinant":
-        return np.square(variance_m2)
-    return variance_m2 if criterion == "norm" else 2.0 * variance_m2
-
-
-def removed_derivatives(
-    received: NDArray[np.float64], settings: FilteredTracking
-) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """:func:`removed` with derivatives, in each draw, by the information of each step.
-
-    The value, ``(draws, k)`` and ``(draws, k, k)``; derivatives are not averaged yet.
-    """
-    draws, count = received.shape
-    weight, criterion = settings.tracking.weight, settings.criterion
-    steps = _Axis.of(settings)
-    predicted = np.empty((count, 3, draws))
-    known = np.empty((count, draws))
-    variance = np.broadcast_to(steps.start[:, None], (3, draws))
-    total, idle, alone = np.zeros(draws), 0.0, steps.start
-    for k in range(count):
-        alone = steps.predicted(alone)
-        predicted[k] = steps.predicted(variance)
-        variance = steps.updated(predicted[k], received[:, k])
-        known[k] = variance[0]
-        total += weight[k] * criterion_of(variance[0], criterion)
-        idle += weight[k] * float(criterion_of(alone[0], criterion))
-    slope = _slopes(predicted, received.T)
-    # Adjoints of (a, b, c) after each update, backwards.
-    squares = criterion == "determinant"
-    slope_of_criterion = 1.0 if criterion == "norm" else 2.0
-    after, ahead = np.empty((count, draws, 3)), np.zeros((draws, 3))
-    by = np.empty((draws, count))
-    for k in range(count - 1, -1, -1):
-        after[k] = ahead
-        after[k, :, 0] += weight[k] * (2.0 * known[k] if squares else slope_of_criterion)
-        pulled = (after[k, :, None] @ slope[k])[:, 0]
-        by[:, k] = pulled[:, 3]
-        ahead = pulled[:, :3] @ steps.transition.T
-    bent = _bends(after, predicted, received.T)
-    hessian = np.zeros((draws, count, count))
-    tangent = np.zeros((draws, count, 3))
-    for k in range(count):
-        now = tangent[:, :k] @ steps.transition
-        moved = now[..., :2]
-        turned = moved @ bent[k, :, :2]
-        hessian[:, :k, :k] += turned[..., :2] @ moved.transpose(0, 2, 1)
-        hessian[:, :k, k] = hessian[:, k, :k] = turned[..., 2]
-        hessian[:, k, k] = bent[k, :, 2, 2]
-        tangent[:, :k] = now @ slope[k, :, :, :3].transpose(0, 2, 1)
-        tangent[:, k] = slope[k, :, :, 3]
-        if squares:
-            moved = tangent[:, : k + 1, 0]
-            hessian[:, : k + 1, : k + 1] += 2.0 * weight[k] * moved[:, :, None] * moved[:, None]
-    return idle - float(total.mean()), -by, -hessian
-
-
-def _slopes(now: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Slopes of (a, b, c) after updates by a, b, c before and the information; (k, draws, 3, 4).
-
-    Parameters
-    ----------
-    now
-        ``(k, 3, draws)`` a, b and c before each update.
-    u
-        ``(k, draws)`` information of each.
-    """
-    a, b = now[:, 0], now[:, 1]
-    r = 1.0 / (1.0 + a * u)
-    r2, bu = r * r, b * u
-    slope = np.zeros((*u.shape, 3, 4))
-    slope[..., 0, 0], slope[..., 0, 3] = r2, -a * a * r2
-    slope[..., 1, 0], slope[..., 1, 1], slope[..., 1, 3] = -bu * r2, r, -a * b * r2
-    slope[..., 2, 0], slope[..., 2, 1] = bu * bu * r2, -2.0 * bu * r
-    slope[..., 2, 2], slope[..., 2, 3] = 1.0, -b * b * r2
-    return slope
-
-
-def _bends(
-    after: NDArray[np.float64], now: NDArray[np.float64], u: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Second derivatives by (a, b, u) before each update, ``(k, draws, 3, 3)``; c is linear.
-
-    Parameters
-    ----------
-    after
-        ``(k, draws, 3)`` derivatives of the total by a, b and c after each update.
-    now, u
-        As :func:`_slopes`.
-    """
-    a, b = now[:, 0], now[:, 1]
-    A, B, C = after[..., 0], after[..., 1], after[..., 2]
-    r = 1.0 / (1.0 + a * u)
-    r2, r3, bu = r * r, r * r * r, b * u
-    bent = np.empty((*u.shape, 3, 3))
-    bent[..., 0, 0] = 2.0 * u * (-A + bu * B - bu * bu * C) * r3
-    bent[..., 0, 1] = bent[..., 1, 0] = u * (2.0 * bu * C - B) * r2
-    bent[..., 0, 2] = (-2.0 * a * A + b * (a * u - 1.0) * B + 2.0 * b * bu * C) * r3
-    bent[..., 1, 1] = -2.0 * u * r * C
-    bent[..., 1, 2] = -(a * B + 2.0 * b * C) * r2
-    bent[..., 2, 2] = 2.0 * a * (a * a * A + a * b * B + b * b * C) * r3
-    bent[..., 2, 0], bent[..., 2, 1] = bent[..., 0, 2], bent[..., 1, 2]
-    return bent
-
-
-@dataclass(frozen=True, eq=False)
-class _Axis:
-    """The filter along one axis: P = [[a, b], [b, c]] as (a, b, c)."""
-
-    start: NDArray[np.float64]
-    transition: NDArray[np.float64]
-    noise: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, settings: FilteredTracking) -> _Axis:
-        """Return the mean over the axes of what the station knows, and of the process noise."""
-        model: TargetModel = settings.model
-        e = model.step_s
-        # Rows are (a, b, c) before, columns after.
-        transition = np.array([[1.0, 0.0, 0.0], [2.0 * e, 1.0, 0.0], [e * e, e, 1.0]])
-        start = _axis(covariance_of(settings.information))
-        return cls(start, transition, _axis(model.process_covariance))
-
-    def predicted(self, now: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(a, b, c) ``(3, ...)`` a step later, without packets."""
-        e, (a, b, c) = self.transition[2, 1], now
-        found = np.empty_like(now)
-        found[0] = a + (2.0 * e) * b + (e * e) * c + self.noise[0]
-        found[1] = b + e * c + self.noise[1]
-        found[2] = c + self.noise[2]
-        return found
-
-    def updated(
-        self, now: NDArray[np.float64], information: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """(a, b, c) after packets with `information` (...)."""
-        a, b, c = now[0], now[1], now[2]
-        divisor = 1.0 + a * information
-        found = np.empty((3, *divisor.shape))
-        found[0], found[1], found[2] = a / divisor, b / divisor, c - b * b * information / divisor
-        return found
-
-
-def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(a, b, c) of a covariance (4, 4) of place and velocity, the mean over the axes."""
-    blocks = covariance.reshape(2, 2, 2, 2).trace(axis1=1, axis2=3) / 2.0
-    return np.array([blocks[0, 0], blocks[0, 1], blocks[1, 1]])
+def _derivatives_of_estimates(
+    scores: Sequence[Derivatives],
+    errors: NDArray[np.float64],
+    others: NDArray[np.float64],
+    path_m: NDArray[np.float64],
+    settings: FilteredTracking,
+) -> PathDerivatives:
+    """:func:`scenario_derivatives` where packets have estimates; others ``(draws, k, M + k)``."""
+    held, stage = settings.held, _stages(len(path_m), settings)
+    if held is None:
+        raise AssertionError("packets have measurements")
+    most, numbers, draws = held.steps, len(stage), errors.shape[1]
+    sensing = sensing_derivatives(
+        settings.tracking.sensor, path_m[stage], settings.tracking.target_m
+    )
+    inputs = [*(_taken(score, stage) for score in scores), sensing]
+    width = np.sqrt(1.0 - RHO2)
+    smoothed = [_smoothed(score.value, each) for score, each in zip(scores, errors, strict=True)]
+    z = np.array(smoothed)[..., stage].transpose(1, 0, 2)
+    log = log_lost(z)
+    # Slopes of the logarithms by the scores, and bends of the chances over these.
+    slopes = -np.exp(-0.5 * z * z - log) / (np.sqrt(2.0 * np.pi) * width)
+    bends = (-z / width * slopes - slopes * slopes).reshape(draws, -1)
+    slopes = slopes.reshape(draws, -1)
+    which = counting(most, stage)
+    missed = missing(log.sum(axis=1), which)
+    received = others + told_of(missed, sensing.value, held.sent[-1])
+    value = float(removed(received, settings))
+    # A filter for every step and draw, of which the last step counts.
+    told = received.shape[-1]
+    last = np.zeros((told, draws, numbers))
+    last[most + np.arange(numbers), :, np.arange(numbers)] = settings.tracking.weight[:, None]
+    received[..., :most] += held.known
+    _, by, bent = cost_derivatives(
+        received.reshape(-1, told),
+        last.reshape(told, -1),
+        replace(settings, information=held.information),
+    )
+    by, bent = -by.reshape(missed.shape), -bent.reshape(*missed.shape, told)
+    each = np.concatenate([held.sent[-1], 0.5 * sensing.value])
+    count, size = len(inputs), (len(inputs) - 1) * numbers
+    in_it = np.tile(which, count - 1)
+    steep = in_it * slopes[:, None, None]
+    first = np.zeros((*missed.shape, size + numbers))
+    first[..., :size] = (-each * missed)[..., None] * steep
+    own, flat = np.arange(numbers), (-1, size + numbers)
+    first[:, :, most + own, size + own] = 0.5 * (1.0 - missed[..., most:])
+    gradient = by.ravel() @ first.reshape(flat)
+    hessian = first.reshape(flat).T @ (bent @ first).reshape(flat)
+    lever = -by * each * missed
+    hessian[:size, :size] += (lever[..., None] * steep).reshape(-1, size).T @ steep.reshape(
+        -1, size
+    )
+    hessian[np.arange(size), np.arange(size)] += np.einsum(
+        "dks,ksa,da->a", lever, in_it, bends, optimize=True
+    )
+    crossed = np.einsum("dks,dksa->as", -0.5 * by * missed, steep)[:, most:]
+    hessian[:size, size:] += crossed
+    hessian[size:, :size] += crossed.T
+    shape = (count, numbers)
+    hessian = hessian.reshape(*shape, *shape).transpose(1, 0, 3, 2) / draws
+    found = chained(value, gradient.reshape(shape).T / draws, hessian, inputs)
+    return _folded(found, len(path_m))
 
 
 def _numbers(station: int, count: int) -> NDArray[np.float64]:

@@ -10,14 +10,13 @@ from path_scene import CHANNEL, PATH, drawn
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.posterior import condition
+from planopt.objectives.axis_filter import removed, removed_derivatives
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking
 from planopt.objectives.tracking_scenarios import (
     drawn_errors,
     extended,
     received_from,
-    removed,
-    removed_derivatives,
     scenario_derivatives,
     scenario_gain,
 )

@@ -22,6 +22,7 @@ from planopt.objectives.local_channel import LocalChannel, LocalGrid
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import Gates, MeasuringRule
 from planopt.objectives.told_batch import ToldBatch, WayBatch
+from planopt.objectives.tracking_estimates import Held
 from planopt.targets.information_filter import TargetModel
 from planopt.targets.rounding import Derivatives
 
@@ -129,6 +130,11 @@ class StepContext(Protocol):
     @property
     def information(self) -> NDArray[np.float64] | None:
         """``(4, 4)`` information matrix of the station's filter; None without target."""
+        ...
+
+    @property
+    def held(self) -> Held | None:
+        """What the robots hold of the target where packets have estimates, this one's last."""
         ...
 
     @property

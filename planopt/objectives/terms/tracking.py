@@ -11,6 +11,7 @@ from pydantic import Field, Strict
 
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
+from planopt.objectives.axis_filter import criterion_of, removed
 from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
     information_gain_derivatives,
@@ -36,11 +37,9 @@ from planopt.objectives.tracking_filter import (
 from planopt.objectives.tracking_scenarios import (
     SOLVER_DRAWS,
     Stations,
-    criterion_of,
     drawn_errors,
     extended,
     received_from,
-    removed,
     scenario_derivatives,
     scenario_gain,
     scenario_gains,
@@ -236,7 +235,7 @@ class TrackingTerm(Term):
         if at.others_m:
             others = at.once((TrackingTerm, "others", self), lambda: self._others(at))
         return FilteredTracking(
-            self.settings(at), at.target_motion, at.information, others, self.criterion
+            self.settings(at), at.target_motion, at.information, others, self.criterion, at.held
         )
 
     def _others(self, at: StepContext) -> NDArray[np.float64]:

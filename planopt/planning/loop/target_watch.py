@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.objectives.tracking_estimates import Held
 from planopt.planning.given import free_target_path
 from planopt.planning.worth.situation import Aim, target_model
 from planopt.problems.problem import Problem
@@ -28,7 +29,10 @@ from planopt.targets.information_filter import (
     simulate_target,
     update,
 )
-from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
+from planopt.targets.sensor import Sensor, noise_covariance_m2, sense, sensing_information
+
+MOST_HELD = 8
+"""Last steps whose measurements a plan counts as held by a robot: older ones tell little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +155,27 @@ def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
     """What robot number `robot` plans for, N = `steps` steps ahead, before it is steered."""
     if watch is None:
         return Aim(None, None)
-    return Aim(watch.expected_m(robot, steps), None, watch.station.matrix)
+    expected_m = watch.expected_m(robot, steps)
+    return Aim(expected_m, None, watch.station.matrix, held=_held(watch, robot))
+
+
+def _held(watch: TargetWatch, robot: int) -> Held | None:
+    """What a robot has measured since the station last knew all of it; None without estimates."""
+    if watch.packets != "estimates":
+        return None
+    count = len(watch.sent)
+    seen = np.array([step.seen for step in watch.sent]).reshape(count, len(watch.robots))
+    unknown = seen[:, robot] & ~watch.known[:, robot] if count else np.zeros(0, dtype=np.bool_)
+    recent = np.flatnonzero(unknown[max(count - MOST_HELD, 0) :])
+    first = max(count - MOST_HELD, 0) + int(recent[0]) if len(recent) else count
+    states = (*watch.past, watch.station)
+    known, sent = np.zeros(count - first), np.zeros((1, count - first))
+    for number, step in enumerate(range(first, count)):
+        ahead = predict(watch.model, states[step])
+        each = 0.5 * sensing_information(watch.sensor, watch.sent[step].positions_m, ahead.mean[:2])
+        known[number] = each @ watch.known[step]
+        sent[0, number] = each[robot] * unknown[step]
+    return Held(states[first].matrix, known, sent)
 
 
 def observed(

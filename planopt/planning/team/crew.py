@@ -125,6 +125,7 @@ class Member:
             information=watched.information,
             circumstances=circumstances,
             pending=pending,
+            own_held=watched.held,
         )
         if self.steer is not None:
             situation = replace(situation, steering=self.steer(situation))
@@ -157,6 +158,7 @@ class Member:
             aim.information,
             circumstances_of(self.problem, belief.posteriors, history),
             aim.pending,
+            aim.held,
         )
         return PathWorth(situation)(plan.positions_m[1:])
 

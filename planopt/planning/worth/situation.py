@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -16,6 +16,7 @@ from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
 from planopt.objectives.terms.term import Structure
+from planopt.objectives.tracking_estimates import Held
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import Serving, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
@@ -71,12 +72,16 @@ class Aim:
         ``(4, 4)`` J_{t|t} of the station's filter then; None without target.
     pending
         Where the other robots measure, as the plan counts it.
+    held
+        What the robot holds of the target and the station does not know, where packets have
+        estimates.
     """
 
     target_m: NDArray[np.float64] | None = None
     steering_turns_m: NDArray[np.float64] | None = None
     information: NDArray[np.float64] | None = None
     pending: Pending = NOTHING_PENDING
+    held: Held | None = None
 
 
 Made = TypeVar("Made")
@@ -113,6 +118,8 @@ class Situation:
         What else is known at the step.
     pending
         Where the other robots measure.
+    own_held
+        What the robot holds of the target, where packets have estimates.
     """
 
     problem: Problem
@@ -124,6 +131,7 @@ class Situation:
     information: NDArray[np.float64] | None = None
     circumstances: Circumstances = field(default_factory=Circumstances)
     pending: Pending = NOTHING_PENDING
+    own_held: Held | None = None
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -205,6 +213,14 @@ class Situation:
     def others_m(self) -> tuple[NDArray[np.float64], ...]:
         """Places that the others plan to be at."""
         return self.pending.planned_m
+
+    @property
+    def held(self) -> Held | None:
+        """What the robot holds of the target; of the others nothing is told."""
+        if self.own_held is None:
+            return None
+        others = np.zeros((len(self.others_m), self.own_held.steps))
+        return replace(self.own_held, sent=np.vstack([others, self.own_held.sent]))
 
     @property
     def stations(self) -> tuple[ChannelPosterior, ...]:

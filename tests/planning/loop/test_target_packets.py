@@ -8,18 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt import check, load, simulate
+from planopt import check, load, simulate, solve
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.planning.loop.metrics import run_metrics
-from planopt.planning.loop.target_watch import counted, watch_target
+from planopt.planning.loop.target_watch import aim_of, counted, watch_target
 from planopt.planning.run import summary_of
-from planopt.targets.information_filter import predict
+from planopt.problems.objective_forms import TermsObjective
+from planopt.targets.information_filter import predict, predicted_information
 
 STEPS = 6
 PLACES = np.array([[20.0, 30.0], [32.0, 26.0], [26.0, 16.0]])
 DELIVERED = np.random.default_rng(3).uniform(size=(STEPS, 3)) < 0.4
 MEASURED = 28.0 + np.random.default_rng(4).normal(size=(STEPS, 3, 2))
+
+HELD_TOLERANCE = 0.02
+"""A plan takes the noise of held measurements at the station's estimate, the robot at its own."""
 
 
 def watched(packets="measurements", delay=0, robots=3):
@@ -57,6 +61,26 @@ def test_estimates_of_several_robots_are_all_that_they_measured():
     assert watches[-1].station_variance_m2 <= raw.station_variance_m2
 
 
+def test_plans_know_what_a_robot_holds():
+    """The station's filter with what is held is the robot's own, with what is known its own."""
+    for watch in watched("estimates", robots=1):
+        held = aim_of(watch, 0, 3).held
+        assert held is not None
+        for told, expected in (
+            (held.known, watch.station.matrix),
+            (held.known + held.sent[0], watch.robots[0].matrix),
+        ):
+            matrix = held.information
+            for each in told:
+                matrix = predicted_information(watch.model, matrix)
+                matrix[:2, :2] += each * np.eye(2)
+            np.testing.assert_allclose(matrix, expected, rtol=HELD_TOLERANCE)
+    assert {aim_of(watch, 0, 3).held for watch in watched("measurements")} == {None}
+    several = [aim_of(watched("estimates")[-1], robot, 3).held for robot in range(3)]
+    last = [STEPS - 1 - np.flatnonzero(DELIVERED[:, i]).max(initial=-1) for i in range(3)]
+    assert [held.steps for held in several if held is not None] == last
+
+
 @pytest.mark.parametrize("packets", ["measurements", "estimates"])
 def test_late_packets_are_those_of_before(packets):
     """With a delay of two steps the station predicts twice from what it knew without one."""
@@ -80,6 +104,22 @@ def test_a_run_of_estimates_is_judged_from_its_files(tmp_path):
     assert check(tmp_path / "run").reasons == ()
     assert run.target is not None and raw.target is not None
     assert not np.array_equal(run.target.station_variance_m2, raw.target.station_variance_m2)
+
+
+def test_plans_for_estimates_are_checked_from_files(tmp_path):
+    """By the form that follows the filter, in which estimates are worth more."""
+    problem = load("fig4")
+    term = replace(problem.terms[0], form="sampled")
+    planner = replace(problem.planner, name="lattice", max_steps=4, horizon=4)
+    weak = replace(problem.stations[0], threshold_dbm=-32.0)
+    problem = replace(problem, objective=TermsObjective((term,)), planner=planner, stations=(weak,))
+    target = replace(problem.targets[0], packets="estimates")
+    estimates = replace(problem, targets=(target,))
+    simulate(estimates, seed=1).save(tmp_path / "run")
+    assert check(tmp_path / "run").reasons == ()
+    raw, more = (solve(each, seed=1).plans[0] for each in (problem, estimates))
+    np.testing.assert_array_equal(raw.positions_m, more.positions_m)
+    assert more.objective > 1.0001 * raw.objective > 0.0
 
 
 def with_receiver(receive_dbm):

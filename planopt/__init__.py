@@ -17,7 +17,7 @@ FORMER_NAMES = {
 }
 """Former public names, accepted for one version, and the names that replace them."""
 
-HOMES = ("planopt.channel", "planopt.problems", "planopt.extend")
+HOMES = ("planopt.channel", "planopt.problems", "planopt.extend", "planopt.objectives")
 """Where public names are that were formerly here; accepted for one version."""
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__, FORMER_NAMES, moved_to=HOMES)

@@ -2,6 +2,7 @@
 
 from planopt.problems.channel_setup import ArrayTruth as ArrayTruth
 from planopt.problems.channel_setup import FunctionTruth as FunctionTruth
+from planopt.problems.channel_setup import GivenParameters as GivenParameters
 from planopt.problems.channel_setup import LoggedMeasurements as LoggedMeasurements
 from planopt.problems.channel_setup import ModelTruth as ModelTruth
 from planopt.problems.channel_setup import RasterTruth as RasterTruth

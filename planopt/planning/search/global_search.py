@@ -272,9 +272,8 @@ class GlobalSearch:
 
     def _metre_cost(self) -> NDArray[np.float64]:
         """What a metre costs at every node, in metres."""
-        if self._forbids:
-            return np.where(self.margins.outside, FORBIDDEN, 1.0)
-        return 1.0 + self._problem.reach.outage_price * self.margins.outage_share
+        charged = 1.0 + self._problem.reach.outage_price * self.margins.outage_share
+        return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
     def _within_rule(
         self, situation: Situation, ways: Ways, cheapest: NDArray[np.intp]
@@ -381,7 +380,7 @@ class GlobalSearch:
         margin_here, share_here = margins.at(situation.position_m[None])
         here = problem.reach.outage_price * share_here
         if self._forbids:
-            here = np.where(margin_here < 0.0, FORBIDDEN, 0.0)
+            here = np.where(margin_here < 0.0, FORBIDDEN, here)
         nodes: NDArray[np.intp] | None = None
         for _ in range(CORRECTION_ROUNDS):
             surcharge = self._rate * np.concatenate([self._metre_cost() - 1.0, here])

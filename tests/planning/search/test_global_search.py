@@ -26,7 +26,7 @@ from planopt.planning.history import BEGINNING
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.proof.verify import verify
 from planopt.planning.search import global_search
-from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.search.global_search import FORBIDDEN, GlobalStart
 
 
 def found(problem, power_at=good_everywhere) -> GlobalStart:
@@ -110,29 +110,40 @@ def test_geodesic_goes_straight_connected_goes_round():
 
 
 @pytest.mark.parametrize(
-    ("price", "charge"),
-    [(0.0, "below_p_min"), (0.5, "below_p_min"), (10.0, "below_p_min"), (10.0, "everywhere")],
+    ("price", "charge", "slack_max_db"),
+    [
+        (0.0, "below_p_min", None),
+        (0.5, "below_p_min", None),
+        (10.0, "below_p_min", None),
+        (10.0, "everywhere", None),
+        (10.0, "everywhere", 0.0),
+    ],
 )
-def test_cost_to_go_against_networkx(price, charge):
-    """Every node's, with the price of its own P(connected) written out."""
+def test_cost_to_go_against_networkx(price, charge, slack_max_db):
+    """Every node's, with the price of its own P(connected) written out; a hard bound forbids."""
     problem = small_problem(CUP, start_m=(12.0, 15.0), horizon=3)
     problem = replace(problem, objective=replace(problem.objective, outage_price=price))
     problem = replace(problem, objective=replace(problem.objective, outage_charge=charge))
+    rule = replace(problem.constraints.rule, slack_max_db=slack_max_db)
+    problem = replace(problem, constraints=replace(problem.constraints, rule=rule))
     power = bad_disc(20.0, 4.0, 6.0)
     search, belief, scene = search_of(problem, power)
     start = search.find_start(situation_of(problem, belief, np.array([12.0, 15.0])))
     road_map = scene.road_map
     corrected = search.margins
     z = (corrected.mean_db + 80.0) / corrected.deviation_db
-    share = outage_share(scipy.stats.norm.cdf(z), z < scipy.stats.norm.ppf(0.9) + 1e-9)
+    below = z < scipy.stats.norm.ppf(0.9) + 1e-9
+    share = outage_share(scipy.stats.norm.cdf(z), below)
     if charge == "everywhere":
         share = scipy.stats.norm.sf(z)
+    counted = 1.0 + price * share
+    if slack_max_db is not None:
+        counted = np.where(below, FORBIDDEN, counted)
     graph = nx.DiGraph()
     for node, sources in enumerate(road_map.sources.tolist()):
         for move, source in enumerate(sources):
             if source < len(share):
-                mean_share = 0.5 * (share[source] + share[node])
-                metres = road_map.lengths_m[move] * (1.0 + price * mean_share)
+                metres = road_map.lengths_m[move] * 0.5 * (counted[source] + counted[node])
                 graph.add_edge(node, source, weight=metres)
     lengths = nx.single_source_dijkstra_path_length(graph, scene.goal_node)
     expected = np.array([lengths.get(node, np.inf) for node in range(len(road_map.nodes_m))])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.errors import InputError
 from planopt.plain_values import make_plain
 from planopt.robots.dynamics import Dynamics
 
@@ -54,6 +55,13 @@ class Robot:
 
     def __post_init__(self) -> None:
         make_plain(self)
+        if isinstance(self.dynamics, str | type):
+            raise InputError(
+                f"is {self.dynamics!r}, should be an object",
+                key="robots[].dynamics",
+                remedy="give planopt.problems.DoubleIntegrator(...), Unicycle(...) or your own, or "
+                "none for a robot that moves as it will",
+            )
         if self.dynamics is not None and not self.start_rest:
             rest = (0.0,) * (len(self.dynamics.state_names) - 2)
             object.__setattr__(self, "start_rest", rest)

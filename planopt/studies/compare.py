@@ -15,6 +15,7 @@ from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.validation.calibration import FEWEST_GROUPS
 from planopt.errors import InputError, NoPlanError
+from planopt.plain_values import parts_of
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import ANY, POSSIBLE
@@ -127,7 +128,8 @@ def compare(
     [(0.5, 'reached'), (0.9, 'reached')]
     """
     begun = perf_counter()
-    given = [problems] if isinstance(problems, Problem | SystemProblem) else list(problems)
+    kind = cast("type[AnyProblem]", Problem | SystemProblem)
+    given = parts_of("problems", problems, kind, "load or make a Problem")
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     _check_seeds(chosen)
     variants = _variants(given, horizons, planners, costs_to_go, sweep)

@@ -19,6 +19,7 @@ from planopt import (
     Problem,
     Robot,
     Workspace,
+    compare,
     load,
     obstacles_from,
     solve,
@@ -27,7 +28,14 @@ from planopt.channel import true_power_dbm
 from planopt.errors import InputError
 from planopt.objectives import LearningTerm, TrackingTerm
 from planopt.planning.given import draw
-from planopt.problems import ArrayTruth, FunctionTruth, ModelTruth, SampledMeasurements, term_tables
+from planopt.problems import (
+    ArrayTruth,
+    DoubleIntegrator,
+    FunctionTruth,
+    ModelTruth,
+    SampledMeasurements,
+    term_tables,
+)
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 STATION = BaseStation(position_m=(20, 15), transmit_power_dbm=0.0, threshold_dbm=-70.0)
@@ -324,3 +332,16 @@ def test_terms_have_the_defaults_of_files() -> None:
     assert LearningTerm() == LearningTerm("D", weight=1.0)
     table = {"kind": "path_loss_learning"}
     assert term_tables.read_term(table) == LearningTerm()
+
+
+@pytest.mark.parametrize("dynamics", ["double_integrator", DoubleIntegrator])
+def test_dynamics_are_an_object(dynamics: object) -> None:
+    """The problem file's word, or the class itself, is told what to give instead."""
+    with pytest.raises(InputError, match=r"robots\[\]\.dynamics: is .* should be an object"):
+        Robot(start_m=(0.0, 0.0), speed_max_m_s=1.0, dynamics=dynamics)  # type: ignore[arg-type]
+
+
+def test_what_is_compared_is_a_problem() -> None:
+    """A name is not loaded by itself."""
+    with pytest.raises(InputError, match=r"problems\[0\]: is a str"):
+        compare("open_field", [1])  # type: ignore[arg-type]

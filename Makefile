@@ -1,6 +1,6 @@
 # make demo   the main job, end to end, with pictures in demo/
 # make test   everything that is checked: style, types, imports, tests with coverage
-# make quick  the tests but for the slowest tenth
+# make quick  the tests but for the slowest fifth
 # make bench  the benchmarks        make docs   the documentation in docs/_build/html
 # make regression  the fast share of the solver regression suite
 # make pictures  the pictures of README and documentation, drawn again

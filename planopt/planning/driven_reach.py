@@ -126,18 +126,13 @@ class DrivenReach:
         A robot that moves first comes to rest where its last plan ends.
         """
         problem, settings = self._problem, self._problem.planner
-        dynamics = dynamics_of(problem)
         if not stands(problem, judge.state):
             drive = shifted_drive(problem, warm)
         else:
             away = np.linalg.norm(start.path_m - judge.position_m, axis=1) > STANDSTILL_M
-            end = start.path_m[int(np.argmax(away))]
-            inputs = dynamics.straight(judge.state, end, settings.step_s)
-            if inputs is None:
+            drive = self._straight(judge, start.path_m[int(np.argmax(away))])
+            if drive is None:
                 return None
-            rest = np.zeros((settings.horizon, inputs.shape[1]))
-            inputs = np.vstack([inputs, rest])[: settings.horizon]
-            drive = rolled_out(dynamics, judge.state, inputs, settings.step_s)
         if drive is not None and len(drive.inputs) == settings.horizon:
             found = judge.judged(
                 drive_candidate(judge, drive, Rung.DIRECT, Termination.LATTICE_ONLY)
@@ -146,10 +141,20 @@ class DrivenReach:
                 return found
         return without_start(judge, warm)
 
+    def _straight(self, judge: Judge, end_m: NDArray[np.float64]) -> Drive | None:
+        """From rest to rest at a place (2,), as far as the horizon; None where nobody knows how."""
+        dynamics, settings = dynamics_of(self._problem), self._problem.planner
+        inputs = dynamics.straight(judge.state, end_m, settings.step_s)
+        if inputs is None:
+            return None
+        rest = np.zeros((settings.horizon, inputs.shape[1]))
+        inputs = np.vstack([inputs, rest])[: settings.horizon]
+        return rolled_out(dynamics, judge.state, inputs, settings.step_s)
+
     def _starts(
         self, situation: Situation, judge: Judge, start: GlobalStart, warm: Plan | None
     ) -> list[Start]:
-        """Ways that the robot can drive: the last plan, and along what was found."""
+        """Ways that the robot can drive: the last plan, along what was found, and straight on."""
         problem, settings = self._problem, self._problem.planner
         dynamics = dynamics_of(problem)
         last = last_drive(problem, warm)
@@ -165,6 +170,9 @@ class DrivenReach:
             starts.append(driven_start(judge, situation, followed))
             if any(each.clear for each in starts):
                 break
+        if stands(problem, judge.state):
+            drive = self._straight(judge, start.path_m[-1])
+            starts += [] if drive is None else [driven_start(judge, situation, drive)]
         return starts
 
     def _pivot(

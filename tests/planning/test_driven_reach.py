@@ -199,6 +199,18 @@ def test_hole_is_crossed_without_hovering(low_m: float, high_m: float, horizon: 
     assert simulation.run.metrics.goal_time_s <= 1.5 * bang_bang_s(30.0, BOAT)
 
 
+@pytest.mark.parametrize(("start_x_m", "horizon"), [(29.0, 10), (32.0, 6)])
+def test_standing_in_a_hole_it_goes_straight_to_the_goal(start_x_m: float, horizon: int) -> None:
+    """What is followed would swing out past the goal: waiting must not look cheaper than that."""
+    slow = DoubleIntegrator(3.0, 0.15)
+    settings = {"cost_to_go": "connected", "horizon": horizon, "start_m": (start_x_m, 15.0)}
+    problem = reach(dynamics=slow, **settings)
+    problem = replace(problem, planner=replace(problem.planner, step_s=4.0))
+    simulation = driven(problem, bad_band(24.0, 40.0, 40.0))
+    least_s = bang_bang_s(35.0 - start_x_m, slow)
+    assert simulation.run.metrics.goal_time_s <= least_s + 2 * problem.planner.step_s
+
+
 def test_unconnected_gap_is_crossed_or_gone_round() -> None:
     """The bound is kept where a way keeps it."""
     problem = reach(dynamics=BOAT, cost_to_go="connected", horizon=8)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.objectives.expression import START, WIDTHS, run_program
 from planopt.objectives.stage_chain import chained
+from planopt.plain_values import calling
 from planopt.targets.rounding import Derivatives
 
 CASADI: dict[str, tuple[int, Callable[..., Any]]] = {
@@ -107,20 +108,26 @@ def program_of(expression: Any, steps: int) -> str:
     InputError
         It is no scalar of these symbols, or uses what cannot be written as instructions.
     """
+    if not isinstance(steps, int | np.integer) or steps < 1:
+        raise InputError(
+            f"is {steps!r}", key="horizon", remedy="give the whole number of steps that are planned"
+        )
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
+    remedy = f"return a scalar of {', '.join(symbols)}"
     try:
-        value = _value(expression, symbols)
+        value = _value(expression, symbols, remedy)
         function = ca.Function("value", list(symbols.values()), [ca.densify(ca.SX(value))])
     except (RuntimeError, NotImplementedError, TypeError, ValueError) as error:
         raise InputError(
             f"the expression is not one of CasADi: {str(error).splitlines()[-1]}",
             key="expression",
-            remedy=f"a scalar of {', '.join(symbols)}",
+            remedy=remedy,
         ) from None
     if function.size_out(0) != (1, 1):
         raise InputError(
             f"the expression has the shape {function.size_out(0)}, not that of a number",
             key="expression",
+            remedy=remedy,
         )
     return "\n".join(_lines(function, list(symbols), steps))
 
@@ -183,13 +190,24 @@ def _shapes(steps: int) -> dict[str, tuple[int, int]]:
     return {name: (steps, width) for name, width in WIDTHS.items()} | {START: (1, 2)}
 
 
-def _value(expression: Any, symbols: dict[str, Any]) -> Any:
+def _value(expression: Any, symbols: dict[str, Any], remedy: str) -> Any:
     if not isinstance(expression, ca.Function):
-        return expression(PathSymbols(**symbols))
+        if not callable(expression):
+            raise InputError(
+                f"is a {type(expression).__name__}, nothing that can be called",
+                key="expression",
+                remedy=f"give a function of path, for instance lambda path: ...; {remedy}",
+            )
+        with calling(expression, "", remedy=remedy):
+            return expression(PathSymbols(**symbols))
     names = expression.name_in()
     unknown = [name for name in names if name not in symbols]
     if unknown or expression.n_out() != 1:
-        raise ValueError(f"inputs {unknown} are unknown, or there is not one output")
+        raise InputError(
+            f"has the inputs {names} and {expression.n_out()} outputs",
+            key="expression",
+            remedy=f"name inputs as in {', '.join(symbols)}, and give one output",
+        )
     return expression.expand()(*(symbols[name] for name in names))
 
 

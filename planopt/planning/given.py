@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements, Table, as_received
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
+from planopt.plain_values import calling
 from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
@@ -123,8 +125,10 @@ def draw(problem: Problem, seed: int, measurements: Sequence[Measurements] | Non
     InputError
         The seed is negative, a file cannot be used, or there is nothing to measure.
     """
-    if seed < 0:
-        raise InputError(f"is {seed}, should be at least 0", key="seed")
+    if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
+        raise InputError(
+            f"is {seed!r}, should be at least 0", key="seed", remedy="give a whole number, e.g. 0"
+        )
     fading_seed, places_seed = np.random.SeedSequence(seed).spawn(2)
     fading_seeds = [fading_seed] + [
         np.random.SeedSequence(seed, spawn_key=(FURTHER_STREAMS, number))
@@ -228,7 +232,9 @@ def _given_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: i
         x = cell_centres_m(x_min, x_max, setup.cell_m)
         y = cell_centres_m(y_min, y_max, setup.cell_m)
         places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        values = _numbers("power_dbm", setup.power_dbm(places))
+        with calling(setup.power_dbm, "", key="channel.truth.power_dbm"):
+            powers = setup.power_dbm(places)
+        values = _numbers("power_dbm", powers)
         several = values.ndim == 2
         if values.shape[-1:] != (len(places),):
             raise InputError(

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from planopt.errors import InputError
+from planopt.plain_values import calling, class_name, part_of
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
 from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.baselines.random_walk import RandomPlanner
@@ -25,6 +26,8 @@ from planopt.planning.scene import Ground
 from planopt.planning.worth.situation import Situation
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem
+
+KEY = "planner.name"
 
 
 class Planner(Protocol):
@@ -79,7 +82,33 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
             key="planner.name",
             remedy=f"use {names_with('has_dynamics')}",
         )
-    return kind.maker()(problem, ground, generator)
+    make = kind.maker()
+    with calling(make, "", key=KEY, remedy="take a problem, its geometry and a random generator"):
+        made = make(problem, ground, generator)
+    if not callable(getattr(made, "plan", None)):
+        raise InputError(
+            f"is {kind.name}: {class_name(made)} has no method plan",
+            key=KEY,
+            remedy="define plan(self, situation, judge, warm=None), which returns released(...)",
+        )
+    return made
+
+
+def asked_plan(
+    planner: Planner, situation: Situation, judge: Judge, warm: Plan | None = None
+) -> Plan:
+    """Return what a planner plans; see :meth:`Planner.plan`.
+
+    Raises
+    ------
+    InputError
+        A planner from outside fails, or returns no plan of this problem.
+    """
+    remedy = "return released(judge, path_m, begun_s), of a path (N, 2)"
+    with calling(planner, "plan", key=KEY, remedy=remedy):
+        plan = planner.plan(situation, judge, warm)
+    part_of(f"{KEY}: what {class_name(planner)}.plan returned", plan, Plan, remedy)
+    return plan
 
 
 def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:

@@ -132,6 +132,14 @@ class FunctionTruth:
     cell_m: float = 1.0
     floor_dbm: float | None = None
 
+    def __post_init__(self) -> None:
+        if not callable(self.power_dbm):
+            raise InputError(
+                f"is a {type(self.power_dbm).__name__}, nothing that can be called",
+                key="channel.truth.power_dbm",
+                remedy="give a function of places (n, 2) in metres, or an ArrayTruth for arrays",
+            )
+
 
 ChannelTruth = RasterTruth | ModelTruth | ArrayTruth | FunctionTruth
 """Where the true channel comes from."""

@@ -5,11 +5,12 @@ If it is moving at the start it must be able to stop: then there is always a cle
 
 from __future__ import annotations
 
+import math
 from typing import cast
 
 import numpy as np
 
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
 
@@ -28,11 +29,11 @@ def check_dynamics(problem: Problem) -> None:
             continue
         rest = dynamics.state_names[2:]
         given = robot.start_rest
-        numbers = all(isinstance(value, int | float) for value in cast("tuple[object]", given))
-        if len(given) != len(rest) or not numbers or not np.isfinite(given).all():
+        values = cast("tuple[object]", given) if isinstance(cast("object", given), tuple) else ()
+        numbers = all(isinstance(value, int | float) and math.isfinite(value) for value in values)
+        if not isinstance(cast("object", given), tuple) or len(values) != len(rest) or not numbers:
             raise InputError(
-                f"has the start_rest {list(robot.start_rest)}, should have finite numbers for "
-                f"{', '.join(rest)}",
+                f"has the start_rest {given!r}, should have finite numbers for {listed(rest)}",
                 file=problem.file,
                 key=f"robots[{number}]",
                 remedy=f"start_rest is the state of a {dynamics.kind} beyond its place",

@@ -343,10 +343,11 @@ def _check_term(problem: Problem, term: Term, key: str) -> None:
     except InputError as error:
         raise InputError(
             error.message,
-            file=problem.file,
+            file=error.file or problem.file,
+            row=error.row,
             key=f"{key}.{error.key}" if error.key else key,
             remedy=error.remedy,
-        ) from None
+        ) from error
 
 
 def _check_step(problem: Problem, number: int) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from planopt.errors import InputError
-from planopt.plain_values import make_plain, part_of
+from planopt.plain_values import calling, make_plain, part_of
 from planopt.problems.rule_kinds import OWN, RuleKind, rule_kind
 
 ParameterUncertainty = Literal["path_loss", "all"]
@@ -63,19 +63,29 @@ class ConnectivityRule:
     settings: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        settings = sorted(dict(self.settings).items())
+        try:
+            settings = sorted(dict(self.settings).items())
+        except (TypeError, ValueError):
+            raise InputError(
+                f"is {self.settings!r}",
+                key="constraints.settings",
+                remedy='give values by name, such as {"steps": 3}',
+            ) from None
         object.__setattr__(self, "settings", tuple(settings))
         make_plain(self)
         kind = self.kind
-        try:
-            if settings or kind.name not in OWN:
-                kind.half(planned=False)(**dict(settings))
-        except TypeError as error:
-            raise InputError(
-                f"do not fit {self.connectivity}: {error}",
-                key="constraints.settings",
-                remedy="give a number for each field of the rule, and no others",
-            ) from None
+        if settings or kind.name not in OWN:
+            rule = kind.half(planned=False)
+            with calling(rule, "__post_init__", key="constraints.settings"):
+                try:
+                    rule(**dict(settings))
+                except TypeError as error:
+                    raise InputError(
+                        f"do not fit {self.connectivity}: {error}",
+                        key="constraints.settings",
+                        remedy="give a number for each field of the rule, a frozen dataclass, and "
+                        "no others",
+                    ) from error
 
     @property
     def kind(self) -> RuleKind:
@@ -119,7 +129,8 @@ class Constraints:
 
     def __post_init__(self) -> None:
         make_plain(self)
-        part_of("constraints", self.rule, ConnectivityRule)
+        remedy = 'give ConnectivityRule("joint"), or of another name'
+        part_of("constraints.rule", self.rule, ConnectivityRule, remedy)
 
     @property
     def asks_connection(self) -> bool:

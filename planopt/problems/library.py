@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from planopt.errors import InputError
+from planopt.plain_values import path_of
 from planopt.problems.read_toml import read_toml
 
 SUFFIX = ".toml"
@@ -63,7 +64,7 @@ def find_problem(path_or_name: Path | str) -> Path:
     InputError
         There is no such file, or it is a folder, or the library has no such problem.
     """
-    path = Path(path_or_name)
+    path = path_of("path_or_name", path_or_name, "give the path or name of a problem")
     try:
         if path.is_file():
             return path

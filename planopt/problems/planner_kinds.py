@@ -7,7 +7,6 @@ and whose objects are a :class:`PlannerKind` or what makes a planner; a program 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,6 +15,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from planopt.errors import InputError
+from planopt.plain_values import part_of, require_name
 
 GROUP = "planopt.planners"
 """Entry points of planners from outside."""
@@ -73,16 +73,26 @@ class PlannerKind:
             It cannot be imported.
         """
         if not isinstance(self.make, str):
-            return self.make
+            return self._callable(self.make)
         module, _, attribute = self.make.partition(":")
         try:
-            return getattr(import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
+            return self._callable(getattr(import_module(module), attribute))
+        except (ImportError, AttributeError, ValueError) as error:
             raise InputError(
                 f"is {self.name}, whose {self.make} cannot be imported: {error}",
                 key="planner.name",
                 remedy="install what it needs, or name another planner",
             ) from None
+
+    def _callable(self, make: Any) -> Callable[..., Any]:
+        """Return what makes the planner, which must be a class or function."""
+        if not callable(make):
+            raise InputError(
+                f"of {self.name!r} is a {type(make).__name__}, nothing that can be called",
+                key="PlannerKind.make",
+                remedy="give the planner's class, not an instance of it, or 'module:name'",
+            )
+        return make
 
 
 OWN = {
@@ -124,7 +134,8 @@ def register_planner(kind: PlannerKind) -> None:
     Raises
     ------
     InputError
-        The name is no word, or one of planopt's own, or the planner is said to reach goals.
+        It is no PlannerKind, its name is no word, or one of planopt's own, or the planner is said
+        to reach goals.
 
     Examples
     --------
@@ -136,12 +147,11 @@ def register_planner(kind: PlannerKind) -> None:
     True
     >>> unregister_planner("mine")
     """
-    if kind.name in OWN or not re.fullmatch(r"[A-Za-z0-9_-]{1,100}", kind.name):
-        raise InputError(
-            f"{kind.name!r} cannot be the name of a planner",
-            key="name",
-            remedy=f"letters, digits, _ and -, and none of {', '.join(OWN)}",
-        )
+    remedy = "give PlannerKind(name, class), such as PlannerKind('mine', MyPlanner)"
+    part_of("kind", kind, PlannerKind, remedy)
+    require_name(kind.name, "a planner", OWN, key="name")
+    if not isinstance(kind.make, str):
+        kind.maker()
     _registered[kind.name] = _without_goals(kind)
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from planopt.objectives.terms.term import require_kind
 from planopt.plain_values import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
@@ -197,5 +198,8 @@ def _objective(
     if isinstance(given, ReachObjective):
         return given
     terms = given.terms if isinstance(given, TermsObjective) else given
-    remedy = "give terms of planopt.objectives"
-    return TermsObjective(parts_of("objective.terms", terms, Term, remedy))
+    remedy = "give terms of planopt.objectives, or of a class that derives from OwnTerm"
+    found = parts_of("objective.terms", terms, Term, remedy)
+    for number, term in enumerate(found):
+        require_kind(term, f"objective.terms[{number}]")
+    return TermsObjective(found)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
-from planopt.plain_values import make_plain
+from planopt.errors import InputError, listed
+from planopt.plain_values import class_name, make_plain
 from planopt.robots.dynamics import Dynamics
 
 
@@ -55,13 +55,8 @@ class Robot:
 
     def __post_init__(self) -> None:
         make_plain(self)
-        if isinstance(self.dynamics, str | type):
-            raise InputError(
-                f"is {self.dynamics!r}, should be an object",
-                key="robots[].dynamics",
-                remedy="give planopt.problems.DoubleIntegrator(...), Unicycle(...) or your own, or "
-                "none for a robot that moves as it will",
-            )
+        if self.dynamics is not None:
+            _require_dynamics(self.dynamics)
         if self.dynamics is not None and not self.start_rest:
             rest = (0.0,) * (len(self.dynamics.state_names) - 2)
             object.__setattr__(self, "start_rest", rest)
@@ -70,3 +65,30 @@ class Robot:
     def start_state(self) -> NDArray[np.float64]:
         """``(s,)`` the state at the start, its place first."""
         return np.array([*self.start_m, *self.start_rest], dtype=np.float64)
+
+
+def _require_dynamics(given: object) -> None:
+    """Refuse what has not all attributes and methods of dynamics."""
+    named = {name: part for name, part in vars(Dynamics).items() if not name.startswith("_")}
+    if isinstance(given, str | type):
+        missing = list(named)
+    else:
+        # A class that derives from the protocol has its empty methods.
+        missing = [
+            name
+            for name, part in named.items()
+            if getattr(type(given), name, None) is part or not hasattr(given, name)
+        ]
+    if len(missing) == len(named):
+        raise InputError(
+            f"is {given!r}, no object with dynamics",
+            key="robots[].dynamics",
+            remedy="give planopt.problems.DoubleIntegrator(...), Unicycle(...), "
+            "planopt.extend.CasadiMap(...) or your own, or none for a robot that moves at will",
+        )
+    if missing:
+        raise InputError(
+            f"{class_name(given)} lacks {listed(missing)}",
+            key="robots[].dynamics",
+            remedy="define what planopt.extend.Dynamics has, or give a planopt.extend.CasadiMap",
+        )

@@ -7,12 +7,12 @@ A rule has two halves that share no code: what it means, by which plans are judg
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 from planopt.errors import InputError, listed
+from planopt.plain_values import require_name
 
 _PROVEN = "planopt.planning.proof.rules.proven"
 _PLANNED = "planopt.planning.worth.rules"
@@ -114,13 +114,7 @@ def register_rule(rule: type[Any]) -> None:
     InputError
         Its ``kind`` is no word, or that of one of planopt's rules.
     """
-    name = getattr(rule, "kind", "")
-    if name in OWN or not re.fullmatch(r"[A-Za-z0-9_-]{1,100}", str(name)):
-        raise InputError(
-            f"{name!r} cannot be the name of a rule",
-            key="kind",
-            remedy=f"letters, digits, _ and -, and none of {listed(OWN)}",
-        )
+    name = require_name(getattr(rule, "kind", ""), "a rule", OWN)
     _registered[name] = RuleKind(
         name, rule, f"{_PLANNED}.sums:PlannedOwn", asks_without_p_min=not rule.asks_p_min
     )
@@ -139,7 +133,9 @@ def rule_kind(name: str) -> RuleKind:
     InputError
         There is none.
     """
-    found = OWN.get(name) or _registered.get(name)
+    found = (
+        (OWN.get(name) or _registered.get(name)) if isinstance(cast("object", name), str) else None
+    )
     if found is None:
         raise InputError(
             f"is {name!r}",

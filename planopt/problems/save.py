@@ -59,7 +59,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
             "description": problem.description,
         },
         "world": {
-            "bounds_m": list(problem.workspace.bounds_m),
+            "bounds_m": _array(problem.workspace.bounds_m),
             "obstacles": [
                 obstacle_table(obstacle)
                 for obstacle in (*problem.workspace.lasting, *problem.workspace.timed)
@@ -125,6 +125,11 @@ def _plain(table: dict[str, Any]) -> dict[str, Any]:
         elif value is not None:
             plain[key] = value
     return plain
+
+
+def _array(value: Any) -> Any:
+    """Return a tuple as an array; anything else as it is, for the schema to refuse."""
+    return list(cast("tuple[object, ...]", value)) if isinstance(value, tuple) else value
 
 
 def _truth(truth: RasterTruth | ModelTruth) -> dict[str, Any]:

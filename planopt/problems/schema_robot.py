@@ -141,7 +141,7 @@ def robot_table(robot: Robot) -> dict[str, Any]:
         "start_spread_m": robot.start_spread_m or None,
         "goal_m": robot.goal_m,
         "speed_max_m_s": robot.speed_max_m_s,
-        "weights": list(robot.weights) or None,
+        "weights": robot.weights or None,
     }
     match robot.dynamics:
         case None:

@@ -6,11 +6,20 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import BaseModel, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
+from pydantic import (
+    BaseModel,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PydanticUserError,
+    TypeAdapter,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from planopt.errors import InputError
 from planopt.objectives.terms.term import Term, registered_terms
+from planopt.plain_values import class_name, is_own
 from planopt.problems.tables import made_of, table_of
 
 
@@ -64,12 +73,22 @@ def _adapter_of(terms: tuple[type[Term], ...]) -> TypeAdapter[Any]:
 
 @lru_cache(maxsize=4)
 def _tables_of(terms: tuple[type[Term], ...]) -> tuple[type[BaseModel], ...]:
-    return tuple(
-        table_of(
+    return tuple(_table_of(term) for term in terms)
+
+
+def _table_of(term: type[Term]) -> type[BaseModel]:
+    try:
+        return table_of(
             term,
             f"{term.__name__.removesuffix('Term')}Table",
             Literal[term.kind],  # pyright: ignore
             term.summary,
         )
-        for term in terms
-    )
+    except (PydanticUserError, NameError, TypeError) as error:
+        if not is_own(term):
+            raise
+        raise InputError(
+            f"the fields of the term {class_name(term)} cannot be keys of a table: {error}",
+            key="objective.terms",
+            remedy="annotate each with a number, text, or a tuple of these",
+        ) from error

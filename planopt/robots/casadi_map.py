@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.plain_values import make_plain
 from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components, Disc
 from planopt.world.ways import PointWay, StepWay
@@ -153,6 +154,7 @@ class CasadiMap:
     _evaluated: ComponentFunction = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        make_plain(self)
         check_casadi_map(self)
         object.__setattr__(self, "_evaluated", ComponentFunction(self.function))
 
@@ -319,14 +321,28 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
     InputError
         With the attribute as its key.
     """
-    states, inputs = len(dynamics.state_names), len(dynamics.input_names)
-    sizes = [dynamics.function.size1_in(i) for i in range(dynamics.function.n_in())]
-    if sizes != [states, inputs] or dynamics.function.size1_out(0) != states:
+    function: object = dynamics.function
+    if not isinstance(function, ca.Function):
         raise InputError(
-            f"takes {sizes} and gives {dynamics.function.size1_out(0)} numbers, should take "
-            f"[{states}, {inputs}] and give {states}",
+            f"is a {type(function).__name__}, should be a casadi.Function",
             key="function",
-            remedy="one number for each of state_names and input_names",
+            remedy="give casadi.Function(name, [state, input], [after]) of two columns of symbols",
+        )
+    for key in ("state_names", "input_names"):
+        names: object = getattr(dynamics, key)
+        if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+            raise InputError(
+                f"is {names!r}", key=key, remedy="give a tuple of names, one for each component"
+            )
+    states, inputs = len(dynamics.state_names), len(dynamics.input_names)
+    sizes = [function.size_in(i) for i in range(function.n_in())]
+    gives = [function.size_out(i) for i in range(function.n_out())]
+    if sizes != [(states, 1), (inputs, 1)] or gives != [(states, 1)]:
+        raise InputError(
+            f"takes {sizes} and gives {gives} numbers, should take "
+            f"{[(states, 1), (inputs, 1)]} and give {[(states, 1)]}",
+            key="function",
+            remedy="one number for each of state_names and input_names, in columns",
         )
     if dynamics.state_names[:2] != ("x_m", "y_m"):
         raise InputError(
@@ -334,21 +350,40 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
             key="state_names",
             remedy="put the place first",
         )
-    for key, bounds, count in (
-        ("state_bounds", dynamics.state_bounds, states),
-        ("input_bounds", dynamics.input_bounds, inputs),
+    for key, names, shape in (
+        ("state_bounds", dynamics.state_names, (states, 2)),
+        ("input_bounds", dynamics.input_names, (inputs, 2)),
+        ("rest_input", dynamics.input_names, (inputs,)),
+        ("speed_max_m_s", (), ()),
     ):
-        if len(bounds) != count or not all(low <= high for low, high in bounds):
-            raise InputError(
-                f"should be {count} pairs, the lower bound first", key=key, remedy="see names"
-            )
-    if len(dynamics.rest_input) != inputs:
-        raise InputError(f"should be {inputs} numbers", key="rest_input", remedy="see names")
-    if not (dynamics.speed_max_m_s > 0.0 and math.isfinite(dynamics.speed_max_m_s)):
-        raise InputError("should be above 0", key="speed_max_m_s", remedy="a bound of speed")
-    if dynamics.substeps < 1 or (dynamics.substeps > 1 and not dynamics.continuous):
+        given = getattr(dynamics, key)
+        if not _are_numbers(given, shape):
+            pairs = "a pair (least, largest)" if len(shape) == 2 else "a finite number"
+            each = f" for each of {', '.join(names)}" if names else " above 0, e.g. 2.0"
+            raise InputError(f"is {given!r}", key=key, remedy=f"give {pairs}{each}")
+    if dynamics.speed_max_m_s <= 0.0:
         raise InputError(
-            f"is {dynamics.substeps}, should be at least 1, and 1 of a discrete map",
+            f"is {dynamics.speed_max_m_s!r}, should be above 0",
+            key="speed_max_m_s",
+            remedy="give the speed that the robot never exceeds, e.g. 2.0",
+        )
+    substeps: object = dynamics.substeps
+    if not isinstance(substeps, int) or substeps < 1 or (substeps > 1 and not dynamics.continuous):
+        raise InputError(
+            f"is {substeps!r}, should be a whole number from 1 on, and 1 of a discrete map",
             key="substeps",
             remedy="set continuous = True for a derivative",
         )
+
+
+def _are_numbers(given: Any, shape: tuple[int, ...]) -> bool:
+    """Whether numbers of a shape are given: bounds with the lower one first, others finite."""
+    try:
+        found = np.array(given)
+    except ValueError:
+        return False
+    if found.shape != shape or found.dtype.kind not in "iuf" or np.isnan(found).any():
+        return False
+    if len(shape) == 2:
+        return bool((found[:, 0] <= found[:, 1]).all())
+    return bool(np.isfinite(found).all())

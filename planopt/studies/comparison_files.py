@@ -18,6 +18,7 @@ from planopt.files.regular import read_text
 from planopt.files.result_folder import ResultFiles, replaced_results
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text, write_whole
+from planopt.plain_values import path_of
 from planopt.planning.check.check import load_result as load_plan_or_run
 from planopt.planning.files.record import finite
 from planopt.planning.files.run_json import reliability_json, summary_json
@@ -124,7 +125,7 @@ def load_result(path: Path | str) -> Solution | Run | Comparison:
     ...     planopt.load_result(folder).plan.objective == solution.plan.objective
     True
     """
-    given = Path(path)
+    given = path_of("path", path, "give the folder that a result was saved in")
     folder = given.parent if given.name == COMPARISON_FILE else given
     others = (folder / name for name in (PLAN_FILE, RUN_FILE))
     named = given.name == COMPARISON_FILE

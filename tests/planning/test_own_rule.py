@@ -128,7 +128,7 @@ def test_unknown_rules_and_settings(name, settings, words):
 
 def test_one_value_a_plan():
     """Not one for each step."""
-    with pytest.raises(InputError, match="rule odd achieves has shape"):
+    with pytest.raises(InputError, match=r"Odd\.achieved returned shape"):
         solve(under(ConnectivityRule("odd"), 0.5), seed=SEED)
 
 

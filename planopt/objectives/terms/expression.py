@@ -18,6 +18,7 @@ from planopt.objectives.expression_casadi import PathSymbols, program_of
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Term, TermSetting
 from planopt.objectives.tracking import connectivity_derivatives
+from planopt.plain_values import make_plain
 from planopt.targets.rounding import Derivatives
 
 
@@ -204,9 +205,13 @@ class OwnTerm(Term):
         Factor of the term in the sum.
     """
 
+    def __post_init__(self) -> None:
+        """Make lists and arrays tuples: terms are compared."""
+        make_plain(self)
+
     def expression(self, path: PathSymbols) -> Any:
         """Return the value of a path, to be made large: a scalar CasADi expression of `path`."""
-        raise NotImplementedError(f"{type(self).__name__} has no expression")
+        raise self._without("expression")
 
     @property
     def needs_power(self) -> bool:

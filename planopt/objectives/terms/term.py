@@ -8,9 +8,10 @@ planopt (every module of this package is read) or outside (import it before its 
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 import planopt.objectives.terms as own_terms
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
+from planopt.plain_values import class_name, require_name
 from planopt.targets.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -200,17 +202,25 @@ class Term:
             Its key is the field at fault.
         """
 
+    def _without(self, method: str) -> InputError:
+        """Return the error of a class that lacks a method."""
+        return InputError(
+            f"{class_name(self)} has no method {method}",
+            remedy=f"define {method}, or derive the class from planopt.extend.OwnTerm and define "
+            "expression",
+        )
+
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
         """Return the value of one path (N, 2), from all measurements: what is reported."""
-        raise NotImplementedError(f"{_name(type(self))} has no value")
+        raise self._without("value")
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the values of many paths at once, ``(c,)``: what searches compare."""
-        raise NotImplementedError(f"{_name(type(self))} has no values")
+        raise self._without("values")
 
     def derivatives(self, path: NearPath) -> Part:
         """Return the value of one path with its derivatives, as a solver asks for it."""
-        raise NotImplementedError(f"{_name(type(self))} has no derivatives")
+        raise self._without("derivatives")
 
     @property
     def has_slope(self) -> bool:
@@ -222,7 +232,7 @@ class Term:
 
         Terms that are no sum over stations count only the first.
         """
-        raise NotImplementedError(f"{_name(type(self))} has no slope")
+        raise self._without("slope")
 
     @property
     def adds_stations(self) -> bool:
@@ -272,15 +282,42 @@ def register(term: type[Term]) -> None:
     Raises
     ------
     InputError
-        Another class has this kind.
+        The kind is no word, or another class has it.
     """
-    known = _kinds.get(term.kind)
-    if known is not None and _name(known) != _name(term):
+    kind = require_name(term.kind, f"the term {class_name(term)}")
+    known = _kinds.get(kind)
+    if known is not None and class_name(known) != class_name(term):
         raise InputError(
-            f"kind {term.kind!r} of {_name(term)} is that of {_name(known)} already",
+            f"kind {kind!r} of {class_name(term)} is that of {class_name(known)} already",
             remedy="give the term a kind of its own",
         )
-    _kinds[term.kind] = term
+    _kinds[kind] = term
+
+
+def require_kind(term: Term, key: str) -> None:
+    """Refuse a term whose class problem files could not name or fill.
+
+    Raises
+    ------
+    InputError
+        Its class has no ``kind``, or attributes that are no fields of a dataclass.
+    """
+    made = type(term)
+    if not hasattr(made, "kind"):
+        raise InputError(
+            f"{class_name(made)} has no kind",
+            key=key,
+            remedy='add kind: ClassVar[str] = "..." to the class: its name in problem files',
+        )
+    known = {each.name for each in fields(term)} | {*inspect.get_annotations(Term)}
+    stray = [name for name in inspect.get_annotations(made) if name not in known]
+    if (stray or "__init__" in vars(made)) and "__dataclass_params__" not in vars(made):
+        raise InputError(
+            f"{class_name(made)} is no dataclass: {listed(stray or ['__init__'])} would not be "
+            "saved",
+            key=key,
+            remedy="write @dataclass(frozen=True) above the class",
+        )
 
 
 def registered_terms() -> tuple[type[Term], ...]:
@@ -294,7 +331,3 @@ def outside_terms() -> tuple[type[Term], ...]:
     """Return the known classes of terms that are not planopt's, for worker processes."""
     home = f"{own_terms.__name__}."
     return tuple(term for term in registered_terms() if not term.__module__.startswith(home))
-
-
-def _name(term: type[Term]) -> str:
-    return f"{term.__module__}.{term.__qualname__}"

@@ -7,6 +7,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.errors import InputError
+from planopt.plain_values import part_of
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination
 from planopt.planning.scene import Ground
@@ -27,7 +29,24 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
         Where the steps end.
     begun_s
         When planning began, by :func:`time.perf_counter`.
+
+    Raises
+    ------
+    InputError
+        `path_m` has another shape than (N, 2) of the horizon N.
     """
+    part_of("judge", judge, Judge, "give the judge first, then the path")
+    shape = (judge.problem.planner.horizon, 2)
+    try:
+        path_m = np.asarray(path_m, dtype=np.float64)
+    except (TypeError, ValueError):
+        path_m = np.zeros(0)
+    if path_m.shape != shape:
+        raise InputError(
+            f"has the shape {path_m.shape}, should have {shape}",
+            key="path_m",
+            remedy="give a place in metres after each step of planner.horizon",
+        )
     found = judge.judged(judge.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
     if not found.sound:
         found = judge.standing(len(path_m))
@@ -37,7 +56,17 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
 def free_ends(
     problem: Problem, ground: Ground, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,)."""
+    """Whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,).
+
+    Raises
+    ------
+    InputError
+        `ends_m` has another shape.
+    """
+    if np.ndim(ends_m) != 2 or np.shape(ends_m)[1] != 2:
+        raise InputError(
+            f"has the shape {np.shape(ends_m)}", key="ends_m", remedy="give places (n, 2)"
+        )
     starts = np.broadcast_to(position_m, ends_m.shape)
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
     clear = segments_clear(ground.index, starts, ends_m, wanted)

@@ -20,6 +20,7 @@ from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
+from planopt.plain_values import path_of
 from planopt.planning.certificate import Certificate, dearest, worst_result
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import given_again, learnt_again
@@ -131,7 +132,7 @@ def check(path: Path | str) -> CheckResult:
     InputError
         A file is missing, truncated or not what it should be; with file, key or row.
     """
-    file, data = read_object(Path(path))
+    file, data = read_object(path_of("path", path, "give a folder: save a result before"))
     judged = judge_saved(file, data)
     if judged is not None:
         return CheckResult(Verdict.VIOLATED if judged else Verdict.VERIFIED, (), tuple(judged))

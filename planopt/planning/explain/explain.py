@@ -23,6 +23,7 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
+from planopt.plain_values import part_of
 from planopt.planning.explain.explanation import Case, Crossing, Relaxation, towards
 from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
@@ -66,7 +67,8 @@ def explain(asked: Solution | Problem, seed: int = 0) -> tuple[Relaxation | Cros
     """
     if isinstance(asked, Problem):
         return explain_no_plan(asked, seed)
-    return _explain_solution(asked)
+    remedy = "give a Problem, or what planopt.solve returned"
+    return _explain_solution(part_of("asked", asked, Solution, remedy))
 
 
 def _explain_solution(solution: Solution) -> tuple[Relaxation | Crossing, ...]:

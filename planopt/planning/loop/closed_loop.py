@@ -14,6 +14,7 @@ import numpy as np
 from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
+from planopt.plain_values import calling
 from planopt.planning.given import (
     GivenMeasurements,
     team_seeds,
@@ -99,7 +100,9 @@ def simulate(
     kind = planner_kind(problem.planner.name)
     if kind.foresees:
         true_m = np.zeros((0, 2)) if target is None else target.true_m
-        foreseen = kind.maker()(problem, truths[0], true_m)
+        make = kind.maker()
+        with calling(make, "", key="planner.name"):
+            foreseen = make(problem, truths[0], true_m)
     robots = Stepper(
         problem,
         prepared.belief,

@@ -24,6 +24,7 @@ from planopt.objectives.local_channel import (
 )
 from planopt.objectives.terms.context import Paths
 from planopt.objectives.told_batch import Pull, ToldBatch, WayBatch, slopes_of
+from planopt.plain_values import calling, returned
 from planopt.planning.worth.left_to_learn import region_along
 from planopt.planning.worth.rules.planned import planned_rule
 from planopt.planning.worth.situation import Situation
@@ -136,7 +137,8 @@ class LocalRanking:
             for term in at.problem.terms:
                 if number and not term.adds_stations:
                     continue  # it was counted with the first
-                pull = pull.plus(term.slope(at, told, station), term.weight)
+                with calling(term, "slope", key="objective.terms"):
+                    pull = pull.plus(term.slope(at, told, station), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
                 # With several, a way climbs as if there were no bound, but takes no step that
                 # misses more.
@@ -166,7 +168,11 @@ class LocalRanking:
         at = self._situation
         worth = np.zeros(len(ways.ways_m))
         for term in at.problem.terms:
-            worth += term.weight * term.values(ways)
+            with calling(term, "values", key="objective.terms"):
+                found = term.values(ways)
+            worth += term.weight * returned(
+                term, "values", found, worth.shape, words="one number for each path", unbounded=True
+            )
         if not at.problem.constraints.asks_connection:
             return worth
         if self._missing_db_cost is None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.plain_values import calling
 from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.programme.pivot import GoalCharge
 from planopt.planning.scene import Ground, first_moves
@@ -73,7 +74,8 @@ class StageRewards:
         shape = field.mean_db.shape
         self._alone: NDArray[np.float64] | None = None
         for term in situation.problem.terms:
-            found = term.node_reward(situation, field)
+            with calling(term, "node_reward", key="objective.terms"):
+                found = term.node_reward(situation, field)
             if found is not None:
                 alone = term.weight * found
                 self._alone = alone if self._alone is None else self._alone + alone
@@ -102,9 +104,10 @@ class StageRewards:
         if self._credit.any():
             reward += self._credit[stage] * self._chance[where]
         for term in self._situation.problem.terms:
-            found = term.stage_reward(
-                self._situation, self._field.grid_m[where], stage, self._chance[where]
-            )
+            with calling(term, "stage_reward", key="objective.terms"):
+                found = term.stage_reward(
+                    self._situation, self._field.grid_m[where], stage, self._chance[where]
+                )
             if found is not None:
                 found *= term.weight
                 reward += found
@@ -137,7 +140,8 @@ class StageRewards:
             Prediction(station.mean_db[where], station.deviation_db[where])
             for station in self._field.stations
         ]
-        found = term.power_reward(self._situation, powers, chance)
+        with calling(term, "power_reward", key="objective.terms"):
+            found = term.power_reward(self._situation, powers, chance)
         return 0.0 if found is None else found
 
     def _largest_reward(self) -> float:
@@ -158,7 +162,8 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
     """
     value = np.zeros(len(lengths_m))
     for term in problem.terms:
-        value += term.weight * term.move_reward(lengths_m, problem.planner.step_s)
+        with calling(term, "move_reward", key="objective.terms"):
+            value += term.weight * term.move_reward(lengths_m, problem.planner.step_s)
     if any(term.shares_places for term in problem.terms):
         value[lengths_m == 0.0] = -np.inf
     return value

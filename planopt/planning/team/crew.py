@@ -24,7 +24,7 @@ from planopt.planning.given import TeamSeeds
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.planners import Planner, planner_for
+from planopt.planning.planners import Planner, asked_plan, planner_for
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
 from planopt.planning.robot_problem import problem_of_robot
@@ -139,7 +139,7 @@ class Member:
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
             state[2:],
         )
-        plan = _valued_alone(self.planner.plan(situation, judge, warm), situation)
+        plan = _valued_alone(asked_plan(self.planner, situation, judge, warm), situation)
         steered = None if situation.steering is None else situation.steering.turns_m
         return plan, replace(watched, steering_turns_m=steered, pending=pending)
 

@@ -7,16 +7,19 @@ returns is valued again by :mod:`planopt.planning.worth.path_worth` and judged b
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import InputError
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
 from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.terms.context import NearPath, NearStation, Part
-from planopt.objectives.terms.term import Structure
+from planopt.objectives.terms.term import Structure, Term
 from planopt.objectives.tracking import connectivity_derivatives
+from planopt.plain_values import calling, class_name
 from planopt.planning.programme.margin_source import (
     EvaluatePath,
     Evaluation,
@@ -84,7 +87,7 @@ def local_worth(
             total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
         gates = None if rule is None else rule.gates(places_m[None])
         near = NearPath(situation, places_m, power, each, joint, told, gates, ahead, tried, path_m)
-        parts = [_weighted(term.weight, term.derivatives(near)) for term in problem.terms]
+        parts = [_weighted(term.weight, _derivatives(term, near)) for term in problem.terms]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 
     return remembering(evaluate)
@@ -115,6 +118,20 @@ def _joint_channels(
         grid = None if region is None else local_grid(channel, region.grid_m, region.weight)
         found.append(NearStation(station, channel, grid))
     return found
+
+
+def _derivatives(term: Term, near: NearPath) -> Part:
+    """Return the value of one path with its derivatives, by a term that may be a user's own."""
+    with calling(term, "derivatives", key="objective.terms"):
+        part = term.derivatives(near)
+    if not isinstance(cast("object", part), PathDerivatives | Derivatives):
+        raise InputError(
+            f"{class_name(term)}.derivatives returned a {type(part).__name__}",
+            key="objective.terms",
+            remedy="return PathDerivatives(value, gradient, hessian), or derive the class from "
+            "planopt.extend.OwnTerm, which needs an expression alone",
+        )
+    return part
 
 
 def _weighted(weight: float, part: Part) -> Part:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
+from planopt.plain_values import calling, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.proof.rules.asked import is_missed
 from planopt.planning.proof.rules.proven import PathCase, asked_steps
@@ -49,16 +50,20 @@ class PathWorth:
     def _contributed(self, number: int, path_m: NDArray[np.float64]) -> float:
         term = self._terms[number]
         try:
-            return term.weight * term.value(self.situation, path_m)
+            with calling(term, "value", key="value"):
+                value = term.value(self.situation, path_m)
+            words = "one finite number"
+            return term.weight * float(returned(term, "value", value, (), words=words, key="value"))
         except InputError as error:
             if error.key is None or error.key.startswith("objective"):
                 raise
             raise InputError(
                 error.message,
-                file=self.situation.problem.file,
+                file=error.file or self.situation.problem.file,
+                row=error.row,
                 key=f"objective.terms[{number}].{error.key}",
                 remedy=error.remedy,
-            ) from None
+            ) from error
 
 
 SHARE_IN_DB = 100.0

@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.plain_values import calling, class_name, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.proven import BySlack, PathCase, ProvenRule
 from planopt.problems.rule_kinds import register_rule
+
+KEY = "constraints.connectivity"
 
 
 class OwnRule(ProvenRule):
@@ -58,6 +61,12 @@ class OwnRule(ProvenRule):
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Let problems name the rule, in this process and in workers of its studies."""
         super().__init_subclass__(**keywords)
+        if not cls.asks_p_min and cls.asked is OwnRule.asked:
+            raise InputError(
+                f"{class_name(cls)} has asks_p_min = False and no method asked",
+                key="asked",
+                remedy="define asked(self, p_min), or leave asks_p_min out",
+            )
         if "kind" in cls.__dict__:
             register_rule(cls)
 
@@ -87,24 +96,27 @@ class OwnRule(ProvenRule):
         InputError
             It has another shape, or is not finite.
         """
-        try:
-            found = np.asarray(self.achieved(probability, history), dtype=np.float64)
-        except (TypeError, ValueError, IndexError) as error:
-            raise self._fault(f"cannot be computed: {error}") from error
-        if found.shape != probability.shape[:-1] or not np.isfinite(found).all():
-            raise self._fault(f"has shape {found.shape}, or is no number")
-        return found
+        words = "one finite number for each plan of probabilities (..., N)"
+        with calling(self, "achieved", key=KEY, remedy=f"return {words}"):
+            found = self.achieved(probability, history)
+        return returned(self, "achieved", found, probability.shape[:-1], words=words, key=KEY)
 
-    def _fault(self, words: str) -> InputError:
-        return InputError(
-            f"what rule {self.kind} achieves {words}",
-            key="constraints.connectivity",
-            remedy="return one number for each plan of probabilities (..., N)",
-        )
+    def asked_value(self, p_min: float) -> float:
+        """Return :meth:`asked` as a number.
+
+        Raises
+        ------
+        InputError
+            It is none.
+        """
+        words = "one finite number"
+        with calling(self, "asked", key=KEY, remedy=f"return {words}"):
+            found = self.asked(p_min)
+        return float(returned(self, "asked", found, (), words=words, key=KEY))
 
     def by_slack(self, case: PathCase) -> BySlack:
         """Return what the path's probabilities achieve."""
-        asked = self.asked(case.problem.constraints.p_min)
+        asked = self.asked_value(case.problem.constraints.p_min)
 
         def result(slack_db: float) -> RuleResult:
             achieved = float(self.valued(case.probability(slack_db), case.history))

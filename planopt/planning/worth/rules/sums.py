@@ -168,7 +168,7 @@ class PlannedOwn(_PlannedSum):
         probe = np.where(chance > 0.5, -PROBE, PROBE)
         values = self._own.valued(np.vstack([chance, chance + np.diag(probe)]), history)
         slope = np.maximum((values[1:] - values[0]) / probe, 0.0)
-        asked = self._own.asked(problem.constraints.p_min)
+        asked = self._own.asked_value(problem.constraints.p_min)
         return slope, asked - float(values[0]) + float(slope @ chance)
 
     def find_guided(
@@ -196,12 +196,12 @@ class PlannedOwn(_PlannedSum):
         """Return by how much what is achieved falls short."""
         chance = ways_chances(at, legs_m.shape, power)
         achieved = self._own.valued(chance, at.circumstances.history)
-        return np.maximum(self._own.asked(at.problem.constraints.p_min) - achieved, 0.0)
+        return np.maximum(self._own.asked_value(at.problem.constraints.p_min) - achieved, 0.0)
 
     def is_possible(self, best: BestWithin) -> bool:
         """Return whether the best chances achieve enough."""
         achieved = self._own.valued(best.chances(), BEGINNING)
-        return bool(achieved >= self._own.asked(best.problem.constraints.p_min))
+        return bool(achieved >= self._own.asked_value(best.problem.constraints.p_min))
 
     def weak_steps(self, problem: Problem, plan: Plan) -> NDArray[np.bool_]:
         """Return the steps that are less certain than the plan's median."""

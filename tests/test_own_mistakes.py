@@ -1,0 +1,478 @@
+"""Mistakes in a user's own parts, through every public door: each is an error of planopt's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+from terms_scene import LEARNING, terms_problem
+
+import planopt
+from planopt import Constraints, InputError, Problem, Robot, solve
+from planopt.extend import (
+    CasadiMap,
+    Dynamics,
+    OwnRule,
+    OwnTerm,
+    PlannerKind,
+    Term,
+    casadi_term,
+    free_ends,
+    register_planner,
+    released,
+    unregister_planner,
+)
+from planopt.objectives import LearningTerm
+from planopt.objectives.terms import term as terms
+from planopt.problems import FunctionTruth, rule_kinds
+
+
+@pytest.fixture(autouse=True)
+def forgotten(monkeypatch):
+    """Forget own kinds after each test."""
+    terms.registered_terms()
+    monkeypatch.setattr(terms, "_kinds", dict(terms._kinds))
+    monkeypatch.setattr(rule_kinds, "_registered", dict(rule_kinds._registered))
+
+
+@pytest.fixture(scope="module")
+def base() -> Problem:
+    """The small problem, with two steps ahead."""
+    return terms_problem(LEARNING, horizon=2)
+
+
+def own_class(parent: type, **attributes) -> type:
+    """A frozen dataclass with the kind ``wrong``, unless another is given."""
+    attributes.setdefault("kind", "wrong")
+    hints = {"kind": "ClassVar[str]", "x": "float"}
+    known = {"__annotations__": {name: hints[name] for name in hints if name in attributes}}
+    found = type("Mine", (parent,), {**known, "__module__": __name__, **attributes})
+    return dataclass(frozen=True)(found)
+
+
+def made(base: Problem, **parts) -> Problem:
+    """A problem of the small one's parts and these."""
+    given = {
+        name: getattr(base, name)
+        for name in ("robots", "stations", "workspace", "objective", "planner", "channel")
+    }
+    return Problem(**{**given, **parts})
+
+
+def expression_of(value) -> type:
+    """A class of terms with this expression."""
+    return own_class(OwnTerm, expression=value)
+
+
+@pytest.mark.parametrize("kind", [3, None, "", "a b", "x" * 101, property(lambda self: "x")])
+@pytest.mark.parametrize("parent", [OwnTerm, OwnRule])
+def test_kinds_are_words(parent, kind) -> None:
+    """Where the class is defined, so that no other problem suffers."""
+    with pytest.raises(InputError, match=r"key kind: .* cannot be the name of (the term|a rule)"):
+        own_class(parent, kind=kind)
+
+
+def test_a_term_needs_a_kind(base) -> None:
+    """The class and the attribute are named."""
+
+    @dataclass(frozen=True)
+    class Nameless(OwnTerm):
+        """No kind."""
+
+    words = r"objective\.terms\[0\]: .*Nameless has no kind \(add kind: ClassVar"
+    with pytest.raises(InputError, match=words):
+        made(base, objective=Nameless())
+
+
+def test_a_term_is_a_dataclass(base) -> None:
+    """What a constructor of its own keeps would not be saved."""
+
+    class Plain(OwnTerm):
+        """No dataclass."""
+
+        kind: ClassVar[str] = "plain"
+
+        def __init__(self, x) -> None:
+            object.__setattr__(self, "x", x)
+
+    with pytest.raises(InputError, match=r"Plain is no dataclass.*write @dataclass"):
+        made(base, objective=Plain(2.0))
+
+
+@pytest.mark.parametrize("hint", ["np.ndarray", "Nowhere"])
+def test_fields_are_keys_of_a_table(base, hint) -> None:
+    """An annotation that no table can have names the class."""
+    found = type(
+        "Mine",
+        (OwnTerm,),
+        {
+            "kind": "wrong",
+            "x": 1.0,
+            "__annotations__": {"kind": "ClassVar[str]", "x": hint},
+            "__module__": __name__,
+        },
+    )
+    with pytest.raises(InputError, match=r"Mine cannot be keys of a table.*annotate each"):
+        made(base, objective=dataclass(frozen=True)(found)())
+
+
+def test_lists_in_a_term_become_tuples() -> None:
+    """Terms are compared and hashed."""
+    assert own_class(OwnTerm, x=0.0)(x=[1.0, 2.0]).x == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("expression", "words"),
+    [
+        (lambda self, path: path.speed_m_s, r"test_own_mistakes.py, line \d+.*no attribute 'speed"),
+        (lambda self, path: self.missing, "no attribute 'missing'"),
+        (lambda self, path: None, "not one of CasADi"),
+        (lambda self: 1.0, "failed: TypeError"),
+        (lambda self, path: {}["x"], "failed: KeyError"),
+        (lambda self, path: path.positions_m, "not that of a number"),
+        (lambda self, path: 1.0 if path.start_m[0] > 3 else 0.0, "truth value"),
+        (lambda self, path: 1 / 0, "ZeroDivisionError"),
+        (lambda self, path: ca.SX.sym("z"), r"variables \[z\] are free"),
+    ],
+)
+def test_wrong_expressions(base, expression, words) -> None:
+    """The term's key, the line of the class, and what an expression may be made of."""
+    with pytest.raises(InputError, match=rf"key objective\.terms\[0\]|{words}") as caught:
+        made(base, objective=expression_of(expression)())
+    assert caught.match(words)
+    assert caught.match("positions_m, mean_db")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((3.0, 2), "is a float, nothing that can be called"),
+        ((ca.SX.sym("x"), 2), "is a SX, nothing that can be called"),
+        ((lambda path: path.nowhere, 2), "no attribute 'nowhere'"),
+        ((lambda path: path.start_m[0], "2"), "horizon: is '2'"),
+        ((lambda path: path.start_m[0], 0), "horizon: is 0"),
+    ],
+)
+def test_wrong_arguments_of_casadi_term(arguments, words) -> None:
+    """No error of CasADi's."""
+    with pytest.raises(InputError, match=words):
+        casadi_term(*arguments)
+
+
+ONES = {"value": lambda self, at, path_m: 1.0, "values": lambda self, at: np.ones(at.shape[0])}
+
+
+@pytest.mark.parametrize(
+    ("methods", "words"),
+    [
+        ({}, "Mine has no method values"),
+        ({"values": lambda self, paths: np.ones(1)}, r"values returned shape \(1,\), should"),
+        ({"values": lambda self, paths: paths.nothing}, "values failed: AttributeError"),
+        ({"value": lambda self, at, path_m: None}, "value returned a NoneType"),
+        ({"value": lambda self, at, path_m: np.nan}, "value returned numbers that are not finite"),
+        ({"node_reward": lambda self, at: None}, "node_reward failed: TypeError"),
+    ],
+)
+def test_wrong_methods_of_a_term(base, methods, words) -> None:
+    """Class and method are named, and what it should return."""
+    whole = {**ONES, **methods} if methods else {}
+    problem = made(base, objective=own_class(Term, **whole)())
+    with pytest.raises(InputError, match=rf"test_own_mistakes.*{words}"):
+        solve(problem, planner="lattice", seed=0)
+
+
+@pytest.mark.parametrize(
+    "objective", [LearningTerm, [LearningTerm], {"kind": "mapping"}, 3, "mapping"]
+)
+def test_objectives_that_are_none(base, objective) -> None:
+    """A class where an instance is wanted, and what is no term at all."""
+    with pytest.raises(InputError, match=r"objective\.terms(\[0\])?: is a .*give terms"):
+        made(base, objective=objective)
+
+
+class Maker:
+    """A planner without the method that plans."""
+
+    def __init__(self, problem, ground, generator) -> None:
+        self.problem, self.ground = problem, ground
+
+
+def planner_of(plan) -> type:
+    """A planner that plans so."""
+    return type("Planning", (Maker,), {"plan": plan, "__module__": __name__})
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (Maker, "Maker has no method plan"),
+        (lambda problem: None, "failed: TypeError.*take a problem"),
+        (planner_of(lambda self, at, judge, warm=None: None), "plan returned: is a NoneType"),
+        (planner_of(lambda self, at, judge, warm=None: np.zeros((2, 2))), "is a ndarray"),
+        (planner_of(lambda self, at, judge: None), "plan failed: TypeError"),
+        (planner_of(lambda self, at, judge, warm=None: at.nothing), r"line \d+.*plan failed"),
+        (
+            planner_of(lambda self, at, judge, warm=None: released(judge, np.zeros((2, 3)), 0.0)),
+            r"path_m: has the shape \(2, 3\), should have \(2, 2\)",
+        ),
+        (
+            planner_of(lambda self, at, judge, warm=None: released(judge, None, 0.0)),
+            "path_m: has the shape",
+        ),
+        (
+            planner_of(lambda self, at, judge, warm=None: released(np.zeros((2, 2)), judge, 0.0)),
+            "judge: is a ndarray",
+        ),
+        (
+            planner_of(
+                lambda self, at, judge, warm=None: free_ends(
+                    self.problem, self.ground, at.position_m, at.position_m
+                )
+            ),
+            "ends_m: has the shape",
+        ),
+    ],
+)
+def test_wrong_planners(base, make, words) -> None:
+    """Class and method are named, and what it should return."""
+    register_planner(PlannerKind("wrong", make))
+    try:
+        with pytest.raises(InputError, match=words):
+            solve(base, planner="wrong")
+    finally:
+        unregister_planner("wrong")
+
+
+def test_a_path_may_be_a_list(base) -> None:
+    """Anything that is a table of numbers."""
+    make = planner_of(lambda self, at, judge, warm=None: released(judge, [[10.0, 15.0]] * 2, 0.0))
+    register_planner(PlannerKind("listing", make))
+    try:
+        assert solve(base, planner="listing").plan.positions_m.shape == (3, 2)
+    finally:
+        unregister_planner("listing")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("x", "kind: is a str .give PlannerKind"),
+        (PlannerKind, "kind: is a class PlannerKind"),
+        (Maker, "kind: is a class Maker"),
+        (None, "kind: is a NoneType"),
+        (PlannerKind(3, Maker), "key name: 3 cannot be the name of a planner"),
+        (PlannerKind("nlp", Maker), "'nlp' cannot be the name of a planner"),
+        (PlannerKind("mine", Maker(1, 2, 3)), "PlannerKind.make: of 'mine' is a Maker"),
+        (PlannerKind("mine", None), "PlannerKind.make: of 'mine' is a NoneType"),
+    ],
+)
+def test_wrong_registrations(given, words) -> None:
+    """Where it is registered, not where it is used."""
+    with pytest.raises(InputError, match=words):
+        register_planner(given)
+
+
+@pytest.mark.parametrize("make", ["nowhere", ":x", "a b:x", "planopt:nothing"])
+def test_a_place_that_has_no_planner(make) -> None:
+    """The error names it."""
+    with pytest.raises(InputError, match=r"planner\.name: .*cannot be imported"):
+        PlannerKind("mine", make).maker()
+
+
+@pytest.mark.parametrize(
+    ("methods", "words"),
+    [
+        ({"achieved": lambda self, p, history: None}, "achieved returned a NoneType"),
+        ({"achieved": lambda self, p, history: p}, r"achieved returned shape"),
+        ({"achieved": lambda self, p: 1.0}, "achieved failed: TypeError"),
+        ({"achieved": lambda self, p, history: history.x}, r"line \d+.*achieved failed: Attr"),
+        ({"asked": lambda self, p_min: "much"}, "asked returned a str"),
+        ({"asked": lambda self, p_min: self.nowhere}, "asked failed: AttributeError"),
+    ],
+)
+def test_wrong_methods_of_a_rule(base, methods, words) -> None:
+    """Class and method are named, and what it should return."""
+    own_class(OwnRule, **{"achieved": lambda self, p, history: p.mean(axis=-1), **methods})
+    rule = planopt.ConnectivityRule("wrong")
+    problem = replace(base, constraints=replace(base.constraints, p_min=0.5, rule=rule))
+    with pytest.raises(InputError, match=rf"constraints\.connectivity.*{words}|{words}"):
+        solve(problem, seed=0)
+
+
+def test_rules_with_a_missing_half() -> None:
+    """What a rule that asks for something else must define."""
+    with pytest.raises(InputError, match=r"no method asked .define asked"):
+        own_class(OwnRule, asks_p_min=False)
+    own_class(OwnRule)
+    with pytest.raises(InputError, match=r"constraints\.settings: do not fit wrong.*achieved"):
+        planopt.ConnectivityRule("wrong")
+
+
+@pytest.mark.parametrize("settings", [[1, 2], None, "steps", 3])
+def test_settings_of_a_rule_have_names(settings) -> None:
+    """A dictionary, and nothing else."""
+    with pytest.raises(InputError, match=r"constraints\.settings: is .*by name"):
+        planopt.ConnectivityRule("each_step", settings=settings)
+
+
+@pytest.mark.parametrize("rule", ["joint", OwnRule, {"connectivity": "joint"}, 3])
+def test_rules_that_are_none(rule) -> None:
+    """The key, and how a rule is given."""
+    with pytest.raises(InputError, match=r"constraints\.rule: is a .*give ConnectivityRule\("):
+        Constraints(p_min=0.5, rule=rule)
+
+
+X, U = ca.SX.sym("x", 2), ca.SX.sym("u", 2)
+MAP = {
+    "function": ca.Function("f", [X, U], [X + U]),
+    "state_names": ("x_m", "y_m"),
+    "input_names": ("a", "b"),
+    "speed_max_m_s": 2.0,
+    "state_bounds": ((-9.0, 9.0),) * 2,
+    "input_bounds": ((-2.0, 2.0),) * 2,
+    "rest_input": (0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("function", lambda x, u: x),
+        ("function", None),
+        ("function", ca.Function("f", [X, U, ca.SX.sym("t")], [X])),
+        ("function", ca.Function("f", [X, U], [])),
+        ("function", ca.Function("f", [X, U], [X.T])),
+        ("state_names", "xy"),
+        ("input_names", (1, 2)),
+        ("state_bounds", (-1, 1)),
+        ("state_bounds", ((None, None),) * 2),
+        ("input_bounds", ((-1, 0, 1),) * 2),
+        ("input_bounds", (("a", "b"),) * 2),
+        ("input_bounds", ((1.0, -1.0),) * 2),
+        ("rest_input", 0.0),
+        ("rest_input", (np.nan, 0.0)),
+        ("speed_max_m_s", "fast"),
+        ("speed_max_m_s", 0.0),
+        ("substeps", 2.5),
+    ],
+)
+def test_wrong_casadi_maps(key, value) -> None:
+    """The attribute is the key."""
+    with pytest.raises(InputError, match=rf"^key {key}: .*\(.*\)$"):
+        CasadiMap(**{**MAP, key: value})
+
+
+def test_maps_of_lists_and_arrays() -> None:
+    """Lists and arrays are as good as tuples."""
+    given = CasadiMap(
+        **{key: [*value] if isinstance(value, tuple) else value for key, value in MAP.items()}
+    )
+    assert given.state_names == ("x_m", "y_m")
+    arrays = {key: np.array(MAP[key]) for key in ("state_bounds", "input_bounds", "rest_input")}
+    assert CasadiMap(**{**MAP, **arrays}).rest_input == (0.0, 0.0)
+
+
+class Half:
+    """Has some of what dynamics need."""
+
+    kind, state_names, input_names = "half", ("x_m", "y_m"), ("a",)
+
+    def step(self, state, control, step_s):
+        """Stay."""
+        return state
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "words"),
+    [
+        (Half(), "Half lacks .*limits"),
+        (type("Heir", (Half, Dynamics), {})(), "Heir lacks .*limits"),
+        (CasadiMap, "no object with dynamics"),
+        ("unicycle", "no object with dynamics"),
+        (MAP["function"], "no object with dynamics.*CasadiMap"),
+        (lambda x, u: x, "no object with dynamics"),
+        ({"kind": "unicycle"}, "no object with dynamics"),
+    ],
+)
+def test_wrong_dynamics(dynamics, words) -> None:
+    """What is missing, and what to give."""
+    with pytest.raises(InputError, match=words):
+        Robot(start_m=(1, 1), speed_max_m_s=1.0, dynamics=dynamics)
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        (
+            {"start_rest": "ab", "dynamics": CasadiMap(**MAP)},
+            r"robots\[0\]: has the start_rest 'ab'",
+        ),
+        ({"start_rest": 3.0, "dynamics": CasadiMap(**MAP)}, r"robots\[0\]: has the start_rest 3.0"),
+        ({"weights": 2.0}, r"robots\[0\]\.weights: is 2.0, should be an array"),
+    ],
+)
+def test_wrong_robots(base, part, words) -> None:
+    """The key of the problem file."""
+    with pytest.raises(InputError, match=words):
+        made(base, robots=replace(base.robots[0], **part))
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        (lambda places_m: places_m.nothing, r"line \d+.*failed: AttributeError"),
+        (lambda x, y: x, "failed: TypeError"),
+        (-50.0, "is a float, nothing that can be called"),
+        (np.zeros((4, 4)), "ArrayTruth for arrays"),
+    ],
+)
+def test_wrong_truths(base, function, words) -> None:
+    """The key, and the line of the function."""
+    with pytest.raises(InputError, match=rf"channel\.truth\.power_dbm.*{words}|{words}"):
+        channel = replace(base.channel, truth=FunctionTruth(power_dbm=function))
+        solve(made(base, channel=channel), seed=0)
+
+
+@pytest.mark.parametrize(
+    "door",
+    [
+        planopt.load,
+        planopt.check,
+        planopt.load_result,
+        planopt.explain,
+        planopt.solve,
+        planopt.simulate,
+        planopt.Planner,
+    ],
+)
+@pytest.mark.parametrize("given", [3, None])
+def test_doors_that_take_something_else(door, given) -> None:
+    """A path, a problem or a solution, in words."""
+    with pytest.raises(InputError, match=r"^key \w+: is a \w+ \(.+\)$"):
+        door(given)
+
+
+def test_a_seed_is_a_whole_number(base) -> None:
+    """And none that is negative."""
+    for seed in ("a", -1, 0.5):
+        with pytest.raises(InputError, match=r"key seed: .*e\.g\. 0"):
+            solve(base, seed=seed)
+
+
+def test_faults_of_planopt_stay_what_they_are(monkeypatch, base) -> None:
+    """Only a user's own code is a user's fault."""
+    monkeypatch.setattr(LearningTerm, "values", lambda self, paths: paths.nothing)
+    with pytest.raises(AttributeError):
+        solve(base, seed=0)
+
+
+def test_the_line_is_that_of_the_users_code(base) -> None:
+    """The file in which the class stands."""
+    with pytest.raises(InputError) as caught:
+        made(base, objective=expression_of(lambda self, path: path.nowhere)())
+    assert caught.value.file == str(Path(__file__))
+    assert caught.value.__cause__ is not None

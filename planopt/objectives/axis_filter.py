@@ -83,7 +83,7 @@ def removed_derivatives(
     The value, ``(draws, k)`` and ``(draws, k, k)``; derivatives are not averaged yet.
     """
     weight = settings.tracking.weight
-    total, by, hessian = cost_derivatives(received, weight[:, None], settings)
+    total, by, hessian = _cost_derivatives(received, settings)
     steps, idle = Axis.of(settings), 0.0
     alone = steps.start
     for each in weight:
@@ -92,11 +92,12 @@ def removed_derivatives(
     return idle - float(total.mean()), -by, -hessian
 
 
-def cost_derivatives(
-    received: NDArray[np.float64], weight: NDArray[np.float64], settings: FilteredTracking
+def _cost_derivatives(
+    received: NDArray[np.float64], settings: FilteredTracking
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """sum_k w_k f(P_k) of each draw (draws,) with derivatives; weights ``(k, 1)`` or (k, draws)."""
+    """sum_k w_k f(P_k) of each draw (draws,) with derivatives, of information (draws, k)."""
     (draws, count), criterion = received.shape, settings.criterion
+    weight = settings.tracking.weight
     steps = Axis.of(settings)
     predicted = np.empty((count, 3, draws))
     known = np.empty((count, draws))
@@ -133,7 +134,7 @@ def cost_derivatives(
         tangent[:, k] = slope[k, :, :, 3]
         if squares:
             moved = tangent[:, : k + 1, 0]
-            factor = 2.0 * weight[k, :, None, None]
+            factor = 2.0 * weight[k]
             hessian[:, : k + 1, : k + 1] += factor * moved[:, :, None] * moved[:, None]
     return total, by, hessian
 

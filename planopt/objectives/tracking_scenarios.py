@@ -24,8 +24,9 @@ from planopt.channel.joint import joint_prediction
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import score_probability
 from planopt.channel.semidefinite import semidefinite_factor
-from planopt.objectives.axis_filter import cost_derivatives, removed, removed_derivatives
+from planopt.objectives.axis_filter import removed, removed_derivatives
 from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.estimates_derivatives import Losses, estimates_derivatives
 from planopt.objectives.local_channel import factored_near
 from planopt.objectives.stage_chain import chained
 from planopt.objectives.tracking_estimates import counting, log_lost, missing, told_of
@@ -282,7 +283,6 @@ def _derivatives_of_estimates(
     held, stage = settings.held, _stages(len(path_m), settings)
     if held is None:
         raise AssertionError("packets have measurements")
-    most, numbers, draws = held.steps, len(stage), errors.shape[1]
     sensing = sensing_derivatives(
         settings.tracking.sensor, path_m[stage], settings.tracking.target_m
     )
@@ -291,48 +291,15 @@ def _derivatives_of_estimates(
     smoothed = [_smoothed(score.value, each) for score, each in zip(scores, errors, strict=True)]
     z = np.array(smoothed)[..., stage].transpose(1, 0, 2)
     log = log_lost(z)
-    # Slopes of the logarithms by the scores, and bends of the chances over these.
-    slopes = -np.exp(-0.5 * z * z - log) / (np.sqrt(2.0 * np.pi) * width)
-    bends = (-z / width * slopes - slopes * slopes).reshape(draws, -1)
-    slopes = slopes.reshape(draws, -1)
-    which = counting(most, stage)
+    # Slopes of the logarithms by the scores, and their slopes.
+    slope = -np.exp(-0.5 * z * z - log) / (np.sqrt(2.0 * np.pi) * width)
+    which = counting(held.steps, stage)
     missed = missing(log.sum(axis=1), which)
     received = others + told_of(missed, sensing.value, held.sent[-1])
+    losses = Losses(which, missed, slope, -z / width * slope - slope * slope)
+    gradient, hessian = estimates_derivatives(losses, others, sensing.value, settings)
     value = float(removed(received, settings))
-    # A filter for every step and draw, of which the last step counts.
-    told = received.shape[-1]
-    last = np.zeros((told, draws, numbers))
-    last[most + np.arange(numbers), :, np.arange(numbers)] = settings.tracking.weight[:, None]
-    received[..., :most] += held.known
-    _, by, bent = cost_derivatives(
-        received.reshape(-1, told),
-        last.reshape(told, -1),
-        replace(settings, information=held.information),
-    )
-    by, bent = -by.reshape(missed.shape), -bent.reshape(*missed.shape, told)
-    each = np.concatenate([held.sent[-1], 0.5 * sensing.value])
-    count, size = len(inputs), (len(inputs) - 1) * numbers
-    in_it = np.tile(which, count - 1)
-    steep = in_it * slopes[:, None, None]
-    first = np.zeros((*missed.shape, size + numbers))
-    first[..., :size] = (-each * missed)[..., None] * steep
-    own, flat = np.arange(numbers), (-1, size + numbers)
-    first[:, :, most + own, size + own] = 0.5 * (1.0 - missed[..., most:])
-    gradient = by.ravel() @ first.reshape(flat)
-    hessian = first.reshape(flat).T @ (bent @ first).reshape(flat)
-    lever = -by * each * missed
-    hessian[:size, :size] += (lever[..., None] * steep).reshape(-1, size).T @ steep.reshape(
-        -1, size
-    )
-    hessian[np.arange(size), np.arange(size)] += np.einsum(
-        "dks,ksa,da->a", lever, in_it, bends, optimize=True
-    )
-    crossed = np.einsum("dks,dksa->as", -0.5 * by * missed, steep)[:, most:]
-    hessian[:size, size:] += crossed
-    hessian[size:, :size] += crossed.T
-    shape = (count, numbers)
-    hessian = hessian.reshape(*shape, *shape).transpose(1, 0, 3, 2) / draws
-    found = chained(value, gradient.reshape(shape).T / draws, hessian, inputs)
+    found = chained(value, gradient.T, hessian.transpose(1, 0, 3, 2), inputs)
     return _folded(found, len(path_m))
 
 

@@ -6,7 +6,7 @@ Names are imported when they are first used, so that ``import planopt`` costs no
 :mod:`planopt.extend` (parts of one's own).
 """
 
-from planopt.lazy_names import lazy_names
+from planopt.lazy_names import forward_modules, lazy_names
 
 FORMER_NAMES = {
     "Simulation": "Run",
@@ -16,6 +16,18 @@ FORMER_NAMES = {
     "explain_no_plan": "explain",
 }
 """Former public names, accepted for one version, and the names that replace them."""
+
+FORMER_MODULES = {
+    "planopt.objectives.energy": "planopt.objectives.terms.transmission_energy",
+    "planopt.planning.proof.apart": "planopt.planning.proof.motion",
+    "planopt.planning.rule_result": "planopt.planning.certificate",
+    "planopt.report.belief_map": "planopt.report.map_figure",
+    "planopt.report.run_series": "planopt.report.run_figure",
+    "planopt.targets.target_model": "planopt.targets.information_filter",
+}
+"""Modules that the documentation named formerly, and those that have their names now."""
+
+forward_modules(FORMER_MODULES)
 
 HOMES = ("planopt.channel", "planopt.problems", "planopt.extend", "planopt.objectives")
 """Where public names are that were formerly here; accepted for one version."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 LONGEST_WORD = 300
 """Names in messages are cut beyond this; the paths of files are rarely longer."""
@@ -69,6 +70,20 @@ def require_text(text: str, what: str) -> None:
         raise InputError(
             f"{what} {text!a} is not UTF-8", remedy="rename it to what UTF-8 can hold"
         ) from None
+
+
+def path_of(key: str, value: Any, remedy: str) -> Path:
+    """Return a path that a user gives.
+
+    Raises
+    ------
+    InputError
+        It is no path; `key` and `remedy` say where, and what to give.
+    """
+    try:
+        return Path(value)
+    except TypeError:
+        raise InputError(f"is a {type(value).__name__}", key=key, remedy=remedy) from None
 
 
 def listed(names: Iterable[str]) -> str:

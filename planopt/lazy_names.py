@@ -2,16 +2,23 @@
 
 The stub ``__init__.pyi`` beside a package's ``__init__.py`` lists its public names, each once, as
 ``from module import Name as Name``; packages within it are listed like names. Type checkers read
-the stub, and so does :func:`lazy_names`.
+the stub, and so does :func:`lazy_names`. A name that a package lacks is looked for in the stubs of
+all, so that the error says where it is, or which name is like it.
 """
 
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import Any
+from importlib.machinery import ModuleSpec
+from types import FrameType, ModuleType
+from typing import Any, cast
 from warnings import warn
+
+LIKE = 0.75
+"""Names at least so alike are taken for each other."""
 
 
 def lazy_names(
@@ -40,7 +47,10 @@ def lazy_names(
             return getattr(import_module(modules[name]), name)
         new = _replacement(package, name, former or {}, moved_to)
         if new is None:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+            words = f"module {package!r} has no attribute {name!r}{_hint(package, name)}"
+            caller = sys._getframe(1)  # pyright: ignore[reportPrivateUsage]
+            # Python replaces an AttributeError of "from package import name" by words of its own.
+            raise (ImportError if _is_import(caller) else AttributeError)(words)
         home, _, current = new.rpartition(".")
         warn(f"{package}.{name} is now {new}", DeprecationWarning, stacklevel=2)
         return getattr(import_module(home), current)
@@ -63,6 +73,35 @@ def _listed_names(stub: str) -> dict[str, str]:
     }
 
 
+def _is_import(frame: FrameType) -> bool:
+    """Return whether a frame executes ``from package import name``."""
+    import opcode  # a mistake pays for it, no other import
+
+    return opcode.opname[frame.f_code.co_code[frame.f_lasti]] == "IMPORT_FROM"
+
+
+def _hint(package: str, name: str) -> str:
+    """Return where a name is, or the name that is most like it, as the end of a message."""
+    if name.startswith("_"):
+        return ""
+    import difflib
+
+    root = package.partition(".")[0]
+    homes = {home: import_module(home).__file__ for home in (package, root)}
+    for listed, module in _listed_names(f"{homes[root]}i").items():
+        if module == root:
+            homes[f"{root}.{listed}"] = import_module(f"{root}.{listed}").__file__
+    known = {home: list(_listed_names(f"{file}i")) for home, file in homes.items()}
+    for home, names in known.items():
+        if name in names:
+            return f": it is {home}.{name}"
+    for home, names in known.items():
+        close = difflib.get_close_matches(name, names, n=1, cutoff=LIKE)
+        if close:
+            return f": did you mean {home}.{close[0]}?"
+    return f": see dir({package})"
+
+
 def _replacement(
     package: str, name: str, former: Mapping[str, str], moved_to: Sequence[str]
 ) -> str | None:
@@ -74,3 +113,34 @@ def _replacement(
         return None
     homes = (home for home in moved_to if name in import_module(home).__all__)
     return next((f"{home}.{name}" for home in homes), None)
+
+
+class _FormerModules:
+    """Import modules that documents named formerly, as those that have their names now."""
+
+    def __init__(self, former: Mapping[str, str]) -> None:
+        self._former = former
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return how a former module is loaded; None for any other."""
+        return ModuleSpec(fullname, cast("Any", self)) if fullname in self._former else None
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Leave making the module to Python."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Give a former module the names of its successor."""
+        name = module.__name__
+        new = self._former[name]
+        warn(f"{name} is now {new}", DeprecationWarning, stacklevel=2)
+        home = import_module(new)
+        module.__dict__.update(
+            {key: value for key, value in vars(home).items() if not key.startswith("__")}
+        )
+
+
+def forward_modules(former: Mapping[str, str]) -> None:
+    """Let former modules be imported, with a warning; `former` has their successors."""
+    sys.meta_path.append(_FormerModules(former))

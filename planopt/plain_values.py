@@ -1,24 +1,15 @@
-"""What users give: values made plain and of the type that is asked for, and parts of their own.
-
-Terms, rules, dynamics, planners and ground truths may come from outside. Whatever their code raises
-or returns amiss becomes one :class:`planopt.errors.InputError` that names class, method and line.
-"""
+"""Values that users give to frozen data: made plain, and checked."""
 
 from __future__ import annotations
 
-import re
-import sys
-import traceback
-from collections.abc import Collection, Generator, Iterable, Mapping
-from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError, PlanoptError, listed
+from planopt.errors import InputError
 
 
 def require_weights(weight: NDArray[np.float64], count: int) -> NDArray[np.float64]:
@@ -29,9 +20,6 @@ def require_weights(weight: NDArray[np.float64], count: int) -> NDArray[np.float
             f"{count} places need as many weights from 0 on, not {found.shape}", key="weight"
         )
     return found
-
-
-Part = TypeVar("Part")
 
 
 def plain(value: Any) -> Any:
@@ -62,171 +50,3 @@ def make_plain(data: Any, *files: str) -> None:
         if part.name in files and isinstance(value, str):
             value = Path(value)
         object.__setattr__(data, part.name, value)
-
-
-def part_of(key: str, value: object, kind: type[Part], remedy: str | None = None) -> Part:
-    """Return `value`, which must be of a kind.
-
-    Raises
-    ------
-    InputError
-        It is of another; `key` and `remedy` say where, and what to do.
-    """
-    if not isinstance(value, kind):
-        words = f"give {kind.__name__}(...)" if remedy is None else remedy
-        got = f"class {value.__name__}" if isinstance(value, type) else type(value).__name__
-        raise InputError(f"is a {got}", key=key, remedy=words)
-    return value
-
-
-def parts_of(
-    key: str, values: object, kind: type[Part], remedy: str | None = None
-) -> tuple[Part, ...]:
-    """Return one value or several, which must be of a kind, as a tuple; as :func:`part_of`."""
-    if isinstance(values, kind):
-        return (values,)
-    if not isinstance(values, Iterable) or isinstance(values, str | Mapping):
-        return (part_of(key, cast("object", values), kind, remedy),)
-    return tuple(
-        part_of(f"{key}[{number}]", value, kind, remedy)
-        for number, value in enumerate(cast("Iterable[object]", values))
-    )
-
-
-def path_of(key: str, value: Any, remedy: str) -> Path:
-    """Return `value` as a path; refuse what is none, as :func:`part_of`."""
-    try:
-        return Path(value)
-    except TypeError:
-        raise InputError(f"is a {type(value).__name__}", key=key, remedy=remedy) from None
-
-
-def require_name(name: object, of: str, taken: Collection[str] = (), *, key: str = "kind") -> str:
-    """Return the name of a part that problem files may name.
-
-    Parameters
-    ----------
-    name
-        The name that is given.
-    of
-        The kind of part, for messages, such as ``"a planner"``.
-    taken
-        Names that no part from outside may have.
-    key
-        The attribute that has the name.
-
-    Raises
-    ------
-    InputError
-        It is no word of letters, digits, ``_`` and ``-``, or it is taken.
-    """
-    is_word = isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,100}", name)
-    if not is_word or name in taken:
-        others = f", and none of {listed(taken)}" if taken else ""
-        raise InputError(
-            f"{name!r} cannot be the name of {of}",
-            key=key,
-            remedy=f"letters, digits, _ and -{others}",
-        )
-    return str(name)
-
-
-def class_name(part: object) -> str:
-    """Return the full name of a part's class, or of the class or function that it is."""
-    named = part if hasattr(part, "__qualname__") else type(part)
-    return f"{named.__module__}.{named.__qualname__}"  # pyright: ignore
-
-
-def is_own(part: object) -> bool:
-    """Return whether a part is a user's own: faults of planopt's are not in a user's code."""
-    return not class_name(part).startswith("planopt.")
-
-
-@contextmanager
-def calling(
-    part: object, method: str, *, key: str | None = None, remedy: str | None = None
-) -> Generator[None]:
-    """Name class, method and line of what a user's own part raises.
-
-    Parameters
-    ----------
-    part
-        The object, class or function that is called.
-    method
-        Its method; empty where it is called itself.
-    key
-        The key that named the part.
-    remedy
-        What to do; by default, to mend the method.
-
-    Raises
-    ------
-    InputError
-        The part's code raised an exception that is none of planopt's.
-    """
-    try:
-        yield
-    except PlanoptError:
-        raise
-    except Exception as error:
-        if not is_own(part):
-            raise
-        name = f"{class_name(part)}.{method}" if method else class_name(part)
-        module = getattr(part, "__module__", None) or type(part).__module__
-        home = getattr(sys.modules.get(module), "__file__", None)
-        frames = [one for one in traceback.extract_tb(error.__traceback__) if one.filename == home]
-        raise InputError(
-            f"{name} failed: {type(error).__name__}: {error}",
-            file=frames[-1].filename if frames else None,
-            row=frames[-1].lineno if frames else None,
-            key=key,
-            remedy=remedy or f"mend {method or 'it'}",
-        ) from error
-
-
-def returned(
-    part: object,
-    method: str,
-    value: Any,
-    shape: tuple[int, ...],
-    *,
-    words: str,
-    key: str | None = None,
-    unbounded: bool = False,
-) -> NDArray[np.float64]:
-    """Return what a part's method returned, as numbers of a shape.
-
-    Parameters
-    ----------
-    part, method, key
-        As for :func:`calling`.
-    value
-        What it returned.
-    shape
-        The shape that it must have.
-    words
-        What it stands for, such as ``"one number for each path"``.
-    unbounded
-        Whether it may have infinite values and NaN.
-
-    Raises
-    ------
-    InputError
-        It is something else.
-    """
-    try:
-        found = None if value is None else np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        found = None
-    if found is None or found.shape != shape or not (unbounded or np.isfinite(found).all()):
-        if found is None:
-            got = f"a {type(value).__name__}"
-        else:
-            got = f"shape {found.shape}" if found.shape != shape else "numbers that are not finite"
-        raise InputError(
-            f"{class_name(part)}.{method} returned {got}"
-            + (f", should return shape {shape}" if shape else ""),
-            key=key,
-            remedy=f"return {words}",
-        )
-    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 import subprocess
 import sys
 from types import ModuleType
@@ -108,7 +110,54 @@ def test_public_names_are_few() -> None:
     assert len(planopt.channel.__all__) > 50
 
 
-def test_unknown_name() -> None:
-    """A name that is not public is an ordinary AttributeError."""
-    with pytest.raises(AttributeError, match="no_such_name"):
-        planopt.no_such_name  # noqa: B018
+@pytest.mark.parametrize(
+    ("package", "name", "hint"),
+    [
+        (planopt.problems, "ReachObjective", "it is planopt.objectives.ReachObjective"),
+        (planopt.channel, "Problem", "it is planopt.Problem"),
+        (planopt.objectives, "problems", "it is planopt.problems"),
+        (planopt, "simulte", "did you mean planopt.simulate?"),
+        (planopt, "ReachObjectiv", "did you mean planopt.objectives.ReachObjective?"),
+        (planopt.extend, "register_planers", "did you mean planopt.extend.register_planner?"),
+        (planopt, "no_such_name", "see dir(planopt)"),
+    ],
+)
+def test_unknown_name(package: ModuleType, name: str, hint: str) -> None:
+    """It says where the name is, or which is like it, as an attribute and in an import."""
+    said = f"^module {package.__name__!r} has no attribute {name!r}: {re.escape(hint)}$"
+    with pytest.raises(AttributeError, match=said):
+        getattr(package, name)
+    with pytest.raises(ImportError, match=said):
+        exec(f"from {package.__name__} import {name}")
+    assert not hasattr(package, name)
+
+
+def test_private_names_have_no_hint() -> None:
+    """Tools ask any module for them."""
+    with pytest.raises(AttributeError, match=r"'__wrapped__'$"):
+        planopt.__wrapped__  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("former", "name"),
+    [
+        ("planopt.objectives.energy", "transmission_energy_j"),
+        ("planopt.planning.proof.apart", "judge_apart"),
+        ("planopt.planning.rule_result", "RuleResult"),
+        ("planopt.report.belief_map", "draw_belief"),
+        ("planopt.report.run_series", "draw_run_series"),
+        ("planopt.targets.target_model", "TargetModel"),
+    ],
+)
+def test_former_modules(former: str, name: str) -> None:
+    """The names that they were documented for are had from them, with a warning."""
+    now = planopt.FORMER_MODULES[former]
+    sys.modules.pop(former, None)
+    with pytest.warns(DeprecationWarning, match=f"^{former} is now {now}$"):
+        found = getattr(importlib.import_module(former), name)
+    assert found is getattr(importlib.import_module(now), name)
+
+
+def test_settings_of_the_report_are_public() -> None:
+    """What a problem's `report` takes."""
+    assert type(planopt.load("open_field").report) is planopt.problems.ReportSettings

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.objectives.expression import START, WIDTHS, run_program
 from planopt.objectives.stage_chain import chained
-from planopt.plain_values import calling
+from planopt.parts import calling
 from planopt.targets.rounding import Derivatives
 
 CASADI: dict[str, tuple[int, Callable[..., Any]]] = {

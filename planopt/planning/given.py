@@ -25,7 +25,7 @@ from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements, Table, as_received
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
-from planopt.plain_values import calling
+from planopt.parts import calling
 from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,

@@ -12,7 +12,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
-from planopt.plain_values import parts_of
+from planopt.parts import parts_of
 from planopt.planning.given import (
     GivenMeasurements,
     measurements_by_station,

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from planopt.errors import InputError
-from planopt.plain_values import calling, class_name, part_of
+from planopt.parts import calling, class_name, part_of
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
 from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.baselines.random_walk import RandomPlanner

@@ -10,6 +10,7 @@ from planopt.problems.channel_setup import SampledMeasurements as SampledMeasure
 from planopt.problems.library import list_problems as list_problems
 from planopt.problems.save import problem_from_dict as problem_from_dict
 from planopt.problems.save import problem_to_dict as problem_to_dict
+from planopt.problems.settings import ReportSettings as ReportSettings
 from planopt.problems.systems import SystemProblem as SystemProblem
 from planopt.problems.systems import load_system as load_system
 from planopt.robots.double_integrator import DoubleIntegrator as DoubleIntegrator

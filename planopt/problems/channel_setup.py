@@ -14,7 +14,8 @@ from pydantic import Field
 from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath
 from planopt.errors import InputError
-from planopt.plain_values import make_plain, part_of
+from planopt.parts import part_of
+from planopt.plain_values import make_plain
 from planopt.problems.tables import Decibels
 from planopt.short_repr import short_repr
 

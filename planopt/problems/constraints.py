@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from planopt.errors import InputError
-from planopt.plain_values import calling, make_plain, part_of
+from planopt.parts import calling, part_of
+from planopt.plain_values import make_plain
 from planopt.problems.rule_kinds import OWN, RuleKind, rule_kind
 
 ParameterUncertainty = Literal["path_loss", "all"]

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from planopt.errors import InputError
-from planopt.plain_values import path_of
+from planopt.errors import InputError, path_of
 from planopt.problems.read_toml import read_toml
 
 SUFFIX = ".toml"

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast, get_args
 from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
-from planopt.plain_values import part_of
+from planopt.parts import part_of
 from planopt.problems.channel_setup import CalibrationName
 from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables

@@ -15,7 +15,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from planopt.errors import InputError
-from planopt.plain_values import part_of, require_name
+from planopt.parts import part_of, require_name
 
 GROUP = "planopt.planners"
 """Entry points of planners from outside."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from planopt.objectives.terms.term import require_kind
-from planopt.plain_values import part_of, parts_of
+from planopt.parts import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
-from planopt.plain_values import class_name, make_plain
+from planopt.parts import class_name
+from planopt.plain_values import make_plain
 from planopt.robots.dynamics import Dynamics
 
 

@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, cast
 
 from planopt.errors import InputError, listed
-from planopt.plain_values import require_name
+from planopt.parts import require_name
 
 _PROVEN = "planopt.planning.proof.rules.proven"
 _PLANNED = "planopt.planning.worth.rules"

@@ -19,7 +19,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term, registered_terms
-from planopt.plain_values import class_name, is_own
+from planopt.parts import class_name, is_own
 from planopt.problems.tables import made_of, table_of
 
 

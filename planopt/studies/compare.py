@@ -15,7 +15,7 @@ from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.validation.calibration import FEWEST_GROUPS
 from planopt.errors import InputError, NoPlanError
-from planopt.plain_values import parts_of
+from planopt.parts import parts_of
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import ANY, POSSIBLE

@@ -13,12 +13,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from planopt.errors import InputError, NoPlanError
+from planopt.errors import InputError, NoPlanError, path_of
 from planopt.files.regular import read_text
 from planopt.files.result_folder import ResultFiles, replaced_results
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text, write_whole
-from planopt.plain_values import path_of
 from planopt.planning.check.check import load_result as load_plan_or_run
 from planopt.planning.files.record import finite
 from planopt.planning.files.run_json import reliability_json, summary_json

@@ -9,7 +9,8 @@ from typing import Any
 
 import shapely
 
-from planopt.plain_values import part_of, parts_of, plain
+from planopt.parts import part_of, parts_of
+from planopt.plain_values import plain
 from planopt.short_repr import short_repr
 from planopt.world.moving_obstacle import MovingObstacle
 

@@ -20,7 +20,7 @@ from pydantic import Field
 
 import planopt.objectives.terms as own_terms
 from planopt.errors import InputError, listed
-from planopt.plain_values import class_name, require_name
+from planopt.parts import class_name, require_name
 from planopt.targets.sensor import Sensor
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.plain_values import part_of
+from planopt.parts import part_of
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination
 from planopt.planning.scene import Ground

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
-from planopt.errors import InputError, NoPlanError
-from planopt.plain_values import path_of
+from planopt.errors import InputError, NoPlanError, path_of
 from planopt.planning.certificate import Certificate, dearest, worst_result
 from planopt.planning.check.agreement import disagreements, in_words
 from planopt.planning.check.check_belief import given_again, learnt_again

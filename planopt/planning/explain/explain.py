@@ -23,7 +23,7 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
-from planopt.plain_values import part_of
+from planopt.parts import part_of
 from planopt.planning.explain.explanation import Case, Crossing, Relaxation, towards
 from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan

@@ -14,7 +14,7 @@ import numpy as np
 from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
-from planopt.plain_values import calling
+from planopt.parts import calling
 from planopt.planning.given import (
     GivenMeasurements,
     team_seeds,

@@ -24,7 +24,7 @@ from planopt.objectives.local_channel import (
 )
 from planopt.objectives.terms.context import Paths
 from planopt.objectives.told_batch import Pull, ToldBatch, WayBatch, slopes_of
-from planopt.plain_values import calling, returned
+from planopt.parts import calling, returned
 from planopt.planning.worth.left_to_learn import region_along
 from planopt.planning.worth.rules.planned import planned_rule
 from planopt.planning.worth.situation import Situation

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
-from planopt.plain_values import calling
+from planopt.parts import calling
 from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.programme.pivot import GoalCharge
 from planopt.planning.scene import Ground, first_moves

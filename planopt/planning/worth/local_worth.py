@@ -19,7 +19,7 @@ from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.terms.context import NearPath, NearStation, Part
 from planopt.objectives.terms.term import Structure, Term
 from planopt.objectives.tracking import connectivity_derivatives
-from planopt.plain_values import calling, class_name
+from planopt.parts import calling, class_name
 from planopt.planning.programme.margin_source import (
     EvaluatePath,
     Evaluation,

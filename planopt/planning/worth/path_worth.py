@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
-from planopt.plain_values import calling, returned
+from planopt.parts import calling, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.proof.rules.asked import is_missed
 from planopt.planning.proof.rules.proven import PathCase, asked_steps

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.plain_values import calling, class_name, returned
+from planopt.parts import calling, class_name, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.proven import BySlack, PathCase, ProvenRule

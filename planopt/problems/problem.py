@@ -178,8 +178,12 @@ class Problem:
         """The terms of the objective as plans take them; none where the task is to reach a goal."""
         if isinstance(self.objective, ReachObjective):
             return ()
-        horizon, calibrated = self.planner.horizon, self.channel.calibration != "none"
-        return tuple(term.planned(horizon, calibrated=calibrated) for term in self.objective.terms)
+        calibrated = self.channel.calibration != "none"
+        estimates = any(target.packets == "estimates" for target in self.targets)
+        return tuple(
+            term.planned(self.planner.horizon, calibrated=calibrated, estimates=estimates)
+            for term in self.objective.terms
+        )
 
     @property
     def task(self) -> Task:

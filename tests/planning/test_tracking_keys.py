@@ -83,14 +83,22 @@ def test_the_form_follows_the_horizon(tmp_path):
     assert found.problem.terms[0].form == "sampled" and short.terms[0].form == "additive"
 
 
+@pytest.mark.parametrize(("horizon", "form"), [(1, "additive"), (2, "sampled"), (40, "sampled")])
+def test_packets_that_have_estimates_are_planned_by_drawing(horizon, form):
+    """From two steps on: a later packet tells of the first step too."""
+    problem = terms_problem(TRACKING, horizon=horizon, name="lattice")
+    target = replace(problem.targets[0], packets="estimates")
+    assert replace(problem, targets=(target,)).terms[0].form == form
+
+
 def test_the_form_of_other_laws_and_criteria():
     """Where the law of connection is fitted nothing is drawn; a determinant needs drawing."""
     term = TrackingTerm(0.008, 0.08, 1.0)
-    assert term.planned(40, calibrated=True).form == "additive"
+    assert term.planned(40, calibrated=True, estimates=True).form == "additive"
     squares = replace(term, criterion="determinant")
-    assert squares.planned(1, calibrated=False).form == "sampled"
+    assert squares.planned(1, calibrated=False, estimates=False).form == "sampled"
     stated = replace(term, form="additive")
-    assert stated.planned(40, calibrated=False) is stated
+    assert stated.planned(40, calibrated=False, estimates=True) is stated
 
 
 @pytest.mark.parametrize("criterion", ["determinant", "norm"])

@@ -96,8 +96,18 @@ class Term:
         """Fields that a saved table must not have."""
         return frozenset()
 
-    def planned(self, horizon: int, *, calibrated: bool) -> Term:
-        """Return the term as plans take it: of so many steps, with the law of connection fitted."""
+    def planned(self, horizon: int, *, calibrated: bool, estimates: bool) -> Term:
+        """Return the term as plans take it.
+
+        Parameters
+        ----------
+        horizon
+            Steps of a plan.
+        calibrated
+            Whether the law of connection is fitted.
+        estimates
+            Whether packets have estimates of a target.
+        """
         return self
 
     @property

@@ -35,7 +35,6 @@ from planopt.objectives.tracking_filter import (
     unobserved_covariances,
 )
 from planopt.objectives.tracking_scenarios import (
-    SOLVER_DRAWS,
     Stations,
     drawn_errors,
     extended,
@@ -43,6 +42,7 @@ from planopt.objectives.tracking_scenarios import (
     scenario_derivatives,
     scenario_gain,
     scenario_gains,
+    solver_draws,
 )
 from planopt.plain_values import make_plain
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
@@ -51,6 +51,9 @@ TrackingForm = Literal["auto", "additive", "information", "covariance", "sampled
 
 LONGEST_ADDITIVE = 10
 """Steps up to which ``auto`` is ``additive``: beyond it gambles on packets beside the target."""
+
+LONGEST_ADDITIVE_OF_ESTIMATES = 1
+"""The same where packets have estimates: only ``sampled`` knows that they tell of earlier steps."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +70,11 @@ class TrackingTerm(Term):
     noise_curvature, noise_floor_m2, sweet_spot_m
         Curvature (a number), least variance in m^2 and best distance in m of the sensor.
     form
-        ``auto``: ``additive`` up to `LONGEST_ADDITIVE` steps, ``sampled`` beyond and for other
-        criteria than the trace. ``additive``: P(connected) / g(r), summed over the steps. The
-        others follow the station's
-        filter: ``information`` bounds the expected gain of information from above, ``covariance``
-        removes covariance as if losses were independent in time, ``sampled`` averages over joint
-        losses.
+        ``auto``: ``additive`` up to `LONGEST_ADDITIVE` steps, one where packets have estimates, and
+        ``sampled`` beyond and for other criteria than the trace. ``additive``: P(connected) / g(r),
+        summed over the steps. The others follow the station's filter: ``information`` bounds the
+        expected gain of information from above, ``covariance`` removes covariance as if losses were
+        independent in time, ``sampled`` averages over joint losses.
     beyond_steps, criterion
         Of the form ``sampled``: steps beyond the horizon, and what counts of the covariance of the
         target's position.
@@ -103,7 +105,8 @@ class TrackingTerm(Term):
             description="additive (P(connected) over the variance, summed over steps), or by the "
             "station's filter: information (an upper bound), covariance (losses as if independent "
             "in time) or sampled (joint losses); auto: additive up to a horizon of "
-            f"{LONGEST_ADDITIVE}, sampled beyond and for other criteria than trace."
+            f"{LONGEST_ADDITIVE}, where packets have estimates of "
+            f"{LONGEST_ADDITIVE_OF_ESTIMATES}, sampled beyond and for other criteria than trace."
         ),
     ] = "auto"
     beyond_steps: Annotated[
@@ -143,14 +146,15 @@ class TrackingTerm(Term):
     def __post_init__(self) -> None:
         make_plain(self)
 
-    def planned(self, horizon: int, *, calibrated: bool) -> TrackingTerm:
+    def planned(self, horizon: int, *, calibrated: bool, estimates: bool) -> TrackingTerm:
         """Return the term with the form that ``auto`` is.
 
         Of a law of connection that is fitted nothing can be drawn.
         """
         if self.form != "auto":
             return self
-        drawn = self.criterion != "trace" or (horizon > LONGEST_ADDITIVE and not calibrated)
+        longest = LONGEST_ADDITIVE_OF_ESTIMATES if estimates else LONGEST_ADDITIVE
+        drawn = self.criterion != "trace" or (horizon > longest and not calibrated)
         return replace(self, form="sampled" if drawn else "additive")
 
     @property
@@ -281,7 +285,7 @@ class TrackingTerm(Term):
         """Values of many paths of the form ``sampled``."""
         at, (count, steps) = paths.at, paths.shape
         settings, others = self.beyond(at, steps), [path[:steps] for path in at.others_m]
-        errors = drawn_errors(_stations(at), others)[:, :, :SOLVER_DRAWS]
+        errors = drawn_errors(_stations(at), others)[:, :, : solver_draws(settings)]
         told = received_from(_stations(at), others, errors, settings)
         scores = (paths.power.mean_db - at.thresholds_dbm[0]) / paths.power.deviation_db
         covariance = paths.stations[0].universal
@@ -325,7 +329,8 @@ class TrackingTerm(Term):
         at, settings = path.at, self.beyond(path.at)
 
         def drawn() -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-            errors = drawn_errors(_stations(at), [*at.others_m, path.about_m])[:, :, :SOLVER_DRAWS]
+            errors = drawn_errors(_stations(at), [*at.others_m, path.about_m])
+            errors = errors[:, :, : solver_draws(settings)]
             told = received_from(_stations(at), at.others_m, errors[:, :-1], settings)
             return errors[:, -1], told, float(removed(told, settings))
 

@@ -155,6 +155,16 @@ class InputError(PlanoptError):
             remedy=self.remedy,
         )
 
+    def remedied(self, remedy: str) -> InputError:
+        """The same error with a remedy, for code that knew none."""
+        return InputError(
+            self.message,
+            file=self.file,
+            key=self.key,
+            row=self.row,
+            remedy=self.remedy if self.remedy is not None else remedy,
+        )
+
 
 class OutputError(PlanoptError):
     """A result cannot be written where the user asked for it."""

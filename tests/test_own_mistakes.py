@@ -476,3 +476,59 @@ def test_the_line_is_that_of_the_users_code(base) -> None:
         made(base, objective=expression_of(lambda self, path: path.nowhere)())
     assert caught.value.file == str(Path(__file__))
     assert caught.value.__cause__ is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"planner": {"horizon": 0}}, "planner.horizon: .*give a value of at least 1, e.g. 10: S"),
+        ({"planner": {"step_s": -1.0}}, "planner.step_s: .*give a value above 0, e.g. 1: Dur"),
+        ({"constraints": {"p_min": 1.5}}, "constraints.p_min: .*a value below 1, e.g. 0.5: Least"),
+        ({"constraints": {"clearance_m": -1.0}}, "clearance_m: .*of at least 0, e.g. 1: "),
+    ],
+)
+def test_numbers_beyond_their_range(base, change, words) -> None:
+    """The limit that was broken, an example within it, and what the key is."""
+    parts = {name: replace(getattr(base, name), **keys) for name, keys in change.items()}
+    with pytest.raises(InputError, match=words):
+        made(base, **parts)
+
+
+def test_several_truths(base) -> None:
+    """One truth has the powers of all stations."""
+    truth = FunctionTruth(power_dbm=lambda places_m: -50.0 - places_m[:, 0])
+    with pytest.raises(InputError, match=r"is a tuple .*\(stations, \.\.\.\)"):
+        replace(base.channel, truth=[truth, truth])
+    stations = [base.stations[0], replace(base.stations[0], name="other")]
+    channel = replace(base.channel, truth=truth)
+    with pytest.raises(InputError, match=r"for 2 stations .*\(stations, n\) by a function"):
+        solve(made(base, stations=stations, channel=channel), seed=0)
+    with pytest.raises(InputError, match=r"stations\[1\]\.name: is 'station', as that of"):
+        made(base, stations=[base.stations[0]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: planopt.Measurements(1.0, -50.0), r"\[\[5\.0, 2\.0\]\] and \[-61\.5\]"),
+        (lambda: planopt.Measurements([1.0, 2.0], -50.0), "for one measurement"),
+    ],
+)
+def test_scalar_measurements(make, words) -> None:
+    """How a single one is given."""
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_remedies_of_check(base, tmp_path) -> None:
+    """Every error of a damaged file says what to do."""
+    solve(base, seed=0).save(tmp_path)
+    for name, damage in (
+        ("plan.json", lambda text: text.replace('"seed"', '"sed"')),
+        ("belief.npz", lambda text: "x"),
+    ):
+        kept = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_text(damage(kept.decode(errors="replace")))
+        with pytest.raises(InputError, match="save the plan or run again"):
+            planopt.check(tmp_path)
+        (tmp_path / name).write_bytes(kept)

@@ -159,7 +159,7 @@ TRACKED = [
         "names",
         "[[stations]]",
         '[[robots]]\nname = "a"\nstart_m = [9.0, 9.0]\nspeed_max_m_s = 1.0\n[[stations]]',
-        "robots[1].name is that of robots[0] too",
+        "as that of robots[0] is",
     ),
     (
         "bandwidth",

@@ -98,9 +98,10 @@ class Measurements:
                 )
         if self.positions_m.shape != (count, 2) or self.power_dbm.shape != (count,):
             raise InputError(
-                f"measurements of shapes {self.positions_m.shape} and {self.power_dbm.shape} do "
-                "not belong together",
-                remedy="give positions (n, 2) and power (n,)",
+                f"positions of shape {self.positions_m.shape} and powers of shape "
+                f"{self.power_dbm.shape} do not belong together",
+                remedy="give positions (n, 2) and powers (n,), e.g. [[5.0, 2.0]] and [-61.5] for "
+                "one measurement",
             )
         finite = np.isfinite(self.positions_m).all(axis=1) & np.isfinite(self.power_dbm)
         if not finite.all():
@@ -183,7 +184,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
         raise InputError(
             f"x_m and y_m are no columns of equal length: their shapes are {shapes}",
             key="measurements",
-            remedy="give one number for each measurement",
+            remedy="give a list of one number for each measurement, e.g. [5.0] for a single one",
         )
     more = {part.name: data[part.name] for part in fields(Measurements)[2:] if part.name in names}
     return Measurements(np.column_stack(axes), data["power_dbm"], **more)

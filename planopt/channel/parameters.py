@@ -91,13 +91,23 @@ class ChannelParameters:
     def __post_init__(self) -> None:
         for name in ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db"):
             if not math.isfinite(getattr(self, name)):
-                raise InputError(f"{getattr(self, name)!r} is not finite", key=name)
+                raise InputError(
+                    f"{getattr(self, name)!r} is not finite", key=name, remedy="give a number"
+                )
         for name in ("shadow_std_db", "multipath_std_db"):
             if getattr(self, name) < 0.0:
-                raise InputError(f"{getattr(self, name)!r} dB is no deviation", key=name)
+                raise InputError(
+                    f"{getattr(self, name)!r} dB is no deviation",
+                    key=name,
+                    remedy="give a value of at least 0, e.g. 8",
+                )
         for name in ("decorrelation_m", "forgetting_s"):
             if not getattr(self, name) > 0.0:
-                raise InputError(f"{getattr(self, name)!r} is not above 0", key=name)
+                raise InputError(
+                    f"{getattr(self, name)!r} is not above 0",
+                    key=name,
+                    remedy="give a value above 0, e.g. 10",
+                )
 
 
 MIN_DISTANCE_M = 0.1

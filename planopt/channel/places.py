@@ -44,7 +44,7 @@ def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.floa
             remedy=f"give (h, 2) metres with h at least {at_least}",
         )
     if not np.isfinite(places).all():
-        raise InputError("a position is not finite", key="positions_m")
+        raise InputError("a position is not finite", key="positions_m", remedy="leave it out")
     if (np.abs(places) > MAX_COORDINATE_M).any():
         raise InputError(
             "a position is too far away",
@@ -63,7 +63,7 @@ def require_finite(value: float, key: str) -> float:
         It is NaN or infinite.
     """
     if not math.isfinite(value):
-        raise InputError(f"{value!r} is not finite", key=key)
+        raise InputError(f"{value!r} is not finite", key=key, remedy="give a number")
     return float(value)
 
 
@@ -76,9 +76,17 @@ def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
         xi is negative, beta not above zero, or one of them not finite.
     """
     if not (math.isfinite(shadow_std_db) and shadow_std_db >= 0.0):
-        raise InputError(f"{shadow_std_db!r} dB is no deviation", key="shadow_std_db")
+        raise InputError(
+            f"{shadow_std_db!r} dB is no deviation",
+            key="shadow_std_db",
+            remedy="give a value of at least 0, e.g. 8",
+        )
     if not (math.isfinite(decorrelation_m) and decorrelation_m > 0.0):
-        raise InputError(f"{decorrelation_m!r} m is no distance", key="decorrelation_m")
+        raise InputError(
+            f"{decorrelation_m!r} m is no distance",
+            key="decorrelation_m",
+            remedy="give a value above 0, e.g. 10",
+        )
 
 
 def require_count(count: int, key: str) -> int:

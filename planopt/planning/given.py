@@ -247,7 +247,8 @@ def _given_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: i
         raise InputError(
             f"has powers of shape {values.shape} for {len(problem.stations)} stations",
             key="channel.truth.power_dbm",
-            remedy="give one map for each station, the first axis counting them",
+            remedy="give the powers of all stations, (stations, ny, nx) as an array or "
+            "(stations, n) by a function",
         )
     return power_truth(x, y, values[station] if several else values, setup.floor_dbm)
 
@@ -473,5 +474,8 @@ def free_places(
         if found >= count:
             return np.concatenate(kept)[:count]
     raise InputError(
-        "the obstacles leave no place to measure at", file=problem.file, key="world.obstacles"
+        "the obstacles leave no place to measure at",
+        file=problem.file,
+        key="world.obstacles",
+        remedy="remove some, or widen world.bounds_m",
     )

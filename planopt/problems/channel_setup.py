@@ -261,7 +261,10 @@ class ChannelSetup:
     def __post_init__(self) -> None:
         make_plain(self)
         if self.truth is not None:
-            remedy = "give an ArrayTruth, a FunctionTruth, a RasterTruth or a ModelTruth"
+            remedy = (
+                "give one ArrayTruth, FunctionTruth, RasterTruth or ModelTruth; one has the powers "
+                "of all stations, (stations, ...)"
+            )
             part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
         part_of(
             "channel.measurements",

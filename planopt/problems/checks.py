@@ -409,8 +409,8 @@ def _check_own_channels(problem: Problem) -> None:
         problem,
         [radio.name for radio in problem.stations],
         "name",
-        "is that of stations[{other}] too",
-        "give each station a name of its own",
+        "is {value!r}, as that of stations[{other}] is",
+        "give each station a name of its own, e.g. BaseStation(name='north', ...)",
     )
     if isinstance(truth, RasterTruth):
         maps = [raster_truth_of(truth, radio) for radio in problem.stations]
@@ -439,7 +439,7 @@ def _no_two_alike(
         other = values.index(value)
         if other < number:
             raise InputError(
-                words.format(other=other),
+                words.format(other=other, value=value),
                 file=problem.file,
                 key=f"stations[{number}].{key}",
                 remedy=remedy,

@@ -8,6 +8,7 @@ if the key itself is wrong.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import reprlib
 from collections.abc import Sequence
@@ -101,6 +102,8 @@ def input_error(
             message = fault["msg"]
         case _:
             message = f"is {shown(fault['input'])}, {_allowed(fault, field)}"
+    if fault["type"] in _RANGE_TYPES and field is not None:
+        remedy = _within(fault, field)
     prefix: KeyPath = () if table is None else (table,)
     return InputError(message, file=file, key=key_text(prefix + path), remedy=remedy)
 
@@ -169,6 +172,32 @@ def _range(field: FieldInfo) -> str:
         if hasattr(bound, name)
     ]
     return f"should be {' and '.join(parts)}" if parts else ""
+
+
+_BEYOND = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
+_LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
+"""Limits by pydantic's kinds of faults; ``le`` by the last."""
+
+
+def _within(fault: ErrorDetails, field: FieldInfo) -> str:
+    """What to give for a number beyond its range: the limit, an example, and what the key is."""
+    bounds = {
+        name: float(getattr(bound, name))
+        for bound in field.metadata
+        for name in _BEYOND
+        if hasattr(bound, name)
+    }
+    limit = _LIMITS.get(fault["type"], "le")
+    # Limits of the numbers in an array are not those of the key.
+    bounds.setdefault(limit, float(fault.get("ctx", {})[limit]))
+    low = bounds.get("gt", bounds.get("ge", -math.inf))
+    high = bounds.get("lt", bounds.get("le", math.inf))
+    default: object = field.default
+    usual = [float(default)] if isinstance(default, int | float) else []
+    examples = (value for value in (*usual, 1.0, 0.5, 10.0, low, high) if low < value < high)
+    example = next(examples, bounds[limit])
+    words = f"give a value {_BEYOND[limit]} {bounds[limit]:g}, e.g. {example:g}"
+    return words if field.description is None else f"{words}: {field.description}"
 
 
 def _resolve(

@@ -220,7 +220,11 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
                 for number in (range(len(entries)) if index == "*" else (int(index),))
             ]
             if index != "*" and any(int(index) >= len(entries) for entries in entered):
-                raise InputError(f"has {len(entered[0])} entries, counted from 0", key=key)
+                raise InputError(
+                    f"has {len(entered[0])} entries, counted from 0",
+                    key=key,
+                    remedy=f"give an index up to {len(entered[0]) - 1}, or [*] for all",
+                )
     return found
 
 
@@ -232,7 +236,7 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
             f"{name} is a list", key=key, remedy=f"say of which: {name}[0], or {name}[*] for all"
         )
     if not isinstance(value, dict):
-        raise InputError(f"{name} is no table", key=key)
+        raise InputError(f"{name} is no table", key=key, remedy="name a key of a table")
     return cast("dict[str, Any]", value)
 
 
@@ -240,5 +244,5 @@ def _entries(table: Any, name: str | int, key: str) -> list[Any]:
     """The list that a table or list has under a name."""
     value: Any = table.get(name) if isinstance(name, str) else table[name]
     if not isinstance(value, list):
-        raise InputError(f"{name} is no list", key=key)
+        raise InputError(f"{name} is no list", key=key, remedy=f"leave out the index of {name}")
     return cast("list[Any]", value)

@@ -136,7 +136,7 @@ def _same_name(table: str, entries: Sequence[RobotTable] | Sequence[MovingTable]
     for number, name in enumerate(names):
         if names.index(name) < number:
             return (
-                f"{table}[{number}].name is that of {table}[{names.index(name)}] too: "
+                f"{table}[{number}].name is {name!r}, as that of {table}[{names.index(name)}] is: "
                 "give each a name of its own"
             )
     return None

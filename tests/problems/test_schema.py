@@ -139,7 +139,7 @@ def test_stations_are_up_to_twenty_with_names_of_their_own(tables: Tables, built
         built(tables)
     assert caught.value.key == "stations"
     tables["stations"] = [station, station]
-    with pytest.raises(InputError, match=r"is that of stations\[0\] too") as caught:
+    with pytest.raises(InputError, match=r"as that of stations\[0\] is") as caught:
         built(tables)
     assert caught.value.key == "stations[1].name"
     assert caught.value.remedy is not None
@@ -448,7 +448,7 @@ def twice(tables: Tables) -> None:
         (give_goal, "task track has no robots.goal_m"),
         (mapping_first, "begin with one of kind tracking"),
         (way_beyond, "objective.cost_to_go is for task reach, not for track"),
-        (twice, r"robots\[1\].name is that of robots\[0\] too"),
+        (twice, r"robots\[1\].name is .*, as that of robots\[0\]"),
     ],
 )
 def test_tables_that_do_not_fit_the_task(

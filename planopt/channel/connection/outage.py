@@ -51,13 +51,22 @@ class Traffic:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.link_bps < math.inf:
-            raise InputError(f"{self.link_bps!r} is no rate", key="link_bps")
+            raise InputError(
+                f"{self.link_bps!r} is no rate",
+                key="link_bps",
+                remedy="give a value above 0, e.g. 1e6",
+            )
         if not 0.0 <= self.source_bps < math.inf:
-            raise InputError(f"{self.source_bps!r} is no rate", key="source_bps")
+            raise InputError(
+                f"{self.source_bps!r} is no rate",
+                key="source_bps",
+                remedy="give a value of at least 0, e.g. 1e5",
+            )
         if not 0.0 <= self.waiting_bits < math.inf or not self.waiting_bits <= self.buffer_bits:
             raise InputError(
                 f"{self.waiting_bits!r} bits cannot wait in a buffer of {self.buffer_bits!r}",
                 key="waiting_bits",
+                remedy="give bits from 0 on, no more than buffer_bits",
             )
 
 
@@ -235,9 +244,15 @@ def _path(
     places = require_places(positions_m, 2)
     times = np.asarray(times_s, dtype=np.float64)
     if times.shape != (len(places),):
-        raise InputError(f"times of shape {times.shape} for {len(places)} places", key="times_s")
+        raise InputError(
+            f"times of shape {times.shape} for {len(places)} places",
+            key="times_s",
+            remedy="give one for each place",
+        )
     if not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
-        raise InputError("times must be finite and increase", key="times_s")
+        raise InputError(
+            "times must be finite and increase", key="times_s", remedy="sort the places by time"
+        )
     return places, times
 
 

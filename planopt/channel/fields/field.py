@@ -130,7 +130,9 @@ def shadow_field_pair_db(
     """
     require_shadowing(shadow_std_db, decorrelation_m)
     if not (np.isfinite(cell_m) and cell_m > 0.0):
-        raise InputError(f"{cell_m!r} m is no cell side", key="cell_m")
+        raise InputError(
+            f"{cell_m!r} m is no cell side", key="cell_m", remedy="give a value above 0, e.g. 1"
+        )
     ny, nx = shape
     (rows, columns), eigenvalues, clipped_share = _embedding(shape, cell_m / decorrelation_m)
     amplitude = np.sqrt(np.maximum(eigenvalues, 0.0) / (rows * columns))

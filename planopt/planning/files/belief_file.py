@@ -86,7 +86,10 @@ def saved_arrays(path: Path) -> NpzArrays:
     InputError
         As :func:`planopt.files.npz.read_npz`.
     """
-    return NpzArrays(path, read_npz(path))
+    try:
+        return NpzArrays(path, read_npz(path))
+    except InputError as error:
+        raise error.remedied(REMEDY) from None
 
 
 BELIEF_FILE = "belief.npz"

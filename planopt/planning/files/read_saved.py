@@ -212,7 +212,7 @@ def _record(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _An
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise input_error(error, model, file=file) from None
+        raise input_error(error, model, file=file).remedied(REMEDY) from None
 
 
 def _require_even(file: Path, robots: Sequence[RobotRecord]) -> None:

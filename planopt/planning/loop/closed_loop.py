@@ -90,7 +90,10 @@ def simulate(
     truths = prepared.truths
     if not truths:
         raise InputError(
-            "a simulation needs a truth to drive in", file=problem.file, key="channel.truth"
+            "a simulation needs a ground truth to drive in, and there is none",
+            file=problem.file,
+            key="channel.truth",
+            remedy="add [channel.truth], or ChannelSetup(truth=...); solve and Planner need none",
         )
     reaches = problem.task == "reach"
     if scenes is None:

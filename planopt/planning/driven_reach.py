@@ -1,4 +1,4 @@
-"""The way to a goal of a robot that cannot turn or stop at will: starts, pivot, and the ladder.
+"""The way to a goal of a robot that cannot turn or stop at will: initial guesses, pivot, fallbacks.
 
 The search finds a way of a robot that can. This one follows it, and what lies ahead is counted from
 where it would come to stand: from there the pivot must be seen, and from there the solver is drawn
@@ -23,7 +23,7 @@ from planopt.planning.driven import (
     last_drive,
     without_start,
 )
-from planopt.planning.horizon_planner import Ladder
+from planopt.planning.horizon_planner import FallbackCascade
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.methods import METHODS
@@ -51,7 +51,7 @@ nowhere."""
 
 
 class DrivenReach:
-    """Plans of one problem; keeps the ladder's solvers.
+    """Plans of one problem; keeps the solvers of its fallbacks.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class DrivenReach:
     def __init__(self, problem: Problem, scene: Scene) -> None:
         self._problem = problem
         self._scene = scene
-        self._ladder = Ladder(problem, scene.ground)
+        self._cascade = FallbackCascade(problem, scene.ground)
 
     def chosen(
         self,
@@ -208,7 +208,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """What the ladder makes of the starts, each drawn to a pivot."""
+        """Return the best candidate of the starts, each drawn to a pivot."""
         judge = _charging(judge, cost)
         if stops_at_goal(self._problem, judge.state):
             stopped = _stopped(judge)
@@ -224,7 +224,7 @@ class DrivenReach:
             if each.drive is not None
         ]
         charged.sort(key=lambda each: (not each.clear, round(each.missing_db, 2), -each.worth))
-        return self._ladder.climb(situation, judge, charged, warm, budget)
+        return self._cascade.first_verified(situation, judge, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
         """What a polish from a drive is charged; by each step where it may come to the pivot."""
@@ -253,7 +253,7 @@ class DrivenReach:
 
 
 def _named_direct(found: Candidate, priced: ReachCost) -> Candidate:
-    """A candidate on the rung of a robot that has wandered; others at what they cost any robot."""
+    """Name the fallback of a robot that has wandered; value others at what they cost any robot."""
     if found.rung in (Rung.PLAN, Rung.COLD_RETRY, Rung.LATTICE, Rung.RELAXED):
         return replace(found, rung=Rung.DIRECT)
     return replace(found, objective=priced(found.path_m, found.drive))

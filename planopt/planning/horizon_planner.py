@@ -1,6 +1,6 @@
-"""One receding-horizon step for a sum of terms: global starts, and the failure ladder over them.
+"""One receding-horizon step for a sum of terms: initial guesses, and the fallbacks over them.
 
-The ladder polishes starts in turn, the best first, until a candidate is verified, and goes on only
+The cascade polishes starts in turn, the best first, until a candidate is verified, and goes on only
 to starts that may lead to something better. Without a verified candidate it falls back on the rest
 of the last plan or on stopping.
 """
@@ -64,7 +64,7 @@ SETTLED_SHARE = 3e-3
 """It is not polished again where that gained less."""
 
 
-class Ladder:
+class FallbackCascade:
     """Makes a plan of starts; keeps the solvers that polish them.
 
     Parameters
@@ -95,7 +95,7 @@ class Ladder:
         polishes = problem.planner.name in METHODS
         self.polish = StartPolish(problem, ground) if polishes else None
 
-    def climb(
+    def first_verified(
         self,
         situation: Situation,
         judge: Judge,
@@ -244,7 +244,7 @@ class HorizonPlanner:
 
     Attributes
     ----------
-    ladder
+    cascade
         What makes plans of starts.
     """
 
@@ -252,7 +252,7 @@ class HorizonPlanner:
         self.problem = problem
         self.ground = ground
         self._search = StartSearch(problem, ground, thorough)
-        self.ladder = Ladder(problem, ground, thorough)
+        self.cascade = FallbackCascade(problem, ground, thorough)
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is.
@@ -280,7 +280,7 @@ class HorizonPlanner:
                 return plan
         if self.problem.robots[0].dynamics is not None:
             starts = driven_starts(judge, situation, starts, warm)
-        chosen = self.ladder.climb(situation, judge, starts, warm, budget)
+        chosen = self.cascade.first_verified(situation, judge, starts, warm, budget)
         if chosen.kkt_residual is None:
             # The search predicted its places with others; whoever judges the plan will not.
             alone = PathWorth(replace(situation))(chosen.path_m)
@@ -312,7 +312,7 @@ class HorizonPlanner:
         """The plan of a start as it is; None if it is not verified."""
         if self.problem.robots[0].dynamics is not None:
             start = driven_starts(judge, situation, [start], warm)[0]
-        rung = Rung.PLAN if self.ladder.polish is None else Rung.LATTICE
+        rung = Rung.PLAN if self.cascade.polish is None else Rung.LATTICE
         found = judge.judged(
             judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY, start.drive)
         )

@@ -55,7 +55,7 @@ class Verdict(StrEnum):
 
 
 class Rung(StrEnum):
-    """Which rung of the failure ladder a released plan came from.
+    """The fallback that a released plan came from.
 
     ``reserved`` is the rest of the last plan, verified or not, where standing still would be in the
     way of what moves: the other robots keep clear of it. ``direct`` is the shortest path to a goal,

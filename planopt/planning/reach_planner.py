@@ -1,4 +1,4 @@
-"""One receding-horizon step: global start, polish, guard, proof, and the ladder if one fails."""
+"""One receding-horizon step: initial guess, polish, acceptance test, proof, and fallbacks."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ class ReachPlanner:
         budget: Budget,
         rows_of: Callable[[NDArray[np.float64]], RuleRows] | None,
     ) -> Candidate:
-        """Go down the failure ladder until a candidate is verified; else the least bad one."""
+        """Try each fallback in turn; return the first verified candidate, else the best."""
         lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
         if start.gives_way:
             given = judge.judged(replace(lattice, rung=Rung.GIVE_WAY))

@@ -38,7 +38,7 @@ from planopt.planning.worth.serving_stages import scores_of, stage_predictor
 
 
 class Refiner:
-    """Attempts of one step, in the order of the ladder.
+    """Attempts of one step, in the order of the fallbacks.
 
     Parameters
     ----------

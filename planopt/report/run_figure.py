@@ -58,7 +58,7 @@ RUNG_LOOKS = {
     Rung.LEAVE: ("<", VERMILLION),
     Rung.STOP: ("X", VERMILLION),
 }
-"""Marker and colour of every rung of the failure ladder."""
+"""Marker and colour of every fallback."""
 
 
 def draw_run_series(simulation: Run) -> Figure:
@@ -155,7 +155,7 @@ def _draw_connectivity(panel: Panel, log: StepLog, p_min: float) -> None:
 
 
 def _draw_step_times(panel: Panel, log: StepLog) -> None:
-    """Draw the planning time of every step, marked by the rung that released it."""
+    """Draw the planning time of every step, marked by the fallback that released it."""
     milliseconds = 1e3 * log.step_s
     rungs = np.array([rung.value for rung in log.rung])
     for rung, (marker, colour) in RUNG_LOOKS.items():

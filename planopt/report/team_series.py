@@ -224,7 +224,7 @@ def _draw_connection(panel: Panel, run: Run) -> None:
 
 
 def _draw_rungs(panel: Panel, run: Run) -> None:
-    """Draw a row for each robot: the rung of every released plan, ringed if it is not verified."""
+    """Draw a row for each robot: the fallback of every plan, ringed if it is not verified."""
     for rung, (marker, colour) in RUNG_LOOKS.items():
         rows = [_times(one, rung) for one in run.runs]
         count = sum(len(times) for times in rows)
@@ -261,7 +261,7 @@ def _draw_rungs(panel: Panel, run: Run) -> None:
 
 
 def _times(run: RobotRun, rung: Rung) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """When plans of a rung were released."""
+    """Return when plans of a fallback were released."""
     chosen = np.array([found is rung for found in run.log.rung])
     chosen[0] = False  # the start was not planned
     return run.log.t_s[chosen]

@@ -102,7 +102,7 @@ def test_last_plan_one_step_later_is_still_sound(dynamics) -> None:
         assert np.hypot(*plan.drive.states[-1, 2:]) <= 1e-9
 
 
-def test_ladder_brakes_where_that_is_clear_and_else_drives_the_rest(monkeypatch) -> None:
+def test_fallbacks_brake_where_that_is_clear_and_else_drives_the_rest(monkeypatch) -> None:
     """Without any start, a moving robot does not jump to rest."""
     problem = driven_problem(DOUBLE, TRACKING, horizon=5)
     plan, situation, judge, planner = planned(problem)

@@ -1,4 +1,4 @@
-"""Plans for sums of terms: verified, never worse than their starts, the ladder, the baselines."""
+"""Plans for sums of terms: verified, never worse than their starts; fallbacks, baselines."""
 
 from __future__ import annotations
 

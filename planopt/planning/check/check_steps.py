@@ -52,7 +52,7 @@ _PlanLabels = RobotPlanRecord | ReleasedRecord
 
 
 def label_reasons(file: str, record: PlanRecord | RunRecord) -> list[str]:
-    """A reason for every unknown termination, verdict, rung and outcome."""
+    """Return a reason for every unknown termination, verdict, fallback and outcome."""
     unknown: list[str] = []
     if isinstance(record, RunRecord):
         unknown += _unknown("outcome", record.outcome, Outcome)

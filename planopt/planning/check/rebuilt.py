@@ -50,7 +50,7 @@ UNSOLVED = {
     Termination.STOPPED: (Rung.SHIFTED, Rung.RESERVED),
     Termination.NO_PATH: (Rung.STOP, Rung.LEAVE),
 }
-"""Terminations of plans for which no solver ran, and the rungs that these come from."""
+"""Terminations of plans for which no solver ran, and the fallbacks that these come from."""
 
 SOLVED = (Termination.CONVERGED, Termination.ACCEPTABLE)
 """Terminations of a solver that met its tolerance."""

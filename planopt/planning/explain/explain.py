@@ -24,7 +24,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
-from planopt.planning.explain.explanation import Case, Crossing, Relaxation, towards
+from planopt.planning.explain.explanation import Case, Crossing, Explanation, Relaxation, towards
 from planopt.planning.explain.keys import DIGITS, Key, connection_keys
 from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
 from planopt.planning.free_space import is_joined, widest_clearance_m
@@ -37,7 +37,7 @@ from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
-from planopt.planning.solve import solve_on
+from planopt.planning.solve import solve, solve_on
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
@@ -49,29 +49,53 @@ SolveAgain = Callable[[Problem], Verdict]
 
 
 @one_blas_thread()
-def explain(asked: Solution | Problem, seed: int = 0) -> tuple[Relaxation | Crossing, ...]:
+def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
     """Return changes that would give every robot a verified plan, and why holes are crossed.
 
+    There are none of a verified plan, which keeps all bounds; ``print(explain(...))`` says so.
+
     Each change is by itself, and of its robot alone. Problems are solved again with what is
-    proposed, which takes some fifty times the plan's own time. Of a verified plan the coverage
-    holes are told that its way to the goal crosses, and what it would take to keep contact; nothing
-    where it crosses none.
+    proposed, which takes some fifty times the plan's own time. For a verified plan the coverage
+    holes are told that its way to the goal crosses, and what it would take to keep contact.
 
     Parameters
     ----------
     asked
-        From :func:`planopt.solve`; or a problem that is to reach a goal, for which planning raised
-        a `NoPlanError`.
+        From :func:`planopt.solve`; or a problem, which is solved first. Where that raises a
+        `NoPlanError`, what would open a way to the goal is returned.
     seed
         That the problem was planned with; a solution knows its own.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> print(planopt.explain(planopt.load("open_field")))
+    Every plan is verified: it keeps all bounds.
     """
-    if isinstance(asked, Problem):
-        return explain_no_plan(asked, seed)
-    remedy = "give a Problem, or what planopt.solve returned"
-    return _explain_solution(part_of("asked", asked, Solution, remedy))
+    if not isinstance(asked, Problem):
+        remedy = "give a Problem, or what planopt.solve returned"
+        return _explain_solution(part_of("asked", asked, Solution, remedy))
+    try:
+        solution = solve(asked, seed=seed)
+    except (NoPlanError, InputError) as error:
+        # What opens a way can be said without measurements as well.
+        found = explain_no_plan(asked, seed)
+        if not found and isinstance(error, InputError):
+            raise
+        return Explanation(found, _summary(Verdict.NONE, found))
+    return _explain_solution(solution)
 
 
-def _explain_solution(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
+def _summary(verdict: Verdict, found: Sequence[Relaxation]) -> str:
+    if verdict is Verdict.VERIFIED:
+        return "Every plan is verified: it keeps all bounds."
+    said = "There is no plan" if verdict is Verdict.NONE else "Not every plan is verified"
+    if found:
+        return f"{said}; each of these changes by itself would help, as far as it is verified:"
+    return f"{said}; no change of a single key or obstacle that was tried helps."
+
+
+def _explain_solution(solution: Solution) -> Explanation:
     found: list[Relaxation] = []
     problem = solution.problem
     motions = [planned_motion(problem, plan) for plan in solution.plans]
@@ -85,7 +109,8 @@ def _explain_solution(solution: Solution) -> tuple[Relaxation | Crossing, ...]:
             return _planned(changed, solution, number)
 
         found += explain_no_verified_plan(case, plan_again)
-    return (*found, *crossings(problem, solution.plans, solution.belief.posteriors))
+    crossed = crossings(problem, solution.plans, solution.belief.posteriors)
+    return Explanation((*found, *crossed), _summary(solution.verdict, found))
 
 
 def _planned(problem: Problem, solution: Solution, number: int) -> Plan | None:

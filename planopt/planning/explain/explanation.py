@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from planopt.channel.posterior import ChannelPosterior
@@ -157,6 +157,28 @@ class Crossing:
         where = "; ".join(hole.words for hole in self.holes)
         goal = "; the goal is itself below it" if self.at_goal else ""
         return f"crosses {where}: below constraints.p_min {self.p_min:g}{goal}; {self.why}"
+
+
+class Explanation(tuple[Relaxation | Crossing, ...]):
+    """Relaxations and crossings, and in one sentence what they say together.
+
+    Attributes
+    ----------
+    summary
+        Whether the plans keep all bounds, and if not, whether anything that was tried helps.
+    """
+
+    summary: str
+
+    def __new__(cls, found: Iterable[Relaxation | Crossing] = (), summary: str = "") -> Explanation:
+        """Keep the entries, and the sentence."""
+        made = super().__new__(cls, found)
+        made.summary = summary
+        return made
+
+    def __str__(self) -> str:
+        """Return the summary, and a line for each entry."""
+        return "\n".join([self.summary, *map(str, self)])
 
 
 def towards(value: float, step_digits: int, down: bool) -> float:

@@ -11,7 +11,7 @@ from scenes import bad_where, belief_of, situation_of, small_problem
 from scipy.optimize import brentq
 from terms_scene import SENDING, judge_of, terms_problem
 
-import planopt.planning.horizon_planner as ladder_module
+import planopt.planning.horizon_planner as planner_module
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -67,7 +67,7 @@ def test_a_place_that_the_lattice_comes_to_too_late(planner):
 
 def test_without_it_the_plan_is_violated(monkeypatch):
     """It is this start that makes the difference."""
-    monkeypatch.setattr(ladder_module, "ways_to_good_place", lambda *_: [])
+    monkeypatch.setattr(planner_module, "ways_to_good_place", lambda *_: [])
     plan = planned(*just_in_reach())
     assert plan.verdict is Verdict.VIOLATED
     assert plan.certificate.relaxed_steps[:3] == (1, 2, 3)
@@ -79,7 +79,7 @@ def test_nothing_is_looked_for_where_the_first_candidate_is_verified(monkeypatch
     def never(*_):
         raise AssertionError("looked for a good place")
 
-    monkeypatch.setattr(ladder_module, "ways_to_good_place", never)
+    monkeypatch.setattr(planner_module, "ways_to_good_place", never)
     problem, _ = just_in_reach()
     robot = replace(problem.robots[0], start_m=(35.0, 15.0))
     plan = planned(replace(problem, robots=(robot,)), np.array([35.0, 15.0]))

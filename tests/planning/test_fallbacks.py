@@ -140,7 +140,7 @@ def test_next_step_is_as_if_nothing_had_happened(monkeypatch):
 
 
 def test_real_evaluation_error(monkeypatch):
-    """NaN margins inside IPOPT itself: it gives up, the ladder does not."""
+    """NaN margins inside IPOPT itself: it gives up, the fallbacks do not."""
     margins_of = refine_module.margins_of
 
     def broken(*arguments):

@@ -24,8 +24,8 @@ def problem_keys() -> str:
     for name, node in schema["properties"].items():
         is_list = node.get("type") == "array"
         heading = f"[[{name}]]" if is_list else f"[{name}]"
-        target = node["items"] if is_list else node
-        parts += _table(heading, name, _definition(schema, target), schema)
+        (target,) = _tables_of(node, schema)
+        parts += _table(heading, name, target, schema)
     return "\n".join(parts)
 
 

@@ -67,6 +67,11 @@ def waited(condition, at_most_s: float = 120.0) -> None:
         time.sleep(0.05)
 
 
+def kept_runs(out: Path) -> dict[str, int]:
+    """Runs that a comparison has kept, and when; files that were being written are none."""
+    return {p.name: p.stat().st_mtime_ns for p in out.glob("finished_runs/[!.]*.json")}
+
+
 def hidden(folder: Path) -> list[str]:
     """Temporary files and folders."""
     return [path.name for path in folder.rglob(".*")] if folder.exists() else []
@@ -80,13 +85,13 @@ def test_a_comparison_is_stopped_with_its_workers(
     problem, out = written(tmp_path / "p.toml", steps=3), tmp_path / "out"
     arguments = ["compare", problem, *COMPARE, "--seeds", "40", "--workers", "2", "--out", out]
     process = started(*arguments)
-    waited(lambda: len(list(out.glob("finished_runs/*.json"))) >= 2)
+    waited(lambda: len(kept_runs(out)) >= 2)
     workers = children(process.pid)
     process.send_signal(number)
     printed, errors = process.communicate(timeout=60)
     assert process.returncode == code and printed == "" and "Traceback" not in errors
     waited(lambda: not any(map(is_running, workers)), 30.0)
-    finished = len(list(out.glob("finished_runs/*.json")))
+    finished = len(kept_runs(out))
     assert finished >= 2 and not hidden(out) and not (out / "comparison.json").exists()
     seeds = 2 + finished // 2
     assert main([str(a) for a in ["compare", problem, *COMPARE, "--seeds", seeds, "--out", out]])
@@ -101,7 +106,7 @@ def test_workers_end_with_a_killed_process(tmp_path: Path) -> None:
         *("compare", problem, "--horizons", "1", "--costs-to-go", "geodesic"),
         *("--seeds", "40", "--workers", "2", "--out", out),
     )
-    waited(lambda: bool(list(out.glob("finished_runs/*.json"))))
+    waited(lambda: bool(kept_runs(out)))
     workers = children(process.pid)
     assert len(workers) >= 2
     process.kill()
@@ -228,19 +233,19 @@ def killed_comparison(kills: int, seeds: int, folder: Path) -> None:
         process = started(*arguments, "--out", out)
         # Some time after it has added a run, or before it has begun.
         if moments.random() < 0.8:
-            waited(partial(has_more_than, out, len(kept), process))
+            waited(partial(has_more_than, out, len(kept), process), 900.0)
         time.sleep(moments.uniform(0.0, 0.5))
         workers = children(process.pid)
         process.kill()
         process.communicate(timeout=60)
         waited(partial(all_ended, workers), 60.0)
-        found = {p.name: p.stat().st_mtime_ns for p in out.glob("finished_runs/*.json")}
+        found = kept_runs(out)
         assert found.items() >= kept.items()
         kept = found
     assert main([*map(str, arguments), "--out", str(out)]) in (0, 3, 4)
     data = json.loads((out / "comparison.json").read_text())
     assert data["resumed"] == len(kept) and not hidden(out)
-    found = {p.name: p.stat().st_mtime_ns for p in out.glob("finished_runs/*.json")}
+    found = kept_runs(out)
     assert found.items() >= kept.items() and len(found) == len(data["runs"]) == 2 * seeds
     assert main([*map(str, arguments), "--out", str(folder / "whole")]) in (0, 3, 4)
     whole = json.loads((folder / "whole" / "comparison.json").read_text())
@@ -249,7 +254,7 @@ def killed_comparison(kills: int, seeds: int, folder: Path) -> None:
 
 def has_more_than(out: Path, kept: int, process: subprocess.Popen[str]) -> bool:
     """Whether a comparison has kept more runs than that, or has ended."""
-    return len(list(out.glob("finished_runs/*.json"))) > kept or process.poll() is not None
+    return len(kept_runs(out)) > kept or process.poll() is not None
 
 
 def all_ended(pids: list[int]) -> bool:

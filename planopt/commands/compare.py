@@ -13,6 +13,8 @@ from planopt.commands.output import NO_PLAN, drawing, progress, results_folder, 
 from planopt.errors import InputError, NoPlanError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from planopt.problems.problem import Problem
     from planopt.problems.systems import SystemProblem
 
@@ -57,9 +59,14 @@ def compare(
     ] = None,
     calibration: CalibrationOption = None,
     seeds: Annotated[
-        str,
-        typer.Option("--seeds", metavar="N|A:B", help="How many random seeds, or A to B - 1."),
-    ] = "30",
+        str | None,
+        typer.Option(
+            "--seeds",
+            metavar="N|A:B",
+            help="How many random seeds, or A to B - 1; 30, or what the problem's own comparison "
+            "says.",
+        ),
+    ] = None,
     first_seed: Annotated[
         int | None, typer.Option("--first-seed", min=0, help="First random seed.")
     ] = None,
@@ -74,13 +81,17 @@ def compare(
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Compare settings over seeds. Exit code 0 all verified, 3 not all, 4 a run not ended."""
+    """Compare settings over seeds. Exit code 0 all verified, 3 not all, 4 a run not ended.
+
+    Without settings a problem's own comparison is run, which its table compare describes.
+    """
+    from planopt.problems.comparison_settings import DEFAULT_SEEDS
     from planopt.problems.overrides import with_overrides
     from planopt.problems.problem import Problem
     from planopt.problems.systems import load_any
-    from planopt.report.tables import comparison_text
+    from planopt.report.comparison_table import comparison_text
     from planopt.studies.compare import compare as compared
-    from planopt.studies.compare import exit_code, settings_of
+    from planopt.studies.compare import default_seeds, exit_code, own_settings, settings_of
     from planopt.studies.comparison_files import (
         COMPARISON,
         comparison_json,
@@ -94,7 +105,6 @@ def compare(
     require_backend(backend, "--backend")
     if parquet:
         require_pyarrow()
-    chosen = seeds_of(seeds, first_seed)
     asked = [load_any(problem) for problem in problems]
     if calibration is not None:
         for number, problem in enumerate(asked):
@@ -105,12 +115,20 @@ def compare(
         "horizons": None if horizons is None else listed(horizons, "--horizons", int),
         "planners": None if planners is None else listed(planners, "--planners", str),
         "costs_to_go": None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str),
-        "sweep": dict(swept(each) for each in sweep or ()),
+        "sweep": dict(swept(each) for each in sweep) if sweep else None,
     }
-    if len(asked) == 1 and not any(given.values()):
+    own = own_settings(asked, *given.values())
+    if len(asked) == 1 and own is None and not any(given.values()):
         raise InputError(
-            "there is nothing to compare", key="--horizons", remedy="give --horizons or --sweep"
+            f"there is nothing to compare: {asked[0].name} has no table compare of its own",
+            key="--horizons",
+            remedy="give --horizons, --planners or --sweep",
         )
+    chosen = (
+        default_seeds(own)
+        if seeds is None and first_seed is None
+        else asked_seeds(str(DEFAULT_SEEDS) if seeds is None else seeds, first_seed)
+    )
     # Settings that are not allowed are found before the first run.
     total = len(settings_of(asked, **given)) * len(chosen)
     figures = all(_wants_figures(problem) for problem in asked)
@@ -134,7 +152,7 @@ def compare(
             return NO_PLAN
         if folder is not None:
             save_comparison(comparison, folder, parquet=parquet, pictures_follow=figures)
-        text = "" if json else comparison_text(comparison)
+        text = "" if json else f"{comparison_text(comparison)}\n{_where_all_is(folder)}"
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:
@@ -144,32 +162,36 @@ def compare(
     return exit_code(comparison)
 
 
+def _where_all_is(folder: Path | None) -> str:
+    """Say where every number is, with its interval."""
+    from planopt.studies.comparison_files import COMPARISON_FILE
+
+    words = "all numbers with their intervals:"
+    if folder is None:
+        return f"{words} {COMPARISON_FILE} of --out FOLDER"
+    return f"{words}\n{folder / COMPARISON_FILE}"
+
+
 def _wants_figures(problem: Problem | SystemProblem) -> bool:
     from planopt.problems.problem import Problem
 
     return (problem if isinstance(problem, Problem) else problem.given).report.figures
 
 
-def seeds_of(text: str, first: int | None) -> range:
-    """The seeds of a number of them, or of a range such as ``100:200``, its end left out.
+def asked_seeds(text: str, first: int | None) -> range:
+    """The seeds of the options ``--seeds`` and ``--first-seed``.
 
     Raises
     ------
     InputError
-        It is neither, or there is none.
+        There is none, or both say where they begin.
     """
-    begin, colon, end = text.partition(":")
-    try:
-        chosen = range(int(begin), int(end)) if colon else range(int(begin))
-    except ValueError:
-        chosen = range(0)
-    if len(chosen) == 0 or chosen[0] < 0:
-        raise InputError(
-            f"cannot take {text!r}", key="--seeds", remedy="a number such as 30, or 100:200"
-        )
+    from planopt.problems.comparison_settings import seeds_of
+
+    chosen = seeds_of(text, "--seeds")
     if first is None:
         return chosen
-    if colon:
+    if ":" in text:
         raise InputError("is in --seeds already", key="--first-seed", remedy="leave it out")
     return range(first, first + len(chosen))
 

@@ -117,11 +117,15 @@ def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
     """Check a problem file, its maps and logs, and that the channel can be fitted."""
     from planopt.planning.prepare import prepare
     from planopt.problems.systems import SystemProblem, load_any
+    from planopt.studies.compare import default_seeds, settings_of
 
     found = load_any(problem)
     if isinstance(found, SystemProblem):
         show(json, {"problem": found.name, "valid": True}, f"{found.name}: valid")
         return 0
+    if found.compare is not None:
+        settings_of([found])
+        default_seeds(found.compare)
     with progress("reading maps and logs"):
         prepared = prepare(found, 0)
     fits = [belief.fit for belief in (prepared.belief, *prepared.belief.further)]

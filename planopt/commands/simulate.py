@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isnan
 from typing import TYPE_CHECKING
 
 from planopt.commands.output import (
@@ -96,7 +97,10 @@ def _in_words(run: Run) -> str:
     )
     if steps == 0:
         return f"{head}\n  {robots}, no step was driven"
-    shown = ", ".join(f"{name} {shown_number(value)}" for name, value in run.metrics.items())
+    shown = ", ".join(
+        f"{name} {shown_number(None if isnan(value) else value)}"
+        for name, value in run.metrics.items()
+    )
     lines = [
         f"{robots}, {run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
         f"{measured} of {steps} steps",

@@ -9,7 +9,7 @@ import numpy as np
 from planopt.errors import InputError
 from planopt.parts import calling, class_name, part_of
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
-from planopt.planning.baselines.one_step import OneStepPlanner
+from planopt.planning.baselines.one_step import OneStepPlanner, end_deviation
 from planopt.planning.baselines.random_walk import RandomPlanner
 from planopt.planning.baselines.strategies import (
     StrategyPlanner,
@@ -127,6 +127,13 @@ def one_step_revisits_planner(
     """Make the baseline that looks one step ahead and knows multipath where it was measured."""
     require_tracking(problem)
     return OneStepPlanner(problem, ground, remembered_reward)
+
+
+def largest_deviation_planner(
+    problem: Problem, ground: Ground, _generator: np.random.Generator
+) -> Planner:
+    """Make the baseline that goes where power is known least within a step."""
+    return OneStepPlanner(problem, ground, end_deviation)
 
 
 def random_planner(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:

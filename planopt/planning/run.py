@@ -213,7 +213,8 @@ class RunSummary:
         Keys of the problem that a study changed, with their values.
     traces
         ``(steps + 1,)`` each, by name: ``trace_p``, the trace in m^2 of the station's covariance of
-        the target's position, and of the channel ``rms_db``, ``rms_without_multipath_db`` and
+        the target's position, ``normalised_trace_p``, the same over that of the first estimate,
+        and of the channel ``rms_db``, ``rms_without_multipath_db`` and
         ``path_loss_variance_db2``; empty on the way to a goal.
     """
 
@@ -242,7 +243,10 @@ CHANNEL_TRACES = ("rms_db", "rms_without_multipath_db", "path_loss_variance_db2"
 
 def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
     """Return what was known over the steps of a run, by name."""
-    found = {} if run.target is None else {"trace_p": run.target.station_variance_m2}
+    found = dict[str, NDArray[np.float64]]()
+    if run.target is not None:
+        found["trace_p"] = run.target.station_variance_m2
+        found["normalised_trace_p"] = run.target.normalised_trace_p
     if run.channel is not None:
         found |= {name: getattr(run.channel, name) for name in CHANNEL_TRACES}
     return found

@@ -89,6 +89,7 @@ def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
         planner=tables.planner,
         file=file,
         report=tables.report,
+        compare=tables.compare,
         checked=True,
     )
 

@@ -104,6 +104,7 @@ OWN = {
         ),
         PlannerKind("one_step", f"{_HOME}:one_step_planner"),
         PlannerKind("one_step_revisits", f"{_HOME}:one_step_revisits_planner", tracks=True),
+        PlannerKind("largest_deviation", f"{_HOME}:largest_deviation_planner"),
         PlannerKind("random", f"{_HOME}:random_planner"),
         PlannerKind("random_disk", f"{_HOME}:disk_walk_planner"),
         PlannerKind("random_persistent", f"{_HOME}:persistent_walk_planner"),

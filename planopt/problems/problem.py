@@ -12,6 +12,7 @@ from planopt.objectives.terms.term import require_kind
 from planopt.parts import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
+from planopt.problems.comparison_settings import ComparisonSettings
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective_forms import CostToGo, ReachObjective, Term, TermsObjective
 from planopt.problems.robot import Robot
@@ -53,6 +54,9 @@ class Problem:
         For people and file names.
     report
         What is drawn.
+    compare
+        What :func:`planopt.compare` runs where it is given no settings; None if the problem has
+        none of its own.
     file
         Where it was read from, for messages; None if made in Python.
     checked
@@ -91,6 +95,7 @@ class Problem:
     file: Path | None
     report: ReportSettings
     targets: tuple[Target, ...]
+    compare: ComparisonSettings | None
     checked: bool = field(repr=False, compare=False)
 
     def __init__(
@@ -107,6 +112,7 @@ class Problem:
         name: str = "problem",
         description: str = "",
         report: ReportSettings | None = None,
+        compare: ComparisonSettings | None = None,
         file: Path | None = None,
         checked: bool = False,
     ) -> None:
@@ -123,6 +129,7 @@ class Problem:
             "file": file,
             "report": part_of("report", report or ReportSettings(), ReportSettings),
             "targets": parts_of("targets", targets, Target),
+            "compare": None if compare is None else part_of("compare", compare, ComparisonSettings),
             # Copies by dataclasses.replace take it over: they are not checked again and again.
             "checked": True,
         }

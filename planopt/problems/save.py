@@ -51,7 +51,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         channel["fit"]["given"] = _plain(asdict(given))
     if isinstance(truth, RasterTruth | ModelTruth):
         channel["truth"] = _truth(truth)
-    return {
+    tables: dict[str, Any] = {
         "problem": {
             "schema": SCHEMA_VERSION,
             "name": problem.name,
@@ -75,6 +75,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
         "planner": _plain(asdict(problem.planner)),
         "report": asdict(problem.report),
     }
+    return tables if problem.compare is None else {**tables, "compare": problem.compare.table()}
 
 
 def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> Problem:

@@ -16,6 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.objectives.terms.term import registered_terms
 from planopt.problems.base_station import BaseStation
+from planopt.problems.comparison_settings import ComparisonSettings
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Task
 from planopt.problems.rule_kinds import rule_kind
@@ -234,6 +235,9 @@ class ProblemFile(Table):
     constraints: ConstraintsTable = Field(default_factory=ConstraintsTable)
     planner: Annotated[PlannerSettings, TableOf(PlannerSettings, "PlannerTable")]
     report: Annotated[ReportSettings, TableOf(ReportSettings, "ReportTable")] = ReportSettings()
+    compare: Annotated[ComparisonSettings, TableOf(ComparisonSettings, "CompareTable")] | None = (
+        None
+    )
 
     @model_validator(mode="after")
     def _fits_the_task(self) -> ProblemFile:

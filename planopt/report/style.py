@@ -6,6 +6,7 @@ Nothing global is set: figures of the caller look as before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -20,9 +21,10 @@ BLACK, WHITE = "#000000", "#ffffff"
 ORANGE, SKY, GREEN, YELLOW = "#e69f00", "#56b4e9", "#009e73", "#f0e442"
 BLUE, VERMILLION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
 SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
-MARKERS = ("o", "s", "^", "D", "v")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 OBSTACLE, OBSTACLE_EDGE, FRAME = "#efefef", "#8c8c8c", "#404040"
+BAND = "#d9d9d9"
 PREDICTED, TRUE, THRESHOLD = BLUE, BLACK, VERMILLION
 CONNECTED, DISCONNECTED = SKY, VERMILLION
 
@@ -57,15 +59,29 @@ def head(figure: Figure, words: str) -> None:
     add_title(figure, words, fontsize=TITLE_PT + 1.0, fontweight="bold")
 
 
+LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
+"""Room in inches that a letter of a legend, the mark before its words, and a line of it take."""
+
+
 def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> None:
-    """Legend under all panels, where it can cover no start and no goal."""
+    """Legend under all panels, where it can cover no start and no goal.
+
+    It has fewer columns than asked for where its words are long, and the figure grows as it does.
+    """
     handles = list(entries)
+    labels = [str(handle.get_label()) for handle in handles]
+    longest = max((len(line) for label in labels for line in label.splitlines()), default=0)
+    width_in, height_in = (float(side) for side in figure.get_size_inches())
+    fitting = int(width_in / (LETTER_IN * longest + HANDLE_IN))
+    fitting = max(1, min(columns, fitting))
+    lines = math.ceil(len(labels) / fitting) - math.ceil(len(labels) / columns)
+    figure.set_size_inches(width_in, height_in + LINE_IN * lines)
     add_legend(
         figure,
         handles=handles,
-        labels=[str(handle.get_label()) for handle in handles],
+        labels=labels,
         loc="outside lower center",
-        ncols=columns,
+        ncols=fitting,
         fontsize=NOTE_PT,
         frameon=False,
     )

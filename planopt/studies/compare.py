@@ -22,7 +22,9 @@ from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
+from planopt.problems.comparison_settings import DEFAULT_SEEDS, ComparisonSettings, seeds_of
 from planopt.problems.overrides import with_changes, with_overrides
+from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.problems.systems import Request, SystemProblem, system_from_tables
 from planopt.studies.comparison import Comparison, Row, runs_by_setting
@@ -69,7 +71,7 @@ def compare(
     planners: Sequence[str] | None = None,
     costs_to_go: Sequence[str] | None = None,
     sweep: Mapping[str, Sequence[Any]] | None = None,
-    seeds: int | Iterable[int] = 30,
+    seeds: int | Iterable[int] | None = None,
     workers: int = 1,
     backend: str = "loky",
     on_run: Callable[[RunSummary], None] | None = None,
@@ -87,8 +89,10 @@ def compare(
     sweep
         Values of any further keys of the problem files, by dotted key such as
         ``constraints.p_min`` or ``robots[*].speed_max_m_s``. The settings are the product of all.
+        Where one problem and no setting is given, its own table ``compare`` says what is run.
     seeds
-        The seeds, or how many (0, 1, ...). Every setting sees the same ones. Ratios and differences
+        The seeds, or how many (0, 1, ...); by default those of the table ``compare`` where that
+        is run, else 30. Every setting sees the same ones. Ratios and differences
         are paired by seed with the first setting of the same problem; with that of the first
         problem if each has only one.
     workers
@@ -130,9 +134,11 @@ def compare(
     begun = perf_counter()
     kind = cast("type[AnyProblem]", Problem | SystemProblem)
     given = parts_of("problems", problems, kind, "load or make a Problem")
+    variants = _variants(given, horizons, planners, costs_to_go, sweep)
+    if seeds is None:
+        seeds = default_seeds(own_settings(given, horizons, planners, costs_to_go, sweep))
     chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
     _check_seeds(chosen)
-    variants = _variants(given, horizons, planners, costs_to_go, sweep)
     kept = None if finished is None else FinishedRuns(Path(finished))
     study: Study[_Asked, Shared, RunSummary] = Study(
         kind=RunSummary,
@@ -189,6 +195,21 @@ def settings_of(
     return [asked for variant in variants for asked in variant.asked]
 
 
+def own_settings(
+    problems: Sequence[AnyProblem], *given: Sequence[Any] | Mapping[str, Any] | None
+) -> ComparisonSettings | None:
+    """Return the table ``compare`` of a problem that is alone and `given` no settings, or None."""
+    (first, *others) = problems
+    if others or not isinstance(first, Problem) or any(each is not None for each in given):
+        return None
+    return first.compare
+
+
+def default_seeds(own: ComparisonSettings | None) -> range:
+    """Return the seeds where none are given: those of the table ``compare`` that is run."""
+    return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")
+
+
 def _check_seeds(seeds: Sequence[int]) -> None:
     if not seeds:
         raise InputError("there is none, so nothing to compare", key="seeds")
@@ -206,20 +227,59 @@ def _variants(
     sweep: Mapping[str, Sequence[Any]] | None,
 ) -> list[_Variant]:
     """Every problem under every combination of the swept values, with its checked settings."""
-    swept = dict(sweep or {})
     own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
-    for key, values in {"problems": problems, **own, **swept}.items():
+    for key, values in {"problems": problems, **own, **(sweep or {})}.items():
         if values is not None and len(values) == 0:
             raise InputError("there is none, so nothing to compare", key=key)
-    for key, option in OWN_OPTIONS.items():
-        if key in swept and own[option] is not None:
-            raise InputError(f"is swept, and given as {option}", key=key, remedy="give it once")
     names = [problem.name for problem in problems]
     for name in names:
         if names.count(name) > 1:
             raise InputError(
                 f"several are called {name}", key="problems", remedy="give each a name of its own"
             )
+    table = own_settings(problems, horizons, planners, costs_to_go, sweep)
+    if table is None:
+        return _variants_of(problems, horizons, planners, costs_to_go, sweep)
+    found: list[_Variant] = []
+    for number, group in enumerate(table.settings):
+        found += _variants_of(
+            problems,
+            group.horizons or None,
+            group.planners or None,
+            group.costs_to_go or None,
+            group.sweep,
+        )
+        settings = [(each.sweep, *_labels(asked)) for each in found for asked in each.asked]
+        if any(setting in settings[:n] for n, setting in enumerate(settings)):
+            raise InputError(
+                "has a setting that is there twice",
+                file=problems[0].file,
+                key=f"compare.settings[{number}]",
+                remedy="leave it out",
+            )
+    return found
+
+
+def _labels(asked: Problem | SystemRun) -> tuple[int, str, str | None]:
+    """Horizon, planner and cost-to-go of a setting."""
+    if isinstance(asked, SystemRun):
+        return asked.horizon, asked.planner, None
+    return asked.planner.horizon, asked.planner.name, asked.cost_to_go
+
+
+def _variants_of(
+    problems: Sequence[AnyProblem],
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+    sweep: Mapping[str, Sequence[Any]] | None,
+) -> list[_Variant]:
+    """The product of all lists."""
+    swept = dict(sweep or {})
+    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
+    for key, option in OWN_OPTIONS.items():
+        if key in swept and own[option] is not None:
+            raise InputError(f"is swept, and given as {option}", key=key, remedy="give it once")
     variants: list[_Variant] = []
     for problem, values in product(problems, product(*swept.values())):
         changes = dict(zip(swept, values, strict=True))
@@ -247,8 +307,13 @@ def _motion_runs(
         with_overrides(problem, horizon=n, planner=p, cost_to_go=c)
         for c in costs
         for p in planners or (None,)
-        for n in horizons or (None,)
+        for n in _horizons_of(p or problem.planner.name, horizons or (None,))
     ]
+
+
+def _horizons_of(planner: str, horizons: Sequence[int | None]) -> Sequence[int | None]:
+    """Those that matter to a planner: bounds foresee the whole run whatever the horizon."""
+    return horizons[:1] if planner_kind(planner).foresees else horizons
 
 
 def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
 from planopt.planning.run import RunSummary
+from planopt.problems.planner_kinds import OWN
 from planopt.problems.problem import Problem
 from planopt.problems.systems import SystemProblem
 from planopt.short_repr import short_repr
@@ -170,6 +171,71 @@ def setting_of(one: RunSummary | Row) -> tuple[str, str, str | None, str, int]:
     return one.problem, sweep_words(one), one.cost_to_go, one.planner, one.horizon
 
 
-def sweep_words(one: RunSummary | Row, left_out: str | None = None) -> str:
-    """Return the changed keys of a setting with their values, in words."""
-    return ", ".join(f"{key} = {value}" for key, value in one.sweep.items() if key != left_out)
+def has_horizon(one: RunSummary | Row) -> bool:
+    """Whether the horizon of a setting matters: bounds foresee the whole run, whatever it is."""
+    kind = OWN.get(one.planner)
+    return kind is None or not kind.foresees
+
+
+def sweep_words(
+    one: RunSummary | Row, left_out: str | None = None, names: Mapping[str, str] | None = None
+) -> str:
+    """Return the changed keys of a setting with their values, in words.
+
+    Parameters
+    ----------
+    one
+        Of the setting.
+    left_out
+        A key that is said elsewhere.
+    names
+        Of keys, where they are not called by themselves.
+    """
+    called = names or {}
+    return ", ".join(
+        f"{called.get(key, key)} = {value}" for key, value in one.sweep.items() if key != left_out
+    )
+
+
+def setting_words(
+    one: RunSummary | Row, names: Mapping[str, str], *, several_problems: bool
+) -> str:
+    """Return a setting in words; parameters as of :func:`sweep_words`."""
+    own = {
+        "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost to go",
+        "planner.name": f"planner {one.planner}",
+        "planner.horizon": f"horizon {one.horizon}" if has_horizon(one) else None,
+    }
+    parts = (
+        one.problem if several_problems else None,
+        sweep_words(one, names=names),
+        *(words for key, words in own.items() if key not in one.sweep),
+    )
+    return ", ".join(part for part in parts if part)
+
+
+def short_keys(settings: Iterable[RunSummary | Row]) -> dict[str, str]:
+    """Return the swept keys with as many of their last parts as tell them apart.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Setting
+    >>> short_keys([Setting(sweep={"channel.truth.n_pl": 2, "planner.step_s": 1})])
+    {'channel.truth.n_pl': 'n_pl', 'planner.step_s': 'step_s'}
+    >>> short_keys([Setting(sweep={"channel.truth.n_pl": 2, "channel.fit.given.n_pl": 1})])
+    {'channel.truth.n_pl': 'truth.n_pl', 'channel.fit.given.n_pl': 'given.n_pl'}
+    """
+    keys = list(dict.fromkeys(key for one in settings for key in one.sweep))
+    if len(keys) < 2:
+        return {key: key for key in keys}
+    ends = {key: [key.split(".")[-n:] for n in range(1, key.count(".") + 2)] for key in keys}
+    return {
+        key: ".".join(
+            next(
+                end
+                for end in ends[key]
+                if end == ends[key][-1] or sum(end in ends[other] for other in keys) == 1
+            )
+        )
+        for key in keys
+    }

@@ -278,10 +278,12 @@ def run_columns(comparison: Comparison) -> dict[str, list[Any]]:
     metrics = dict.fromkeys(name for run in runs for name in run.metrics)
     columns: dict[str, list[Any]] = {"problem": [run.problem for run in runs]}
     for key in swept:
-        values = [run.sweep[key] for run in runs]
-        kinds = {type(value).__name__ for value in values}
+        values = [run.sweep.get(key) for run in runs]
+        kinds = {type(value).__name__ for value in values if value is not None}
         plain = len(kinds) == 1 and not kinds & {"list", "dict"}
-        columns[key] = values if plain else [json.dumps(value) for value in values]
+        columns[key] = (
+            values if plain else [None if each is None else json.dumps(each) for each in values]
+        )
     for name in ("horizon", "planner", "cost_to_go", "seed", "outcome", "reason", "exit_code"):
         columns[name] = [getattr(run, name) for run in runs]
     columns["verified_rate"] = [float(run.verified_rate) for run in runs]

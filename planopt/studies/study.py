@@ -48,6 +48,9 @@ from planopt.problems.read_toml import FILE_KEYS
 from planopt.problems.rule_kinds import register_rule, registered_rules
 from planopt.problems.save import problem_to_dict
 
+UNDECIDING = ("report", "compare")
+"""Tables that decide nothing of a run: what is drawn, and which runs a comparison makes."""
+
 LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
 """Packages whose version may change a result."""
 
@@ -79,7 +82,8 @@ class FinishedRuns:
     def all(self, kind: type[Value]) -> list[Value]:
         """Return every result of a type that is kept, whatever its key; damaged ones left out."""
         found: list[Value] = []
-        for file in sorted(self.folder.glob("*.json")):
+        # Hidden files are those of processes that are writing, or were killed while they did.
+        for file in sorted(self.folder.glob("[!.]*.json")):
             try:
                 found.append(decoded(kind, json.loads(read_text(file))["result"]))
             except (InputError, ValueError, KeyError, TypeError, RecursionError):
@@ -129,8 +133,8 @@ def digest_of_tables(tables: Mapping[str, Any]) -> str:
 
 
 def _deciding(tables: Mapping[str, Any]) -> Any:
-    """The tables of a problem without those of its pictures, and with the content of its files."""
-    return _with_contents({key: table for key, table in tables.items() if key != "report"})
+    """The tables of a problem that decide what a run gives, and the content of its files."""
+    return _with_contents({key: each for key, each in tables.items() if key not in UNDECIDING})
 
 
 def _with_contents(value: Any, name: str = "") -> Any:

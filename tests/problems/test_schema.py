@@ -213,7 +213,7 @@ def test_key_inside_a_truth_is_written_without_its_kind(tables: Tables, built: B
         (("constraint",), "did you mean constraints?"),
         (("channel", "truth", "shadow_std"), "did you mean shadow_std_db?"),
         (("problem", "version"), "known: description, name, schema, task"),
-        (("sensors",), "known: channel, constraints"),
+        (("sensors",), "known: channel, compare, constraints"),
     ],
 )
 def test_unknown_key_names_the_nearest_known_one(

@@ -6,7 +6,8 @@ import numpy as np
 
 from planopt import load
 from planopt.channel.validation.calibration import reliability
-from planopt.report.tables import comparison_text, reliability_lines
+from planopt.report.comparison_table import comparison_text
+from planopt.report.tables import reliability_lines
 
 
 def blocks_of(comparison) -> list[list[str]]:

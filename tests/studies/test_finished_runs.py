@@ -146,3 +146,12 @@ def test_remains_of_processes_that_ended_are_removed(tmp_path: Path) -> None:
 
     write_whole(tmp_path / "b.json", write)
     assert [path.name for path in tmp_path.iterdir()] == ["b.json"]
+
+
+def test_a_file_that_was_being_written_is_no_run(tmp_path: Path) -> None:
+    """A process that is killed between writing and renaming leaves one that is whole."""
+    record = FinishedRuns(tmp_path)
+    record.keep({"seed": 1}, 0.5)
+    (kept,) = tmp_path.iterdir()
+    (tmp_path / f".{kept.stem}-by-1-0a.json").write_bytes(kept.read_bytes())
+    assert record.all(float) == [0.5]

@@ -14,14 +14,14 @@ from test_finished_runs import short
 import planopt
 from planopt import InputError, compare, load
 from planopt.cli import main
-from planopt.commands.compare import seeds_of, swept
+from planopt.commands.compare import asked_seeds, swept
 from planopt.files.typed_json import encoded
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.run import RunSummary, summary_of
 from planopt.problems import FunctionTruth
 from planopt.problems.overrides import with_changes
 from planopt.report.comparison_figure import axis_of, draw_comparison, looks_of
-from planopt.report.tables import comparison_text
+from planopt.report.comparison_table import comparison_text
 from planopt.studies.compare import comparison_rows
 from planopt.studies.comparison import Comparison
 
@@ -262,8 +262,8 @@ def test_the_swept_key_stands_along_the_picture(comparison) -> None:
     axis = axis_of(comparison)
     assert axis.key == "constraints.p_min"
     assert [label for label, *_ in looks_of(comparison)] == [
-        "robots[0].speed_max_m_s = 1.0",
-        "robots[0].speed_max_m_s = 2.0",
+        "speed_max_m_s = 1.0",
+        "speed_max_m_s = 2.0",
     ]
     figure = draw_comparison(comparison)
     ticks = {tuple(t.get_text() for t in axes.get_xticklabels()) for axes in figure.axes}
@@ -307,8 +307,8 @@ def test_words_of_the_command() -> None:
     for wrong in ("a.b", "=1", "a.b=", "a.b=1,,2", "a.b=x,"):
         with pytest.raises(InputError, match="cannot read"):
             swept(wrong)
-    assert seeds_of("30", None) == range(30) and seeds_of("2", 5) == range(5, 7)
-    assert seeds_of("100:200", None) == range(100, 200)
+    assert asked_seeds("30", None) == range(30) and asked_seeds("2", 5) == range(5, 7)
+    assert asked_seeds("100:200", None) == range(100, 200)
     for text, first in (("5:5", None), ("a", None), ("-1:4", None), ("1:2:3", None), ("1:3", 4)):
         with pytest.raises(InputError):
-            seeds_of(text, first)
+            asked_seeds(text, first)

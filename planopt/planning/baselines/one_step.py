@@ -40,6 +40,11 @@ def as_ranked(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.f
     return LocalRanking(situation, ways_m)(ways_m)
 
 
+def end_deviation(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard deviation of predicted power where paths (c, N, 2) end, dB; ``(c,)``."""
+    return situation.power(ways_m[:, -1]).deviation_db
+
+
 class OneStepPlanner:
     """Plans greedily for one robot of a problem whose objective is a sum of terms.
 

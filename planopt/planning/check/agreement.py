@@ -31,6 +31,7 @@ PREDICTED_NAMES = frozenset(
         "deviation_db",
         "predicted_connectivity",
         "log_det_m",
+        "mean_squared_error_db2",
         "min_connectivity",
         "predicted_db",
         "predicted_min_connectivity",

@@ -177,6 +177,11 @@ class TargetLog:
 
     __repr__ = short_repr
 
+    @property
+    def normalised_trace_p(self) -> NDArray[np.float64]:
+        """``(steps + 1,)`` trace of the station's covariance over that of the first estimate."""
+        return self.station_variance_m2 / self.station_variance_m2[0]
+
 
 @dataclass(frozen=True, eq=False)
 class ChannelLog:
@@ -191,9 +196,11 @@ class ChannelLog:
         ``(steps + 1,)`` average normalised mean square error of [GM11], dB; fragile where the
         true power comes near 0 dBm, therefore beside `rms_db`.
     theta_variance_db
-        ``(steps + 1,)`` trace of M over |theta|^2, in dB (Fig. 2 of [GM11]).
+        ``(steps + 1,)`` trace of M over |theta|^2, in dB (Fig. 2 of [GM11]); NaN where path loss is
+        known.
     log_det_m
-        ``(steps + 1,)`` log det M, nats: what the criterion D lowers, whatever the units of theta.
+        ``(steps + 1,)`` log det M, nats: what the criterion D lowers, whatever the units of theta;
+        NaN where a path loss parameter is known.
     rms_without_multipath_db
         ``(steps + 1,)`` as `rms_db`, the error against path loss and shadowing alone.
     path_loss_variance_db2
@@ -209,10 +216,6 @@ class ChannelLog:
     path_loss_variance_db2: NDArray[np.float64]
 
     __repr__ = short_repr
-
-
-LEAST_VARIANCE = 1e-30
-"""Of a path loss that is known, so that its logarithms are numbers."""
 
 
 def channel_errors_db(
@@ -236,17 +239,19 @@ def channel_errors_db(
 
 
 def theta_variance_db(posteriors: Sequence[ChannelPosterior]) -> float:
-    """Return 10 log10 tr M / |theta|^2 (Fig. 2 of [GM11]), each summed over the stations."""
+    """Return 10 log10 tr M / |theta|^2 (Fig. 2 of [GM11]), each summed over the stations.
+
+    NaN where path loss is known: no number of dB says so.
+    """
     spread = sum(float(np.trace(posterior.theta_covariance)) for posterior in posteriors)
     size = sum(float(posterior.theta @ posterior.theta) for posterior in posteriors)
-    return float(10.0 * np.log10(max(spread / size, LEAST_VARIANCE)))
+    return float(10.0 * np.log10(spread / size)) if spread > 0.0 else float("nan")
 
 
 def log_det_m(posteriors: Sequence[ChannelPosterior]) -> float:
-    """Log det M in nats, summed over the stations."""
-    least = 2.0 * float(np.log(LEAST_VARIANCE))
-    found = (float(np.linalg.slogdet(each.theta_covariance)[1]) for each in posteriors)
-    return sum(max(each, least) for each in found)
+    """Log det M in nats, summed over the stations; NaN where a path loss parameter is known."""
+    found = sum(float(np.linalg.slogdet(each.theta_covariance)[1]) for each in posteriors)
+    return found if np.isfinite(found) else float("nan")
 
 
 def path_loss_variance_db2(

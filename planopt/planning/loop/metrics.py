@@ -34,6 +34,8 @@ POSSIBLE = {
     "longest_outage_m": (0.0, np.inf),
     "predicted_min_connectivity": (0.0, 1.0),
     "time_averaged_trace_p": (0.0, np.inf),
+    "time_averaged_normalised_trace_p": (0.0, np.inf),
+    "final_normalised_trace_p": (0.0, np.inf),
     "final_trace_p": (0.0, np.inf),
     "target_lost": (0.0, 1.0),
     "time_averaged_det_p": (0.0, np.inf),
@@ -43,6 +45,7 @@ POSSIBLE = {
     "nis_high": (0.0, np.inf),
     "delivered": (0.0, 1.0),
     "rms_db": (0.0, np.inf),
+    "mean_squared_error_db2": (0.0, np.inf),
     "rms_without_multipath_db": (0.0, np.inf),
     "path_loss_variance_db2": (0.0, np.inf),
     "measured_steps": (0.0, np.inf),
@@ -116,6 +119,9 @@ def run_metrics(
     if target is not None:
         found["time_averaged_trace_p"] = float(target.station_variance_m2[1:].mean())
         found["final_trace_p"] = float(target.station_variance_m2[-1])
+        normalised = target.normalised_trace_p
+        found["time_averaged_normalised_trace_p"] = float(normalised[1:].mean())
+        found["final_normalised_trace_p"] = float(normalised[-1])
         largest_m2 = float(target.station_variance_m2.max())
         found["target_lost"] = float(largest_m2 > LOST_RATIO * target.station_variance_m2[0])
         found["delivered"] = float(target.delivered.mean())
@@ -127,6 +133,7 @@ def run_metrics(
             found |= {"nis": float(measured.mean()), "nis_low": low, "nis_high": high}
     if channel is not None:
         found["rms_db"] = float(channel.rms_db[-1])
+        found["mean_squared_error_db2"] = float(channel.rms_db[-1]) ** 2
         found["anmse_db"] = float(channel.anmse_db[-1])
         found["trace_m_db"] = float(channel.theta_variance_db[-1])
         found["log_det_m"] = float(channel.log_det_m[-1])

@@ -270,17 +270,17 @@ def test_killed_and_run_again(tmp_path: Path) -> None:
     code = "import sys; from planopt.cli import main; sys.exit(main())"
     process = subprocess.Popen([sys.executable, "-c", code, *arguments])
     until = time.monotonic() + 120.0
-    while len(list(out.glob("rows/*.json"))) < 3:
+    while len(list(out.glob("rows/[!.]*.json"))) < 3:
         assert time.monotonic() < until and process.poll() is None
         time.sleep(0.02)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     time.sleep(2.0)  # workers see that their parent is gone
-    kept = {path.name: path.read_bytes() for path in out.glob("rows/*.json")}
-    assert 3 <= len(kept) <= 36 and not (out / "rows.csv").exists()
+    kept = {path.name: path.read_bytes() for path in out.glob("rows/[!.]*.json")}
+    assert 3 <= len(kept) <= 40 and not (out / "rows.csv").exists()
     assert all(json.loads(content)["result"]["accepted"] for content in kept.values())
     assert main(arguments) == 0
-    rows = {path.name: path.read_bytes() for path in out.glob("rows/*.json")}
-    assert len(rows) == 2 * 2 * 9 and kept.items() <= rows.items()
+    rows = {path.name: path.read_bytes() for path in out.glob("rows/[!.]*.json")}
+    assert len(rows) == 2 * 2 * 10 and kept.items() <= rows.items()
     with (out / "rows.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 36
+        assert len(list(csv.DictReader(file))) == 40

@@ -147,7 +147,7 @@ def test_cases_are_all_combinations() -> None:
     assert len(field) == 2 * 2 * 2 * 4 + 1
     assert {case.planner for case in field} == {"auto", "nlp", "scp", "lattice"}
     mapped = [case for case in cases if case.question.problem == "outdoor_map"]
-    assert len(mapped) == 2 * 2 * 9 + 1
+    assert len(mapped) == 2 * 2 * 10 + 1
     assert len(set(cases)) == len(cases)
     driven = library_cases(["harbour_track"], seeds=[0], run_seeds=[])
     assert {case.planner for case in driven} == {"auto", "nlp", "scp", "lattice"}

@@ -1,0 +1,120 @@
+"""What a comparison of a problem runs where nothing else is asked for: settings and seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, cast
+
+from pydantic import Field, Strict
+
+from planopt.errors import InputError
+from planopt.plain_values import make_plain
+from planopt.problems.tables import TableOf
+
+DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
+"""Where neither the command nor the problem says anything else, and at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingGroup:
+    """Settings of a comparison: the product of all lists.
+
+    Attributes
+    ----------
+    horizons, planners, costs_to_go
+        In place of the problem's own, which are kept where there is none.
+    sweep
+        Values of further keys of the problem file, by dotted key.
+    """
+
+    horizons: Annotated[
+        tuple[int, ...],
+        Strict(False),
+        Field(description="Steps ahead; left out: the problem's own."),
+    ] = ()
+    planners: Annotated[
+        tuple[str, ...],
+        Strict(False),
+        Field(description="Names of planners; left out: the problem's own."),
+    ] = ()
+    costs_to_go: Annotated[
+        tuple[str, ...],
+        Strict(False),
+        Field(description="geodesic, connected; left out: both where there is a goal."),
+    ] = ()
+    sweep: Annotated[
+        Mapping[str, Annotated[list[Any], Field(min_length=1)]] | None,
+        Field(
+            description="Values of any keys of this file, such as "
+            '{ "constraints.p_min" = [0.5, 0.8] }.'
+        ),
+    ] = field(default=None, hash=False)
+
+    def __post_init__(self) -> None:
+        make_plain(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonSettings:
+    """What ``planopt compare`` runs where it is given no settings.
+
+    Attributes
+    ----------
+    seeds
+        How many random seeds, or a range such as ``100:120``, its end left out.
+    settings
+        Groups of settings, which stand one after the other; the first setting of the first group
+        is what others are paired with.
+    """
+
+    seeds: Annotated[
+        Annotated[int, Field(ge=1, le=MOST_SEEDS)]
+        | Annotated[str, Field(pattern=r"^\d{1,9}:\d{1,9}$")],
+        Field(description='How many random seeds (30: 0 to 29), or "100:120" (100 to 119).'),
+    ] = DEFAULT_SEEDS
+    settings: Annotated[
+        tuple[Annotated[SettingGroup, TableOf(SettingGroup, "SettingGroupTable")], ...],
+        Strict(False),
+        Field(
+            min_length=1,
+            max_length=100,
+            description="Groups of settings, one after the other; the first setting is what the "
+            "others are paired with.",
+        ),
+    ]
+
+    def __post_init__(self) -> None:
+        make_plain(self)
+
+    def table(self) -> dict[str, Any]:
+        """Return the table of a problem file."""
+        return {"seeds": self.seeds, "settings": [_table(group) for group in self.settings]}
+
+
+def _table(group: SettingGroup) -> dict[str, Any]:
+    """The keys of a group that have a value."""
+    found = {part.name: getattr(group, part.name) for part in fields(group)}
+    return {
+        key: list(cast("tuple[Any, ...]", value)) if isinstance(value, tuple) else value
+        for key, value in found.items()
+        if value
+    }
+
+
+def seeds_of(text: str | int, key: str = "seeds") -> range:
+    """Return the seeds of a number of them, or of a range such as ``100:200``, its end left out.
+
+    Raises
+    ------
+    InputError
+        It is neither, or there is none.
+    """
+    begin, colon, end = str(text).partition(":")
+    try:
+        chosen = range(int(begin), int(end)) if colon else range(int(begin))
+    except ValueError:
+        chosen = range(0)
+    if len(chosen) == 0 or chosen[0] < 0:
+        raise InputError(f"cannot take {text!r}", key=key, remedy="a number such as 30, or 100:200")
+    return chosen

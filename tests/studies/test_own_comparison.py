@@ -1,0 +1,211 @@
+"""Comparisons that a problem file carries: what they run, and what is seen of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_finished_runs import short
+
+import planopt
+from planopt import InputError, compare, load, load_result
+from planopt.cli import main
+from planopt.problems.comparison_settings import ComparisonSettings, SettingGroup
+from planopt.problems.library import library_folder, list_problems
+from planopt.problems.overrides import with_changes
+from planopt.problems.planner_kinds import planner_kind
+from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.report.comparison_figure import axis_of, draw_comparison
+from planopt.report.comparison_table import comparison_text
+from planopt.studies.compare import settings_of
+from planopt.studies.comparison import Comparison, short_keys
+from planopt.studies.comparison_files import run_columns
+from planopt.studies.study import run_key
+
+GIVEN = "channel.fit.given"
+GROUPS = (
+    SettingGroup(),
+    SettingGroup(sweep={f"{GIVEN}.n_pl": [1.0, 3.0]}),
+    SettingGroup(sweep={f"{GIVEN}.k_pl_db": [-5.0]}),
+)
+WANTED = [{}, {f"{GIVEN}.n_pl": 1.0}, {f"{GIVEN}.n_pl": 3.0}, {f"{GIVEN}.k_pl_db": -5.0}]
+
+
+@pytest.fixture(scope="module")
+def problem() -> planopt.Problem:
+    """Fig. 1 with four settings on five seeds."""
+    own = ComparisonSettings(seeds="100:105", settings=GROUPS)
+    return replace(load("fig1"), compare=own)
+
+
+@pytest.fixture(scope="module")
+def comparison(problem: planopt.Problem) -> Comparison:
+    """What it says of itself."""
+    return compare(problem)
+
+
+def test_groups_stand_one_after_the_other(problem, comparison) -> None:
+    """On the seeds of the problem; each run is that of the changed problem, bit for bit."""
+    assert [(run.sweep, run.seed) for run in comparison.runs] == [
+        (sweep, seed) for sweep in WANTED for seed in range(100, 105)
+    ]
+    for sweep in WANTED:
+        alone = compare(with_changes(problem, sweep), [1], seeds=[103])
+        (one,) = (run for run in comparison.runs if (run.sweep, run.seed) == (sweep, 103))
+        np.testing.assert_equal(one.metrics, alone.runs[0].metrics)
+
+
+def test_settings_and_seeds_that_are_given_come_first(problem) -> None:
+    """Seeds alone replace the problem's; settings replace the whole table."""
+    assert [run.seed for run in compare(problem, seeds=[7]).runs] == [7] * 4
+    own = settings_of([problem])
+    assert len(own) == 4 and len(settings_of([problem], [1, 2])) == 2
+    other = replace(problem, name="other")
+    assert len(settings_of([problem, other])) == 2
+
+
+def test_what_is_compared_decides_no_run(problem, comparison, tmp_path: Path) -> None:
+    """Keys of runs are the same; tables and results come back from files."""
+    assert run_key(problem, 1) == run_key(replace(problem, compare=None), 1)
+    tables = problem_to_dict(problem)
+    assert problem_from_dict(json.loads(json.dumps(tables))).compare == problem.compare
+    assert "compare" not in problem_to_dict(replace(problem, compare=None))
+    comparison.save(tmp_path)
+    again = load_result(tmp_path)
+    assert isinstance(again, Comparison) and [run.sweep for run in again.runs] == [
+        run.sweep for run in comparison.runs
+    ]
+    columns = run_columns(comparison)
+    assert columns[f"{GIVEN}.n_pl"][::5] == [None, 1.0, 3.0, None]
+
+
+def test_a_setting_is_there_once(problem) -> None:
+    """The same values in two groups are a slip."""
+    twice = replace(problem, compare=ComparisonSettings(settings=(*GROUPS, GROUPS[1])))
+    with pytest.raises(InputError, match="there twice") as caught:
+        compare(twice)
+    assert caught.value.key == "compare.settings[3]"
+
+
+@pytest.mark.parametrize("number", ["1", "2", "3", "4", "5", "5_wide"])
+def test_every_figure_is_one_command(number: str) -> None:
+    """The paper's figures carry their comparisons, of several settings that are allowed."""
+    problem = load(f"fig{number}")
+    assert problem.compare is not None and len(settings_of([problem])) >= 4
+
+
+def test_only_problems_with_settings_compare_without(capsys, tmp_path: Path) -> None:
+    """The command of a figure needs no option; another says what to give."""
+    text = (library_folder() / "fig1.toml").read_text()
+    head = text[: text.index("[compare]")]
+    group = '[[compare.settings]]\nsweep = { "channel.fit.given.n_pl" = [2.0, 1.0] }\n'
+    own, bare = tmp_path / "own.toml", tmp_path / "bare.toml"
+    own.write_text(f"{head}[compare]\nseeds = 2\n{group}")
+    bare.write_text(head)
+    assert main(["compare", str(own), "--json"]) == 0
+    assert [run["seed"] for run in json.loads(capsys.readouterr().out)["runs"]] == [0, 1, 0, 1]
+    assert main(["compare", str(bare)]) == 2
+    assert "no table compare" in capsys.readouterr().err
+    own.write_text(f"{head}[compare]\n{group.replace('n_pl', 'n_lp')}")
+    assert main(["validate", str(own)]) == 2
+    assert "n_lp" in capsys.readouterr().err
+    own.write_text(f"{head}[compare]\nseeds = '5:5'\n{group}")
+    assert main(["validate", str(own)]) == 2
+    assert "compare.seeds" in capsys.readouterr().err
+
+
+def test_known_path_loss_has_no_uncertainty_to_show(comparison) -> None:
+    """Its logarithms are no numbers: nowhere is the floor of a logarithm shown as a value."""
+    for metric in ("trace_m_db", "log_det_m"):
+        assert all(np.isnan(run.metrics[metric]) for run in comparison.runs)
+        assert all(row.mean is None for row in comparison.rows if row.metric == metric)
+    text = comparison_text(comparison)
+    assert "tr M" not in text and "log det" not in text and "-300" not in text
+    drawn = [axes.get_title("left") for axes in draw_comparison(comparison).axes]
+    assert "RMS error" in drawn and not any("M" in words.split() for words in drawn)
+
+
+def test_squared_error_is_that_of_the_figure(comparison) -> None:
+    """Delta^2 of one channel."""
+    for run in comparison.runs:
+        assert run.metrics["mean_squared_error_db2"] == run.metrics["rms_db"] ** 2
+
+
+def test_settings_with_several_keys_are_numbered(comparison) -> None:
+    """In words once, with short keys; every paired difference has its interval."""
+    text = comparison_text(comparison)
+    assert "      2  n_pl = 1.0, planner one_step, horizon 1" in text
+    assert f"n_pl is {GIVEN}.n_pl" in text
+    assert max(map(len, text.splitlines())) <= 100
+    paired = text[text.index("paired differences") :].splitlines()
+    (line,) = (one for one in paired[:9] if one.startswith("      4"))
+    rows = {(str(row.sweep), row.metric): row for row in comparison.rows}
+    row = rows[str(WANTED[3]), "rms_db"]
+    assert row.paired_difference is not None and f"{row.paired_difference:+.2f} (" in line
+    # Wrong parameters change no path here, which is said, not left out.
+    assert "the same in every run: " in text
+    axis = axis_of(comparison)
+    assert axis.ordered(comparison.rows) == ["1", "2", "3", "4"]
+
+
+def test_short_keys_tell_keys_apart(comparison) -> None:
+    """As few parts as that takes."""
+    (run, *_) = comparison.runs
+    sweep = dict.fromkeys(("robots[0].speed_max_m_s", "robots[1].speed_max_m_s", "planner.step_s"))
+    assert list(short_keys([replace(run, sweep=sweep)]).values()) == [
+        "robots[0].speed_max_m_s",
+        "robots[1].speed_max_m_s",
+        "step_s",
+    ]
+    assert short_keys([replace(run, sweep={"planner.step_s": 1})]) == {
+        "planner.step_s": "planner.step_s"
+    }
+
+
+@pytest.fixture(scope="module")
+def bounded() -> Comparison:
+    """A planner with two horizons, and a bound."""
+    problem = short("fig5", steps=4)
+    return compare(problem, [1, 2], planners=["auto", "oracle_log"], seeds=5)
+
+
+def test_bounds_are_run_once_without_horizon(bounded) -> None:
+    """They foresee the whole run whatever the horizon, and stand beside all of these."""
+    assert planner_kind("oracle_log").foresees
+    assert [run.planner for run in bounded.runs[::5]] == ["auto", "auto", "oracle_log"]
+    assert axis_of(bounded).ordered(bounded.rows) == ["1", "2", "whole run"]
+    lines = [line for line in comparison_text(bounded).splitlines() if line[:10] == "oracle_log"]
+    assert lines and all(line.split()[1] == "-" for line in lines)
+
+
+def test_bands_are_no_metrics(bounded) -> None:
+    """The band that NIS should be in stands behind it, and has no panel and no column."""
+    figure = draw_comparison(bounded)
+    (panel,) = (axes for axes in figure.axes if "NIS" in axes.get_title("left"))
+    assert len(panel.patches) == 3
+    rows = {row.metric: row.mean for row in bounded.rows if row.planner == "oracle_log"}
+    last = panel.patches[-1]
+    assert last.get_y() == rows["nis_low"]
+    assert last.get_y() + last.get_height() == pytest.approx(rows["nis_high"])
+    text = comparison_text(bounded)
+    assert f"{rows['nis']:.2f}, {rows['nis_low']:.2f} to {rows['nis_high']:.2f}" in text
+    assert "least NIS" not in text and "nis low" not in text
+
+
+def test_covariance_is_normalised_by_the_first_estimate(bounded) -> None:
+    """As the paper's axes are; the trace begins at 1."""
+    first_m2 = 2.0 * load("fig5").targets[0].position_std_m ** 2
+    for run in bounded.runs:
+        np.testing.assert_allclose(
+            run.traces["normalised_trace_p"], run.traces["trace_p"] / first_m2
+        )
+        assert run.metrics["final_normalised_trace_p"] == run.traces["normalised_trace_p"][-1]
+
+
+def test_the_library_says_which_problems_have_a_comparison() -> None:
+    """No problem of another kind has one by accident."""
+    named = {entry.name for entry in list_problems() if "[compare]" in entry.path.read_text()}
+    assert named == {"fig1", "fig2", "fig3", "fig4", "fig5", "fig5_wide"}

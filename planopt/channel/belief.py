@@ -32,7 +32,7 @@ class Belief:
 
     @property
     def posteriors(self) -> tuple[ChannelPosterior, ...]:
-        """Of each station, the first one's first."""
+        """Return the posterior of each station, the first one's first."""
         return (self.posterior, *(belief.posterior for belief in self.further))
 
 

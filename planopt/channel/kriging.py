@@ -115,7 +115,7 @@ def kriging_terms(
 
 
 def predict_noiseless(posterior: ChannelPosterior, more: Measurements) -> Prediction:
-    """What measurements to come will be but for multipath: offset and position error included."""
+    """Predict measurements without multipath, with offset and position error."""
     parameters = posterior.parameters
     origins = measured_origins(more, parameters)
     gamma = regressors(more.positions_m, parameters.station)

@@ -87,7 +87,7 @@ BLUR_SHARE = 1.2
 
 
 def position_blur_m2(position_std_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What errors of deviation `position_std_m` (...) add to squared distances, c; m^2."""
+    """Return what errors of `position_std_m` (...) add to squared distances, c; m^2."""
     return BLUR_SHARE * position_std_m**2
 
 
@@ -134,7 +134,7 @@ computed, and temporary arrays stay in a processor's cache."""
 
 @dataclass(frozen=True, eq=False)
 class Origins:
-    """Where, when and by whom powers are measured or predicted.
+    """Places, times and receivers of powers that are measured or predicted.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class Origins:
     receiver: NDArray[np.intp] | None = None
 
     def at(self, rows: NDArray[np.intp] | slice) -> Origins:
-        """Those of `rows`, of measurements (n,); indices (k, m) make k batches of m."""
+        """Return the origins of `rows` of measurements (n,); indices (k, m) make k batches of m."""
         return Origins(
             self.positions_m[rows],
             None if self.blur_m2 is None else self.blur_m2[rows],
@@ -214,7 +214,7 @@ def covariance_db2(
 def covariance_over_db2(
     distance_m: NDArray[np.float64], first: Origins, second: Origins, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """What :func:`covariance_db2` gives, in place of the distances (..., n, m), blurred already."""
+    """Overwrite blurred distances (..., n, m) with :func:`covariance_db2`."""
     covariance = decayed_db2(distance_m, parameters)
     if first.time_s is not None and second.time_s is not None:
         covariance *= ageing(first.time_s[..., :, None], second.time_s[..., None, :], parameters)
@@ -313,7 +313,7 @@ def fading(
 
 
 def blurred_m2(first: Origins, second: Origins) -> NDArray[np.float64] | None:
-    """What position errors add to the squared distances; broadcasts to (..., n, m)."""
+    """Return what position errors add to the squared distances; broadcasts to (..., n, m)."""
     if first.blur_m2 is None:
         return None if second.blur_m2 is None else second.blur_m2[..., None, :]
     if second.blur_m2 is None:

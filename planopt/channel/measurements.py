@@ -127,7 +127,7 @@ class Measurements:
         return len(self.power_dbm)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Measurements:
-        """Those of `rows`: indices, a mask or a slice."""
+        """Return the measurements of `rows`: indices, a mask or a slice."""
         return Measurements(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     def by_place(self) -> Measurements:
@@ -244,7 +244,7 @@ def _array(name: str, values: Any) -> NDArray[Any]:
 
 
 def join(first: Measurements, second: Measurements) -> Measurements:
-    """Both sets, `first` before `second`."""
+    """Join two sets of measurements, `first` before `second`."""
     # Both have been checked. To check 50,000 again takes longer than a planner's map.
     joined = object.__new__(Measurements)
     for part in fields(Measurements):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReceiverOffset:
-    """How much more a receiver reads than receiver 0.
+    """The offset of a receiver's readings from those of receiver 0.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class OffsetsGivenTheta:
         return (receiver[..., None] == self.receivers).astype(np.float64)
 
     def variance_db2(self, projected: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What the offsets' uncertainty adds at places, for phi' U0^-1 Z (..., R); ``(...)``.
+        """Return the variance of the offsets at places, for phi' U0^-1 Z (..., R); ``(...)``.
 
         U0 is the covariance without offsets.
         """

@@ -265,12 +265,12 @@ class ChannelPosterior:
 
     @property
     def has_factor(self) -> bool:
-        """Whether predictions are from all measurements, not from the nearest."""
+        """Return whether predictions are from all measurements, not from the nearest."""
         return self.buffer is not None
 
     @property
     def theta_known(self) -> bool:
-        """Whether theta was given rather than estimated."""
+        """Return whether theta was given rather than estimated."""
         return self.theta_rule == "known"
 
     @property
@@ -294,11 +294,11 @@ class ChannelPosterior:
 
     @cached_property
     def origins(self) -> Origins:
-        """Where, when and by whom the measurements were taken."""
+        """Return places, times and receivers of the measurements."""
         return measured_origins(self.measurements, self.parameters)
 
     def continues(self, earlier: ChannelPosterior) -> bool:
-        """Whether this is `earlier` and, it may be, later measurements; at any time."""
+        """Return whether this is `earlier` and, it may be, later measurements; at any time."""
         if self is earlier:
             return True
         count = len(earlier.measurements)

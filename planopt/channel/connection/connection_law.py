@@ -79,7 +79,7 @@ LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class ConnectionLaw:
-    """How probable a connection is, by the score of its prediction.
+    """The probability of connection as a function of the prediction's score.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ class SampledDistribution:
 
     @property
     def count(self) -> int:
-        """How many draws."""
+        """Return how many draws."""
         return len(self.draws)
 
     def mean(self) -> Interval:

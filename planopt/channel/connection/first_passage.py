@@ -124,7 +124,7 @@ def _grid(
 
 @dataclass(frozen=True, eq=False)
 class FirstPassage:
-    """When the robot is first connected along a path q_0 .. q_h, q_0 being where it stands.
+    """The first connection along a path q_0 .. q_h; the robot stands at q_0.
 
     Attributes
     ----------

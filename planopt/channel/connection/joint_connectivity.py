@@ -226,7 +226,7 @@ class Bound:
 
     @property
     def proven(self) -> bool:
-        """Whether there is a value."""
+        """Return whether there is a value."""
         return self.value is not None
 
 

@@ -119,7 +119,7 @@ class LongestOutage:
 
 @dataclass(frozen=True, eq=False)
 class DeliveredData:
-    """What became of the data by the deadline; draw k of all is the same drive.
+    """The data delivered by the deadline; draw k of all arrays is the same drive.
 
     Attributes
     ----------

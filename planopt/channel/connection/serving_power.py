@@ -97,7 +97,7 @@ def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From the smaller tail, which has all the digits."""
+    """Compute the score from the smaller tail, which has all the digits."""
     low = np.asarray(ndtri_exp(np.minimum(log_any, log_none)), dtype=np.float64)
     return np.where(log_any < log_none, low, -low)
 
@@ -182,7 +182,7 @@ def serving_power_dbm(
 def above_thresholds_db(
     predictions: Sequence[Prediction], thresholds_dbm: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far each station's mean is above its threshold, and its deviation; ``(m, n)`` both."""
+    """Return each station's mean above its threshold, and its deviation; ``(m, n)`` both."""
     above = np.stack(
         [
             prediction.mean_db - threshold
@@ -196,7 +196,7 @@ def above_thresholds_db(
 def any_margin_db(
     above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
 ) -> NDArray[np.float64]:
-    """By how much all thresholds may be raised until P(any) is `p_min`; ``(n,)``.
+    """Return by how much all thresholds may be raised until P(any) is `p_min`; ``(n,)``.
 
     The score of any station falls with that and is convex, so that Newton's method from the best
     single station's margin comes to it from below. It is held between that and what m stations as
@@ -244,7 +244,7 @@ BLOCK_ELEMENTS = 2**20
 
 @dataclass(frozen=True, eq=False)
 class SharedShadowing:
-    """How much shadowing the stations share.
+    """The correlation of shadowing between stations.
 
     Attributes
     ----------

@@ -297,7 +297,7 @@ class BlockLikelihood:
         return 0.5 * (curvature + curvature.T) / np.outer(scale, scale)
 
     def _is_still(self, moved: NDArray[np.float64], found: _Sums) -> bool:
-        """Whether the mean of no interval moved far against its standard error."""
+        """Return whether the mean of no interval moved far against its standard error."""
         data = self._data
         if data.intervals is None:
             return True
@@ -348,7 +348,7 @@ class _Sums:
 
     @staticmethod
     def nothing(columns: int) -> _Sums:
-        """Of no window, for so many columns of the mean."""
+        """Return the sums of no window, for so many columns of the mean."""
         size = columns + 1
         return _Sums(
             0.0, np.zeros((size, size)), np.zeros(3), np.zeros((3, size, size)), np.zeros((3, 3))

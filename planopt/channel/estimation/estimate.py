@@ -43,7 +43,7 @@ PRIOR_K_PL_STD_DB = 20.0
 
 @dataclass(frozen=True)
 class GivenToFit:
-    """What a fit starts from."""
+    """The input of a fit."""
 
     model: MeanModel
     measurements: Measurements

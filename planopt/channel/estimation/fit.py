@@ -199,7 +199,7 @@ def suspected_floor(measurements: Measurements) -> str | None:
 
 
 def _is_pile(counts: NDArray[np.intp]) -> bool:
-    """Whether the first of the counts of ascending values is too high for the end of a range."""
+    """Return whether the first of ascending values' counts is too high for a range's end."""
     pile, beside = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
     if pile < LEAST_PILE:
         return False

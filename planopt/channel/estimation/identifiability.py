@@ -35,7 +35,7 @@ FALLBACK_DECORRELATION_M = 10.0
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the measurements allow.
+    """The parameters that the measurements can identify, and why not the others.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def require_usable(measurements: Measurements, station: Station | None) -> None:
 
 
 def _n_pl_reason(positions: NDArray[np.float64], station: Station, count: int) -> str | None:
-    """Why the line of power against log-distance has no slope to estimate."""
+    """Return why the line of power against log-distance has no slope to estimate."""
     if count < MIN_MEASUREMENTS_THETA:
         return f"{count} uncensored measurements are fewer than {MIN_MEASUREMENTS_THETA}"
     if float(np.ptp(regressors(positions, station)[:, 1])) < MIN_REGRESSOR_SPREAD_DB:
@@ -113,7 +113,7 @@ def _n_pl_reason(positions: NDArray[np.float64], station: Station, count: int) -
 
 
 def _covariance_reason(positions: NDArray[np.float64], count: int) -> str | None:
-    """Why there is no empirical covariance to fit."""
+    """Return why there is no empirical covariance to fit."""
     if count < MIN_MEASUREMENTS_COVARIANCE:
         return f"{count} uncensored measurements are fewer than {MIN_MEASUREMENTS_COVARIANCE}"
     if len(np.unique(positions, axis=0)) < MIN_MEASUREMENTS_THETA:

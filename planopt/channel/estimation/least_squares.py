@@ -121,7 +121,7 @@ def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
 
 
 def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
-    """What takes values (n,) to coefficients (q,), all but the first `free` of them ridged."""
+    """Return the map from values (n,) to coefficients (q,), all but the first `free` ridged."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]

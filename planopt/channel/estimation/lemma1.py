@@ -85,7 +85,7 @@ LAG_CAP_SHARE = 0.25
 
 @dataclass(frozen=True)
 class LogBins:
-    """What the line is fitted to: ``(b,)`` lags in m, log r-hat and weights tau."""
+    """The points that the line is fitted to: ``(b,)`` lags in m, log r-hat and weights tau."""
 
     lag_m: NDArray[np.float64]
     log_covariance: NDArray[np.float64]
@@ -159,7 +159,7 @@ def line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float,
 
 
 def enough(bins: LogBins) -> bool:
-    """Whether a line is determined: two bins at different lags."""
+    """Return whether a line is determined: two bins at different lags."""
     return len(bins.lag_m) >= 2 and float(np.ptp(bins.lag_m)) > 0.0
 
 

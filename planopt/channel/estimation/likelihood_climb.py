@@ -114,7 +114,7 @@ def _explaining(moves: Iterable[tuple[Vector, Vector]], curvature: Vector) -> Ve
 
 
 def _gain(gradient: Vector, curvature: Vector, free: NDArray[np.bool_]) -> float:
-    """What a Newton step on the free variables promises."""
+    """Return the gain that a Newton step on the free variables promises."""
     if not free.any():
         return 0.0
     part = curvature[np.ix_(free, free)] + CURVATURE_FLOOR * np.eye(int(free.sum()))
@@ -179,7 +179,7 @@ class LikelihoodClimb:
         return self._top
 
     def log_likelihood(self, logs: NDArray[np.float64]) -> float:
-        """At a point (3,) in logarithms."""
+        """Return the log-likelihood at a point (3,) in logarithms."""
         return self._likelihood.at(variances(logs)).log_likelihood
 
     def rise(self, logs: NDArray[np.float64], axis: int) -> float:
@@ -193,7 +193,7 @@ class LikelihoodClimb:
         return float(gradient[axis] - information[axis, others] @ onto)
 
     def distinct(self, tops: Iterable[Top]) -> list[Top]:
-        """Those of `tops` that are not on one ridge with a better one, the best first."""
+        """Return those `tops` that share no ridge with a better one, the best first."""
         kept: list[Top] = []
         for top in sorted(tops, key=lambda one: -one[1].log_likelihood):
             if not any(self._on_one_ridge(better[0], top) for better in kept):

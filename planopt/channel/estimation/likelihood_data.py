@@ -64,7 +64,7 @@ class LikelihoodData:
     receiver: NDArray[np.intp]
 
     def gaussian(self, rows: NDArray[np.intp]) -> LikelihoodData:
-        """Those of `rows`, which are Gaussian ones."""
+        """Return the data of `rows`, which are Gaussian ones."""
         square = np.ix_(rows, rows)
         return LikelihoodData(
             self.distance_m[square],
@@ -142,7 +142,7 @@ def likelihood_data(
 def _fixed_covariance_db2(
     measurements: Measurements, known: ChannelParameters
 ) -> NDArray[np.float64] | None:
-    """Of receivers' offsets and errors of path loss; (n, n)."""
+    """Return the covariance of receivers' offsets and errors of path loss; (n, n)."""
     if not (measurements.receiver.any() or measurements.position_std_m.any()):
         return None
     fixed = np.diag(measured_path_loss_variance_db2(measurements, known))

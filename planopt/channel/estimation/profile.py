@@ -66,12 +66,12 @@ class Ridge:
         return math.exp(self.modes[0][0][axis] / power)
 
     def deviation(self, parameter: ProfiledParameter) -> float:
-        """Of the logarithm of the estimate, from the information there."""
+        """Return the deviation of the estimate's logarithm, from the information there."""
         axis, power = AXES[parameter]
         return self._log_deviation(axis) / power
 
     def bounds(self, parameter: ProfiledParameter) -> tuple[float, float]:
-        """Those of the fit."""
+        """Return the bounds of the fit."""
         axis, power = AXES[parameter]
         low, high = np.exp(self.box[axis] / power)
         return float(low), float(high)
@@ -111,7 +111,7 @@ class Ridge:
         )
 
     def _end(self, axis: int, way: float) -> float | None:
-        """Where the profile crosses the cut, to one side, in the logarithm; None for nowhere.
+        """Return where the profile crosses the cut, to one side, in the logarithm, or None.
 
         The root of what log L has fallen by is nearly straight in the logarithm: the secant.
         """
@@ -147,7 +147,7 @@ class Ridge:
         return float(inner[0][axis]) if outer is None else outer[0]
 
     def _log_deviation(self, axis: int) -> float:
-        """Of one of the three logarithms, from the information at the best optimum."""
+        """Return the deviation of one logarithm, from the information at the best optimum."""
         logs, at = self.modes[0]
         scale = np.exp(logs)
         spread = np.linalg.inv(scale[:, None] * at.information * scale + FLAT * np.eye(3))
@@ -187,7 +187,7 @@ class Ridge:
 
 
 def _along(axis: int, value: float, near: Top) -> NDArray[np.float64]:
-    """Where the ridge through an optimum leads to, by the information there."""
+    """Return the direction of the ridge through an optimum, by the information there."""
     logs, at = near
     scale = np.exp(logs)
     information = scale[:, None] * at.information * scale + FLAT * np.eye(3)
@@ -283,5 +283,5 @@ def interval_words(low: float, high: float, unit: str) -> str:
 
 
 def _crossing(logs: NDArray[np.float64], above: NDArray[np.float64]) -> float:
-    """Where a straight line between two points crosses zero."""
+    """Return where a straight line between two points crosses zero."""
     return math.exp(float(logs[0] + (logs[1] - logs[0]) * above[0] / (above[0] - above[1])))

@@ -128,7 +128,7 @@ def sites_and_likelihood(
 def _interval_prior(
     data: LikelihoodData, latent_covariance: NDArray[np.float64], nugget: float
 ) -> tuple[LatentPrior, float]:
-    """What the Gaussian measurements, any number, say of the others and of theta; their log L.
+    """Return the others and theta given the Gaussian measurements, and their log L.
 
     Theta has a flat prior. Where rounded ones may be needed to determine it, it is counted from the
     least-squares line, and the log likelihood is at that line: the rest of its integral over theta

@@ -133,7 +133,7 @@ def added_products(
     columns: NDArray[np.float64],
     done: int,
 ) -> NDArray[np.float64]:
-    """What the rows from `done` on add to the products of those before, in the order given.
+    """Return what the rows from `done` on add to the products of those before, in the order given.
 
     Parameters
     ----------

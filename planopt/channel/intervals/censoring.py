@@ -39,7 +39,7 @@ deviations off, and errors are 1.5 times what the deviations say.
 
 
 def needs_site(measurements: Measurements, noise_variance_db2: float) -> NDArray[np.bool_]:
-    """Which are censored, or rounded to steps too coarse for Sheppard's correction; ``(n,)``.
+    """Return which are censored, or too coarsely rounded for Sheppard's correction; ``(n,)``.
 
     `noise_variance_db2` is omega^2.
     """
@@ -48,7 +48,7 @@ def needs_site(measurements: Measurements, noise_variance_db2: float) -> NDArray
 
 
 def intervals(measurements: Measurements) -> Intervals:
-    """Where the power of each is known to lie; censored ones are at most r / 2 above their value.
+    """Return each power's interval; censored ones are at most r / 2 above their value.
 
     Of a measurement that is neither censored nor rounded the interval is empty.
     """

@@ -34,7 +34,7 @@ class Sites:
 
 @dataclass(frozen=True)
 class Intervals:
-    """What is known of noisy powers.
+    """The intervals that noisy powers are known to lie in.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Intervals:
 
 @dataclass(frozen=True)
 class LatentPrior:
-    """What is known of the noise-free power f without the intervals.
+    """The distribution of the noise-free power f without the intervals.
 
     f = mean + columns @ delta + u with u ~ N(0, covariance) and delta of density proportional to
     exp(score' delta - delta' information delta / 2): path loss, given other measurements.

@@ -157,7 +157,7 @@ POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
 
 @dataclass(frozen=True)
 class PowerLog:
-    """What a log says.
+    """A log as it was read: places, powers, flags and further columns.
 
     Attributes
     ----------
@@ -402,7 +402,7 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _column(names: list[str], name: str, file: Path, line: int) -> int:
-    """Where the column `name` stands."""
+    """Return where the column `name` stands."""
     if names.count(name) == 1:
         return names.index(name)
     problem = "appears twice" if name in names else "is missing"

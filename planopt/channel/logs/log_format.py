@@ -16,7 +16,7 @@ LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
 @dataclass(frozen=True)
 class LogFormat:
-    """How a log is to be read.
+    """The format of a log: its columns, units and flags.
 
     Attributes
     ----------

@@ -97,7 +97,7 @@ def _column(text: str) -> GroupColumn:
 
 
 def _label(cell: str, column: GroupColumn, file: Path, line: int) -> str | int:
-    """What a cell says of its group."""
+    """Return the label of the group in a cell."""
     if column.block is None:
         return read_label(cell, file, line, column.name)
     return math.floor(read_number(cell, file, line, column.name) / column.block)

@@ -182,7 +182,7 @@ def require_m(m: float) -> None:
 
 
 def _sought(deviation_db: Callable[[float], float], weakest: float, wanted_db: float) -> float:
-    """Where a falling deviation has the wanted value; halving in the logarithm of 1 + argument."""
+    """Find where a falling deviation has a value, halving in the logarithm of 1 + argument."""
     most, least = deviation_db(weakest), deviation_db(STRONGEST)
     if not least <= wanted_db <= most:
         raise InputError(

@@ -90,7 +90,7 @@ class NearGroup:
         return self.buffer.lower[:count, :count]
 
     def belongs_to(self, posterior: ChannelPosterior) -> bool:
-        """Whether these are measurements of `posterior`, under the same numbers."""
+        """Return whether these are measurements of `posterior`, under the same numbers."""
         return (
             self.parameters == posterior.parameters
             and int(self.used.max()) < len(posterior.measurements)
@@ -225,7 +225,7 @@ def _least_lacking(
 
 
 def _given(posterior: ChannelPosterior, used: NDArray[np.intp]) -> NDArray[np.float64]:
-    """What the covariance and the columns of the measurements `used` (m,) rest on; ``(m, 6)``."""
+    """Return the data behind covariance and columns of the measurements `used` (m,); ``(m, 6)``."""
     measured = posterior.measurements
     return np.column_stack(
         [

@@ -88,7 +88,7 @@ class StationSurface:
 
 @dataclass(frozen=True)
 class Losses:
-    """What positions are worth.
+    """The loss of positions of the station.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Box:
-    """Where the station is looked for.
+    """The box that the station is searched in.
 
     Attributes
     ----------
@@ -399,7 +399,7 @@ def _settled_joint(measurements: Measurements, station: Station, forgetting_s: f
 def _stands_still(
     surface: StationSurface, before: NDArray[np.float64], after: NDArray[np.float64]
 ) -> bool:
-    """Whether the move is small against the position's deviation."""
+    """Return whether the move is small against the position's deviation."""
     _, _, information = gauss_newton(surface, after)
     step = after - before
     return float(step @ information @ step) < STILL**2

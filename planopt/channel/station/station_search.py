@@ -152,7 +152,7 @@ def _inverse(information: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
 
 def _at_edge(measurements: Measurements, parameters: ChannelParameters) -> bool:
-    """Whether the search ended at its edge."""
+    """Return whether the search ended at its edge."""
     positions = measurements.positions_m
     box, near = box_about(positions, MARGIN), 1e-6 * extent_m(positions)
     station = np.asarray(parameters.station.position_m)
@@ -193,7 +193,7 @@ def _likely(
 
 
 def _pairs(columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """All pairs of a value of the first of two `columns` (k, 2) and one of the second; (k^2, 2)."""
+    """Return all pairs of values of the first and the second of `columns` (k, 2); (k^2, 2)."""
     count = len(columns)
     return np.column_stack([np.repeat(columns[:, 0], count), np.tile(columns[:, 1], count)])
 

@@ -50,7 +50,7 @@ BINOMIAL_Z = 1.959964
 
 @dataclass(frozen=True)
 class Coverage:
-    """How many held-out powers a central interval contains.
+    """The share of held-out powers that a central interval contains.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class ReliabilityBin:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the interval holds the mean prediction; None without an interval."""
+        """Return whether the interval holds the mean prediction; None without an interval."""
         if self.interval is None:
             return None
         return self.interval[0] <= self.predicted <= self.interval[1]

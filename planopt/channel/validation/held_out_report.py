@@ -128,7 +128,7 @@ def learn_plain_process(measurements: Measurements) -> Predictor:
 
 
 def _uncensored(measurements: Measurements) -> Measurements:
-    """What is not an upper limit, in an order that does not depend on that of the rows."""
+    """Return measurements that are no upper limits, in an order independent of the rows'."""
     if measurements.censored.all():
         raise InputError("there is nothing to learn from upper limits alone")
     placed = measurements.by_place()
@@ -189,7 +189,7 @@ PATH_LOSS = "path_loss"
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """How one predictor did on what it had not seen.
+    """The errors of one predictor on held-out measurements.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ class HeldOutScore:
 
 @dataclass(frozen=True)
 class HeldOutReport:
-    """What was held out, and how each predictor did.
+    """Held-out measurements, and the errors of each predictor on them.
 
     Attributes
     ----------
@@ -246,7 +246,7 @@ class HeldOutReport:
 def predictors_of(
     fit: Callable[[Measurements], ChannelFit | ChannelParameters],
 ) -> Callable[[Measurements], dict[str, Predictor]]:
-    """What learns the channel, what it is compared with, and path loss alone.
+    """Return the predictors that are compared: the learnt channel, its rivals, path loss alone.
 
     The channel with its covariance marginalised, and what knows no upper limits: a least-squares
     line and a Gaussian process (:mod:`planopt.channel.validation.held_out_report`). `fit` fits any

@@ -24,7 +24,7 @@ EMPTY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """How well agents cover a region, and where each of them should be.
+    """The coverage cost of a region, and the place where each agent should be.
 
     Attributes
     ----------

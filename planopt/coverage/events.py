@@ -59,7 +59,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Sensing:
-    """How agents measure events.
+    """The sensor and rate by which agents measure events.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Sensing:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What the network knows of one event.
+    """The network's knowledge of one event.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Watch:
 
     @property
     def is_known(self) -> bool:
-        """Whether the network believes that the event is there."""
+        """Return whether the network believes that the event is there."""
         return self.estimate is not None
 
     @property

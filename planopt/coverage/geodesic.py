@@ -167,7 +167,7 @@ def geodesic_region(
 
 
 def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -> shapely.Polygon:
-    """What obstacles leave of a region, checked to be connected."""
+    """Return the region without obstacles, checked to be connected."""
     left: shapely.Geometry = whole
     for number, obstacle in enumerate(obstacles):
         if not (shapely.is_valid(obstacle) and obstacle.area > 0.0):
@@ -277,7 +277,7 @@ def _outstanding(free: shapely.Polygon) -> NDArray[np.float64]:
 def _meets(
     border: shapely.Geometry, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether straight lines between places (k, 2) meet a border; (k,)."""
+    """Return whether straight lines between places (k, 2) meet a border; (k,)."""
     lines = shapely.linestrings(np.stack((starts_m, ends_m), axis=1))
     return np.asarray(shapely.intersects(border, lines), dtype=np.bool_)
 
@@ -291,5 +291,5 @@ def nearest_place(area: shapely.Polygon, place_m: NDArray[np.float64]) -> NDArra
 def _near(
     area: shapely.Polygon, places_m: NDArray[np.float64], within_m: float
 ) -> NDArray[np.bool_]:
-    """Whether places (k, 2) are in an area or at most a distance from it; (k,)."""
+    """Return whether places (k, 2) are in an area or at most a distance from it; (k,)."""
     return np.asarray(shapely.dwithin(area, shapely.points(places_m), within_m), dtype=np.bool_)

@@ -25,7 +25,7 @@ AT_CORNER = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class GeodesicCells:
-    """Which agent is nearest to each node by the shortest path.
+    """The agent nearest to each node by the shortest path.
 
     Attributes
     ----------
@@ -280,7 +280,7 @@ def _own_cost(
     owner: NDArray[np.intp],
     wanted: NDArray[np.intp],
 ) -> NDArray[np.float64]:
-    """What the nodes of each cell cost from where its agent is; (n,), 0 for agents not wanted."""
+    """Return the cost of each cell from its agent's place; (n,), 0 for agents not wanted."""
     asked = np.zeros(len(agents), dtype=np.bool_)
     asked[wanted] = True
     nodes = np.flatnonzero(asked[owner])
@@ -305,7 +305,7 @@ def _own_cost(
 def _reached(
     region: GeodesicRegion, starts: NDArray[np.float64], steps: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Where steps (k, 2) from places (k, 2) lead within what is allowed to agents.
+    """Return where steps (k, 2) from places (k, 2) lead within what is allowed to agents.
 
     That is the end of the step if it is in sight, else the nearest allowed place to it if that is
     in sight, else the last allowed place on the line.

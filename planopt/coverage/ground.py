@@ -36,7 +36,7 @@ TOUCHING = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """How well agents cover a ground, and where each should drive for coverage.
+    """The coverage cost of a ground, and where each agent should drive.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class Cover:
 
 
 class Ground(Protocol):
-    """What a network covers."""
+    """The ground that a network covers: region, obstacles, density."""
 
     @property
     def free(self) -> shapely.Polygon:
-        """What is covered: the region less its obstacles."""
+        """Return the region without its obstacles."""
         ...
 
     @property

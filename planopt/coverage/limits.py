@@ -15,7 +15,7 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True)
 class MoveLimits:
-    """What agents can do and must keep.
+    """The limits of agents' motion, and the distances they keep.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class MoveLimits:
 
     @property
     def keep_m(self) -> float:
-        """What an agent's place keeps from obstacles and border."""
+        """Return the distance that an agent's place keeps from obstacles and border."""
         return max(self.body_radius_m, self.clearance_m)
 
     @property
@@ -98,7 +98,7 @@ def packing_reach_m(agents: int, body_radius_m: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LinkLaw:
-    """How the power of a link falls with its length, as far as it is known.
+    """The law by which the power of a link falls with its length.
 
     Power at distance d is normal with mean ``k_pl_db - 10 n_pl log10 d``. Its variance is that of
     shadowing and multipath and that of the uncertain path loss.

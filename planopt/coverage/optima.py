@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """Where a network should end.
+    """The places where a network should end.
 
     Attributes
     ----------

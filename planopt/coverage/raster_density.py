@@ -204,7 +204,7 @@ def _gauss(nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def _between(
     edges: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Which grid lines (l,) lie strictly between pairs of coordinates (e,): pair and line."""
+    """Return the grid lines (l,) strictly between pairs of coordinates (e,): pair and line."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
     counts = np.maximum(np.searchsorted(edges, high, side="left") - begin, 0)

@@ -30,7 +30,7 @@ ABSENT = -2
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a network is to do, and how.
+    """The task and the settings of a network.
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class NetworkRun:
-    """What a network did; ``T`` steps, ``n`` agents, ``k`` events.
+    """The run of a network; ``T`` steps, ``n`` agents, ``k`` events.
 
     Attributes
     ----------
@@ -290,7 +290,7 @@ def simulate_network(
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """What one step is recorded as; attributes as in :class:`NetworkRun`."""
+    """The record of one step; attributes as in :class:`NetworkRun`."""
 
     states: NDArray[np.intp]
     targets_m: NDArray[np.float64]
@@ -320,7 +320,7 @@ def _noticed(
     time_s: float,
     generator: np.random.Generator,
 ) -> tuple[tuple[Watch, ...], int]:
-    """What is known after everybody has measured, and how many readings were sent.
+    """Return the knowledge after all have measured, and how many readings were sent.
 
     Who responds to an event, or detects it, collects its neighbours' readings.
     """
@@ -352,7 +352,7 @@ def _wanted(
     agents_m: NDArray[np.float64],
     counts: NDArray[np.float64],
 ) -> NDArray[np.intp]:
-    """How many agents each known event asks for (k,), by the count of the agent nearest to it."""
+    """Return the demand of each known event (k,), by the count of its nearest agent."""
     wanted = np.zeros(len(watches), dtype=np.intp)
     for number, (watch, demand) in enumerate(zip(watches, scene.demands, strict=True)):
         if watch.is_known:
@@ -363,7 +363,7 @@ def _wanted(
 
 
 def _circumstance(scene: Scene, watches: tuple[Watch, ...], who: NDArray[np.intp]) -> Circumstance:
-    """What an assignment now would be made for."""
+    """Return the circumstance that an assignment now would be made for."""
     places = {
         event.name: (float(watch.place_m[0]), float(watch.place_m[1]))
         for event, watch in zip(scene.events, watches, strict=True)

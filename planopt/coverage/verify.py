@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a move.
+    """A fault of a move.
 
     Attributes
     ----------

@@ -247,7 +247,7 @@ def _clipped(
 def _crosses(
     ends: NDArray[np.float64], normals: NDArray[np.float64], offsets: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether segments (e, 2, 2) meet the region of all ``normals @ q <= offsets``; (e,)."""
+    """Return whether segments (e, 2, 2) meet the region of all ``normals @ q <= offsets``; (e,)."""
     beyond = ends @ normals.T - offsets
     start, stop = beyond[:, 0], beyond[:, 1]
     # Shares of the segment at which it enters and leaves each half-plane.

@@ -80,7 +80,7 @@ class Arena:
 
     @property
     def corners(self) -> int:
-        """How many corners shortest paths may turn at."""
+        """Return how many corners shortest paths may turn at."""
         return 0 if self.obstacles is None else len(corners_m(self._closed))
 
     @cached_property
@@ -259,7 +259,7 @@ def _dots(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np
 def _positive(
     at_zero: NDArray[np.float64], slope: NDArray[np.float64], end: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Where on [0, end] ``at_zero + slope s`` is positive: ``(2, k)``, empty ones upside down."""
+    """Return where ``at_zero + slope s > 0`` on [0, end]: ``(2, k)``, empty ones upside down."""
     steep = np.abs(slope) > 1e-12
     root = np.clip(-at_zero / np.where(steep, slope, 1.0), 0.0, end)
     low = np.where(steep & (slope > 0.0), root, np.where(~steep & (at_zero <= 0.0), end, 0.0))

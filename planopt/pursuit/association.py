@@ -26,7 +26,7 @@ from planopt.pursuit.service import SnapshotService, require_number
 
 @dataclass(frozen=True)
 class Detector:
-    """How well the motes detect.
+    """The detection probabilities of the motes.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ def merge_reports(first: Reports, second: Reports) -> Reports:
 
 @dataclass(frozen=True)
 class AssociationModel:
-    """What is assumed of evaders and detection.
+    """The assumptions about evaders and detection.
 
     Attributes
     ----------

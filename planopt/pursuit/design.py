@@ -145,7 +145,7 @@ class Design:
 
     @property
     def energy_per_capture_j(self) -> float:
-        """What the network spends in that time."""
+        """Return the energy that the network spends in that time."""
         return self.cost_w * self.capture_time_s
 
 
@@ -340,7 +340,7 @@ class _Failed:
 
     @property
     def order(self) -> tuple[int, float]:
-        """How near it comes: what holds first, then the share by which it fails."""
+        """Return the order of designs: what holds first, then the share by which it fails."""
         return self.held, self.inequality.margin / self.inequality.right
 
 
@@ -458,7 +458,7 @@ def _halved(
 def _failing(
     task: DesignTask, theorem: Theorem, bits: int, slot_s: float
 ) -> tuple[str, Inequality] | None:
-    """What a sharp design with this slot misses first: its name and the inequality."""
+    """Return what a sharp design with this slot misses first: its name, the inequality."""
     assert task.capture_radius_m is not None and task.deadline_s is not None
     found = guarantees(task.chase, task.network.service(slot_s, bits).bounds)[theorem]
     for each in found.inequalities:

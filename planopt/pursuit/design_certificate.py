@@ -33,7 +33,7 @@ class Requirement:
 
     @property
     def holds(self) -> bool:
-        """Whether the design meets it."""
+        """Return whether the design meets it."""
         if self.strict:
             return self.inequality.holds
         return self.inequality.left <= self.inequality.right * (1.0 + ROUNDING)

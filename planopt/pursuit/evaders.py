@@ -23,7 +23,7 @@ HEADINGS = 32
 
 @dataclass(frozen=True, eq=False)
 class EvaderView:
-    """What an evader decides on.
+    """The knowledge that an evader decides on.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ Part = tuple[slice, slice, slice, slice]
 
 @dataclass(frozen=True)
 class Flooding:
-    """How records spread.
+    """The settings by which records spread.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Flooding:
 
 @dataclass(frozen=True, eq=False)
 class FloodingRun:
-    """What was counted from one start of the coarsest round to the next.
+    """Counts from one start of the coarsest round to the next.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class FloodingRun:
 
     @property
     def keeps_rounds(self) -> bool:
-        """Whether every record was whole, and with every mote of its nine cells in time."""
+        """Return whether every record was whole, and with every mote of its nine cells in time."""
         return not self.late.any() and not self.missing.any()
 
 
@@ -274,12 +274,12 @@ class _Flood:
 
     @property
     def due(self) -> int:
-        """How many pairs of mote and record there are."""
+        """Return how many pairs of mote and record there are."""
         return int(self._inside.sum())
 
     @property
     def late(self) -> int:
-        """How many of them have not come together."""
+        """Return how many of them have not come together."""
         return int((self._inside & ~self._heard).sum())
 
     def reset(self) -> None:
@@ -358,7 +358,7 @@ class _Gather:
 
     @property
     def missing(self) -> NDArray[np.int64]:
-        """How many motes' states have not come to each head; ``(m, m)``."""
+        """Return how many motes' states have not come to each head; ``(m, m)``."""
         return np.where(self._left == 0, self._brought, self._part_motes).sum(axis=-1)
 
     def take_over(self, finer: _Gather) -> None:
@@ -391,7 +391,7 @@ def _gathered_by(service: SnapshotService, level: int, flooding: Flooding) -> in
 
 
 def _neighbours(sending: NDArray[np.bool_]) -> NDArray[np.int8]:
-    """How many of the eight motes around each one send; over the last two axes."""
+    """Return how many of the eight motes around each one send; over the last two axes."""
     total = sending.astype(np.int8)
     for axis in (-1, -2):
         rest = total.swapaxes(axis, -1)

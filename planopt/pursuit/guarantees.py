@@ -50,14 +50,14 @@ far from where the evader was."""
 
 
 class Distances(Enum):
-    """What a guarantee means by distance."""
+    """The distances that a guarantee is about."""
 
     STRAIGHT = "straight"
     PATHS = "paths"
 
 
 class Theorem(Enum):
-    """What a guarantee rests on."""
+    """The theorem that a guarantee rests on."""
 
     LEMMA = "lemma"
     ANY_INSTANT = "any_instant"
@@ -84,7 +84,7 @@ class Inequality:
 
     @property
     def holds(self) -> bool:
-        """Whether it does, strictly."""
+        """Return whether it does, strictly."""
         return self.left < self.right
 
     @property
@@ -148,7 +148,7 @@ class Chase:
 
 @dataclass(frozen=True, eq=False)
 class Guarantee:
-    """What one theorem says about a chase.
+    """The guarantee of one theorem for a chase.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class Guarantee:
 
     @property
     def holds(self) -> bool:
-        """Whether every inequality does."""
+        """Return whether every inequality does."""
         return all(each.holds for each in self.inequalities)
 
     def next_bound_m(self, bound_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -230,7 +230,7 @@ class Guarantee:
         return count
 
     def _potential(self, bound_m: float) -> float:
-        """What stages shrink: W, or the sampled distance of the largest W for the Lemma."""
+        """Return what stages shrink: W, or the sampled distance of the largest W for the Lemma."""
         if self.theorem is not Theorem.LEMMA:
             return bound_m
         return float(_least_distance_m(self.chase, self.bounds, np.array(bound_m)))
@@ -472,7 +472,7 @@ def _least_distance_m(
 
 
 def _floor_m(needs: tuple[Inequality, ...] | list[Inequality], stages: tuple[Stage, ...]) -> float:
-    """Where no stage lifts W any more: the fixed point of a bound that rises less than W does."""
+    """Return where no stage lifts W: the fixed point of a bound that rises less than W."""
     if not all(each.holds for each in needs):
         return math.inf
 

@@ -18,7 +18,7 @@ from planopt.pursuit.service import SnapshotService
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Where an object was: straight and even between the given times.
+    """The track of an object: straight and even between the given times.
 
     Before the first time it stood at its first position, after the last it stands at the last.
 
@@ -41,7 +41,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What the last completed round of each level tells of one object.
+    """The last completed round of each level, for one object.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ ARRIVED_M = 1e-9
 
 
 class Motion(Protocol):
-    """How something moves."""
+    """The motion of an object."""
 
     @property
     def speed_max_m_s(self) -> float:
@@ -29,7 +29,7 @@ class Motion(Protocol):
 
     @property
     def turning_s(self) -> float:
-        """How much longer a point may take than a straight line to it."""
+        """Return how much longer a point may take than a straight line to it."""
         ...
 
     def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -96,7 +96,7 @@ class UnicycleMotion:
 
     @property
     def turning_s(self) -> float:
-        """Half a turn on the spot."""
+        """Return the time of half a turn on the spot."""
         return math.pi / self.robot.turn_rate_max_rad_s
 
     def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ ARRIVED_SHARE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PursuerView:
-    """What a pursuer decides on.
+    """The knowledge that a pursuer decides on.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Quest:
-    """What a driver is told at the start.
+    """The task that a driver is given at the start.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ from planopt.pursuit.service import SnapshotService
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What is known of an evader.
+    """The record of an evader.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Record:
 
 
 class RecordSource(Protocol):
-    """Where a pursuer asks for records."""
+    """The source of a pursuer's records."""
 
     def record(
         self,

@@ -32,7 +32,7 @@ INTERFERENCE_SIDE = 3
 
 @dataclass(frozen=True)
 class ServiceBounds:
-    """What a service promises about every record in use, at distance d of the object.
+    """The bounds of a service on every record in use, at distance d of the object.
 
     Its age is at most ``max(age_s_m * d, age_floor_s)``, its error at most
     ``max(relative_error * d, error_floor_m)``.

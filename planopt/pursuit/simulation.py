@@ -132,7 +132,7 @@ class Use:
 
     @property
     def age_s(self) -> float:
-        """How old the record was."""
+        """Return the age of the record."""
         return self.time_s - self.record.sampled_s
 
     @property
@@ -143,7 +143,7 @@ class Use:
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """What happened.
+    """The course of a pursuit.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class Pursuit:
 
     @property
     def capture_time_s(self) -> float:
-        """When the last evader was caught; infinite if one was not."""
+        """Return the time of the last capture; infinite if one evader was not caught."""
         return float(self.capture_s.max())
 
 

@@ -19,7 +19,7 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class FlagLists:
-    """What every agent knows of who is near an event, as a table of entries.
+    """The lists of agents near an event, as each agent knows them: a table of entries.
 
     Attributes
     ----------
@@ -289,7 +289,7 @@ def _kept(lists: FlagLists, kept: NDArray[np.bool_]) -> FlagLists:
 
 
 def _changed(before: FlagLists, after: FlagLists, count: int) -> NDArray[np.bool_]:
-    """Which agents' lists name other members than before; (n,)."""
+    """Return which agents' lists name other members than before; (n,)."""
     old = before.holder * count + before.member
     new = after.holder * count + after.member
     changed = np.zeros(count, dtype=np.bool_)

@@ -19,7 +19,7 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True)
 class Circumstance:
-    """What an assignment was made for.
+    """The events, counts and agents that an assignment was made for.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ NONE = -1
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """Which agent responds to which event.
+    """The assignment of agents to events.
 
     Attributes
     ----------

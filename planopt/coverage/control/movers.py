@@ -17,7 +17,7 @@ from planopt.coverage.limits import MoveLimits, RadioLimits
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where agents are and how they move.
+    """Places, velocities and headings of agents.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Motion:
 
 
 class Mover(Protocol):
-    """How agents get on toward their targets in one step."""
+    """The law by which agents move toward their targets in one step."""
 
     def __call__(
         self,

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """What a double integrator adds to a programme.
+    """The variables and constraints that a double integrator adds to a programme.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RadioTree:
-    """Which links carry the network, and where agents keep them.
+    """The links that carry the network, and the places where agents keep them.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class RadioTree:
 
     @property
     def connected(self) -> NDArray[np.bool_]:
-        """Whether each agent has a connection; (n,)."""
+        """Return whether each agent has a connection; (n,)."""
         return self.parent != np.arange(len(self.parent))
 
 
@@ -138,7 +138,7 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
 
 
 def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: Floats) -> SafeSets:
-    """Half-planes of an agent that hold its reserve and none of the discs about nodes (m, 2).
+    """Return half-planes that hold an agent's reserve and no disc about nodes (m, 2).
 
     The nearest disc gives one; those beyond are done with, and the nearest of the rest follows.
     """

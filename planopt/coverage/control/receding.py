@@ -172,7 +172,7 @@ def _sets(
     reach_m: float,
     kept: SafeSets | None,
 ) -> SafeSets:
-    """All sets that agents with reserves from places to stops (n, 2) stay in."""
+    """Return all sets that agents with reserves from places to stops (n, 2) stay in."""
     sets = [
         separate_cells(places, stops, limits.body_radius_m, step_m),
         ground_sets(ground, places, stops, aims, limits.keep_m, reach_m),
@@ -243,7 +243,7 @@ def stopping_ways(ways_m: Floats, change_m: float) -> Floats:
 
 
 def _shorter(ways: Floats, most: float) -> NDArray[np.bool_]:
-    """Whether ways (n, 2) are at most that long, but for rounding; (n,)."""
+    """Return whether ways (n, 2) are at most that long, but for rounding; (n,)."""
     return np.linalg.norm(ways, axis=1) <= most * (1.0 + 1e-9)
 
 
@@ -284,7 +284,7 @@ def _widened(sets: SafeSets, places: Floats) -> SafeSets:
 def _driven(
     places: Floats, ends: Floats, headings: Floats, limits: MoveLimits
 ) -> tuple[Floats, Floats]:
-    """Where unicycles (n, 2) get that turn toward ends (n, 2) and drive; places and headings."""
+    """Return places and headings of unicycles (n, 2) that turn toward ends (n, 2) and drive."""
     assert limits.turn_rate_rad_s is not None
     way = ends - places
     length = np.linalg.norm(way, axis=1)

@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SafeSets:
-    """For each agent the half-planes and discs that it stays in.
+    """The half-planes and discs that each agent stays in.
 
     Attributes
     ----------

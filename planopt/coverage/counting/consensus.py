@@ -24,7 +24,7 @@ DENSE = 400
 
 @dataclass(frozen=True, eq=False)
 class Count:
-    """What the agents think how many they are.
+    """The agents' estimates of their own number.
 
     Attributes
     ----------

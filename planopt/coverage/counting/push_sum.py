@@ -18,7 +18,7 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class PushSum:
-    """What agents and links hold.
+    """The sums that agents and links hold.
 
     Attributes
     ----------

@@ -261,7 +261,7 @@ Method = Literal["known", "leader", "minima", "running"]
 
 @dataclass(frozen=True)
 class Counting:
-    """How a network counts itself.
+    """The settings by which a network counts itself.
 
     Attributes
     ----------
@@ -297,7 +297,7 @@ class Counting:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """What agents hold and believe while counting.
+    """The state of agents while they count.
 
     Attributes
     ----------

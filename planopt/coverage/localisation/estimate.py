@@ -40,7 +40,7 @@ SINGULAR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class EventEstimate:
-    """Where events most likely are.
+    """The most likely places of events.
 
     Attributes
     ----------
@@ -69,13 +69,13 @@ class EventEstimate:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the readings leave neither a direction nor another place open."""
+        """Return whether the readings leave neither a direction nor another place open."""
         return bool(np.isfinite(self.covariance_m2).all()) and not len(self.rivals_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """How an event moves: at a constant velocity, which is estimated together with its place.
+    """The motion of an event at a constant velocity, estimated together with its place.
 
     Attributes
     ----------

@@ -169,7 +169,7 @@ class CoverageProblem:
 
     @property
     def limits(self) -> MoveLimits:
-        """What agents can do, and what they keep from obstacles and the border."""
+        """Return the limits of agents' motion, and the distances that they keep."""
         agents, given = self.given.agents, self.given
         speed = math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s
         return MoveLimits(
@@ -307,7 +307,7 @@ def density_table(problem: CoverageProblem) -> dict[str, Any]:
 
 
 def _keyed(make: Callable[[], Made], keys: dict[str, str]) -> Made:
-    """What `make` returns; keys of the library in its errors become those of the file."""
+    """Return what `make` does; keys of the library in its errors become those of the file."""
     try:
         return make()
     except InputError as error:
@@ -356,7 +356,7 @@ def _ground(
 
 
 def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """When agents join and leave, (n,) each."""
+    """Return the times when agents join and leave, (n,) each."""
     joins, leaves = np.zeros(agents), np.full(agents, np.inf)
     for number, table in enumerate(given.changes):
         for agent in table.agents:

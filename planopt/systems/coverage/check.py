@@ -135,7 +135,7 @@ def deployment_json(
 
 
 def _deployment(file: Path, data: Mapping[str, Any], problem: CoverageProblem) -> list[str]:
-    """What is wrong with a saved solution: its places, cost and bound are computed again."""
+    """Return what is wrong with a saved solution: its places, cost and bound are computed again."""
     robots = data.get("robots")
     try:
         places = np.array([[one["x_m"][0], one["y_m"][0]] for one in cast("Any", robots)])
@@ -208,7 +208,7 @@ def _law(driven: Driven, step: int) -> list[str]:
 
 
 def _events(driven: Driven) -> list[str]:
-    """Who responds, responds to a known event, and as many are wanted as the demand says."""
+    """Check that agents respond to known events, and that the demand is right."""
     run, problem, reasons = driven.run, driven.problem, list[str]()
     control = problem.given.control
     share = min(control.event_gain_per_s * control.time_step_s, 1.0)

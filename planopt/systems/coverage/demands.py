@@ -21,7 +21,7 @@ from planopt.problems.tables import SMALLEST, Metres, Table
 
 @dataclass(frozen=True, eq=False)
 class DemandContext:
-    """What demands may depend on: sensor, covered area, number of agents."""
+    """The sensor, covered area and number of agents that demands may depend on."""
 
     sensor: EventSensor
     area_m2: float
@@ -46,7 +46,7 @@ class NumberTable(Table):
 
 
 class StepTable(Table):
-    """From so many agents on, so many respond."""
+    """Steps of a demand: from so many agents on, so many respond."""
 
     at_least: int = Field(ge=0, le=20_000, description="From so many agents on.")
     respond: int = Field(ge=0, le=20_000, description="So many respond.")
@@ -90,7 +90,7 @@ class CapTable(Table):
 
 
 class AccuracyTable(Table):
-    """As many as locate the event well enough."""
+    """As many agents as locate the event well enough."""
 
     kind: Literal["accuracy"]
     accuracy_m: Metres = Field(ge=SMALLEST, description="Root mean squared error in metres.")
@@ -110,7 +110,7 @@ class AccuracyTable(Table):
 
 
 class TradeOffTable(Table):
-    """As many as balance coverage against localisation."""
+    """As many agents as balance coverage against localisation."""
 
     kind: Literal["trade_off"]
     localisation_m2: float = Field(ge=SMALLEST, le=1e12, description="Error with one agent.")

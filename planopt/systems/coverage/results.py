@@ -60,7 +60,7 @@ class Driven:
 
     @property
     def members(self) -> NDArray[np.bool_]:
-        """Who takes part in each step; (T, n)."""
+        """Return which agents take part in each step; (T, n)."""
         return self.run.states != ABSENT
 
 
@@ -184,7 +184,7 @@ def event_results(driven: Driven) -> list[dict[str, Any]]:
 
 
 def _in_place(driven: Driven, number: int, near_m: float) -> NDArray[np.bool_]:
-    """Whether agents are where an event wants them; (T, n).
+    """Return whether agents are where an event wants them; (T, n).
 
     They are within `near_m` of their targets. Bodies may also stand still, crowded around it.
     """
@@ -242,7 +242,7 @@ def in_words(name: str, data: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _settled_s(driven: Driven) -> float | None:
-    """From when on all agents were settled until the end; None if they are not."""
+    """Return from when on all agents were settled until the end; None if they are not."""
     run = driven.run
     if not run.settled:
         return None

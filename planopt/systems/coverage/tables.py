@@ -145,7 +145,7 @@ class PlacesTable(Table):
 
     @property
     def number(self) -> int:
-        """How many agents there are."""
+        """Return how many agents there are."""
         return len(self.places_m)
 
     def places(
@@ -165,7 +165,7 @@ class GridTable(Table):
 
     @property
     def number(self) -> int:
-        """How many agents there are."""
+        """Return how many agents there are."""
         return self.columns * self.rows
 
     def places(
@@ -189,7 +189,7 @@ class RandomTable(Table):
 
     @property
     def number(self) -> int:
-        """How many agents there are."""
+        """Return how many agents there are."""
         return self.count
 
     def places(

@@ -150,7 +150,7 @@ def _records(driven: Driven) -> list[str]:
 
 
 def _captures(driven: Driven) -> list[str]:
-    """Who is caught is within the radius then, and nobody was before."""
+    """Check that who is caught is within the radius then, and nobody was before."""
     pursuit, reasons = driven.pursuit, list[str]()
     rules = driven.problem.given.pursuit
     shares = np.linspace(0.0, 1.0, SHARES)
@@ -202,7 +202,7 @@ def _capture_faults(driven: Driven, evader: int, caught_s: float) -> list[str]:
 def _driven_m(
     driven: Driven, number: int, step: int, shares: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Where a pursuer is at shares (k,) of a step; ``(k, 2)``."""
+    """Return where a pursuer is at shares (k,) of a step; ``(k, 2)``."""
     motion = driven.problem.given.pursuers[number].motion
     state, aim_m = driven.pursuit.pursuers[number][step], driven.pursuit.aims_m[number, step]
     step_s = driven.problem.given.pursuit.step_s

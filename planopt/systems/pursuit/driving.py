@@ -34,12 +34,12 @@ class Driven:
 
     @property
     def alone(self) -> bool:
-        """Whether there is one pursuer and one evader."""
+        """Return whether there is one pursuer and one evader."""
         return len(self.problem.given.pursuers) == len(self.problem.given.evaders) == 1
 
     @property
     def in_stages(self) -> bool:
-        """Whether the theorems speak of it: stages of driving to the reported place."""
+        """Return whether the theorems speak of it: stages of driving to the reported place."""
         return self.planner == "drive"
 
 

@@ -60,7 +60,7 @@ class Stages:
 
     @property
     def kept(self) -> bool:
-        """Whether every stage is within its bound."""
+        """Return whether every stage is within its bound."""
         return self.largest_share <= 1.0 + RATIO_ROUNDING
 
 

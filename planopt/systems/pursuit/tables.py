@@ -114,7 +114,7 @@ class StaticTable(Table):
 
     @property
     def behaviour(self) -> Behaviour:
-        """How it decides."""
+        """Return the law by which it decides."""
         return Static()
 
 
@@ -128,7 +128,7 @@ class WanderingTable(Table):
 
     @property
     def behaviour(self) -> Behaviour:
-        """How it decides."""
+        """Return the law by which it decides."""
         return Wandering(self.turn_std_rad)
 
 
@@ -140,7 +140,7 @@ class FleeingTable(Table):
 
     @property
     def behaviour(self) -> Behaviour:
-        """How it decides."""
+        """Return the law by which it decides."""
         return Fleeing(self.from_aims)
 
 
@@ -155,7 +155,7 @@ class ZigzagTable(Table):
 
     @property
     def behaviour(self) -> Behaviour:
-        """How it decides."""
+        """Return the law by which it decides."""
         return Zigzag(self.period_s, self.angle_rad)
 
 
@@ -168,7 +168,7 @@ class ForesightedTable(Table):
 
     @property
     def behaviour(self) -> Behaviour:
-        """How it decides."""
+        """Return the law by which it decides."""
         return Foresighted(self.horizon, self.plan_step_s)
 
 
@@ -208,7 +208,7 @@ class PursuerTable(Table):
 
     @property
     def motion(self) -> Motion:
-        """How it moves."""
+        """Return its motion."""
         if self.turn_rate_max_rad_s is None:
             return StraightMotion(self.speed_max_m_s)
         return UnicycleMotion(Unicycle(self.speed_max_m_s, self.turn_rate_max_rad_s))
@@ -237,7 +237,7 @@ class PlannerTable(Table):
 
     @property
     def policy(self) -> Policy:
-        """How pursuers decide."""
+        """Return the law by which pursuers decide."""
         if self.name == "receding":
             return RecedingHorizon(self.horizon, self.plan_step_s, self.manoeuvre_s)
         return DriveToReport(retarget=self.name == "retarget")

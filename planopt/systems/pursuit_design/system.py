@@ -238,7 +238,7 @@ def _inequality_json(inequality: Inequality) -> dict[str, Any]:
 
 
 def _chart_json(content: DesignProblem) -> dict[str, Any]:
-    """What quantities are worth, the least cost by bits, and energy against time."""
+    """Return the quantities' values, the least cost by bits, and energy against time."""
     return {
         "sensitivities": sensitivities(content.task, content.solver, content.worth),
         "cost_curve": _cost_curve(content),

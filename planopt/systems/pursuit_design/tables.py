@@ -212,7 +212,7 @@ class DesignProblem:
 
     @property
     def solver(self) -> Callable[[DesignTask], Design]:
-        """What finds the design."""
+        """Return the solver of the design."""
         return self.method.solver(self.theorem)
 
     def worth(self, design: Design) -> float:

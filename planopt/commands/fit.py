@@ -136,7 +136,7 @@ def held_out(
 
 
 def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
-    """What ``held_out`` of the JSON has."""
+    """Return ``held_out`` of the JSON."""
     return {
         "columns": text,
         "groups": report.groups,
@@ -344,7 +344,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
 
 
 def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
-    """Of the station's x and y; null where it was given, each null where it is not determined."""
+    """Return deviations of the station's x and y; null where given or not determined."""
     from planopt.planning.files.record import finite
 
     covariance = found.station_covariance_m2
@@ -376,7 +376,7 @@ def _in_words(data: dict[str, Any]) -> str:
 
 
 def _errors_in_words(errors_m: list[float | None] | None) -> str:
-    """Of an estimated station."""
+    """Return the errors of an estimated station in words."""
     if errors_m is None:
         return ""
     x, y = (shown_number(error, digits=2) for error in errors_m)

@@ -207,7 +207,7 @@ def read_and_fit(
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
-    """How the station is found.
+    """Return the method by which the station is found.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
 
 
 def _log_format(options: LogOptions) -> LogFormat:
-    """How the log is to be read.
+    """Return how the log is to be read.
 
     Raises
     ------

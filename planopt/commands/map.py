@@ -153,7 +153,7 @@ def parse_bounds(text: str) -> Bounds:
 
 
 def map_json(maps: PosteriorMap, out: Path, picture: Path | None) -> dict[str, Any]:
-    """What ``planopt map`` prints of the map itself."""
+    """Return what ``planopt map`` prints about the map itself."""
     raster = maps.mean_db
     return {
         "file": str(out),
@@ -172,7 +172,7 @@ def map_json(maps: PosteriorMap, out: Path, picture: Path | None) -> dict[str, A
 def _threshold_dbm(
     threshold: float | None, floor: float | None, measurements: Measurements
 ) -> float:
-    """What was asked for, or else the weakest power that the log shows to have been received."""
+    """Return the threshold asked for, or else the weakest power received in the log."""
     if threshold is not None:
         return threshold
     return float(measurements.power_dbm.min()) if floor is None else floor

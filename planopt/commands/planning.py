@@ -79,7 +79,7 @@ def answer_command(
 
 @dataclass(frozen=True)
 class Asked:
-    """What was asked for on the command line.
+    """The options that were given on the command line.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Asked:
 
     @property
     def has_pictures(self) -> bool:
-        """Whether pictures or an animation follow the numbers."""
+        """Return whether pictures or an animation follow the numbers."""
         return self.problem.report.figures or self.animation
 
 

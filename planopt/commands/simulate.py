@@ -117,7 +117,7 @@ def _in_words(run: Run) -> str:
 
 
 def _unverified_in_words(run: Run) -> list[str]:
-    """How many plans of each robot are not verified, and why the last of them is not."""
+    """Return how many plans of each robot are not verified, and why the last of them is not."""
     from planopt.planning.plan import Verdict
 
     lines: list[str] = []
@@ -135,7 +135,7 @@ def _unverified_in_words(run: Run) -> list[str]:
 
 
 def _costs_in_words(run: Run) -> list[str]:
-    """What the run cost against the clairvoyant, and what steps were excused by."""
+    """Return what the run cost against the clairvoyant, and what steps were excused by."""
     from planopt.planning.certificate import excused_in_words, excused_steps
 
     lines = [

@@ -56,7 +56,7 @@ class ResultFiles:
         return f"INCOMPLETE_{self.kind}.txt"
 
     def includes(self, name: str) -> bool:
-        """Whether a file of this name is one of them."""
+        """Return whether a file of this name is one of them."""
         return any(fnmatch(name, pattern) for pattern in self.patterns)
 
 
@@ -185,7 +185,7 @@ def _held(staging: Path) -> Generator[None]:
 
 
 def _is_abandoned(staging: Path) -> bool:
-    """Whether the process that wrote into a folder was killed; the system then ended its lock."""
+    """Return whether a folder's writer was killed; the system then ended its lock."""
     handle = _lock(staging)
     if handle is None:
         return False

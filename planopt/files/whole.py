@@ -58,7 +58,7 @@ def remove_remains(folder: Path) -> None:
 
 
 def _is_running(pid: int) -> bool:
-    """Whether there is a process of this number."""
+    """Return whether there is a process of this number."""
     try:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):

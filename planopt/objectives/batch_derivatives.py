@@ -246,7 +246,7 @@ def gated_rows(rows: Rows, gates: Gates | None) -> Rows:
 
 
 def by_places(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
-    """From derivatives by places and gates, (3 h,) and (3 h, 3 h), to those by places alone."""
+    """Turn derivatives by places and gates, (3 h,) and (3 h, 3 h), into those by places."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3

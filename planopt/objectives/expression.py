@@ -123,7 +123,7 @@ def expression_values(
 
 
 def names_in(program: str) -> frozenset[str]:
-    """What the instructions read."""
+    """Return the names that the instructions read."""
     lines = (line.split() for line in program.splitlines())
     return frozenset(words[2] for words in lines if len(words) == 5 and words[0] == "input")
 
@@ -134,7 +134,7 @@ def run_program(
     given: Mapping[str, Callable[[int, int], Any]],
     operations: Mapping[str, tuple[int, Operation]],
 ) -> Any:
-    """What the instructions give; NumPy's operations or CasADi's, on entries by row and column.
+    """Run the instructions, by NumPy's operations or CasADi's, on entries by row and column.
 
     Raises
     ------

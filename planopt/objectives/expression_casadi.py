@@ -68,7 +68,7 @@ CHANNELS = (
 
 @dataclass(frozen=True)
 class PathSymbols:
-    """What an expression is made of, for N steps; CasADi symbols.
+    """The CasADi symbols that an expression is made of, for N steps.
 
     Attributes
     ----------

@@ -82,7 +82,7 @@ def rounded_kernel(
 def softened_m2(
     blur_m2: NDArray[np.float64] | float, parameters: ChannelParameters
 ) -> NDArray[np.float64] | float:
-    """What the squared distances of the rounded kernel have more than the offsets'."""
+    """Return what squared distances of the rounded kernel have more than the offsets'."""
     return blur_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
 
 

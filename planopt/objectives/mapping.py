@@ -70,7 +70,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Where the map is wanted (equation 4.6; footnote 3 of [GM11]).
+    """The region whose map is wanted (equation 4.6; footnote 3 of [GM11]).
 
     Attributes
     ----------

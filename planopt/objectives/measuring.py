@@ -48,7 +48,7 @@ def closing_m(spacing_m: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
-    """Where measurements are taken, given those there are.
+    """The rule by which measurements are taken, given those there are.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class MeasuringRule:
 
     @property
     def open_m(self) -> float:
-        """From this distance on gates are fully open."""
+        """Return the distance from which on gates are fully open."""
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, ways_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
@@ -90,7 +90,7 @@ class MeasuringRule:
         )
 
     def is_open(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether each place, by itself, brings a measurement; ``(n, 2)`` to ``(n,)``."""
+        """Return whether each place, by itself, brings a measurement; ``(n, 2)`` to ``(n,)``."""
         found = np.zeros(len(places_m), dtype=np.bool_)
         for known in self.near(places_m).known_m:
             distance, _ = _nearest(places_m, known, 1, self.spacing_m)
@@ -99,7 +99,7 @@ class MeasuringRule:
         return found
 
     def takes(self, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which places bring a measurement when they are visited in turn.
+        """Return which places bring a measurement when they are visited in turn.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ class Gates:
     _own: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.intp] | slice) -> Gates:
-        """Those of some of the ways."""
+        """Return the gates of some of the ways."""
         return Gates(
             self.value[rows],
             self._ways_m[rows],
@@ -197,7 +197,7 @@ class Gates:
         )
 
     def pulled(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
-        """From derivatives by the gates (c, N) to those by the places (c, N, 2)."""
+        """Turn derivatives by the gates (c, N) into those by the places (c, N, 2)."""
         by_log = by_gate * self.value
         found = 2.0 * by_log[:, :, None] * (self._known[1, ..., None] * self._offset_m).sum(axis=2)
         slope = 2.0 * by_log[:, :, None] * self._own[1]
@@ -206,11 +206,11 @@ class Gates:
         return found + crossed.sum(axis=2) - crossed.sum(axis=1)
 
     def jacobian(self) -> NDArray[np.float64]:
-        """Of a single way, each gate by all coordinates x_1, y_1, x_2, ...; ``(N, 2 N)``."""
+        """Return each gate of a single way by all coordinates x_1, y_1, x_2, ...; ``(N, 2 N)``."""
         return self.value[0][:, None] * self._log_slopes()
 
     def curvature(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of a single way, ``sum_i by_gate_i d^2 gate_i`` for `by_gate` (N,); ``(2 N, 2 N)``."""
+        """Return ``sum_i by_gate_i d^2 gate_i`` of one way for `by_gate` (N,); ``(2 N, 2 N)``."""
         steps = len(by_gate)
         by_log = by_gate * self.value[0]
         slopes = self._log_slopes()

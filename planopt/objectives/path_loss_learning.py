@@ -50,7 +50,7 @@ Kind = Literal["T", "D", "A", "V"]
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """How much an information matrix N = M_{t+h}^-1 is worth; more is better.
+    """The value of an information matrix N = M_{t+h}^-1; more is better.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def path_loss_value(
 def path_loss_gain(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], criterion: Criterion
 ) -> float:
-    """How much more :func:`path_loss_value` is than that of measuring nowhere; 0 at least."""
+    """Return the gain of :func:`path_loss_value` over measuring nowhere; 0 at least."""
     nothing = float(criterion.value(np.zeros((2, 2)), _before(posterior, criterion)))
     return path_loss_value(posterior, path_m, criterion) - nothing
 

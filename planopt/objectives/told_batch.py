@@ -85,7 +85,7 @@ def _sum(a: NDArray[Real] | None, b: NDArray[Real] | None, weight: float) -> NDA
 def pull_of_power(
     batch: WayBatch, by_mean: NDArray[np.float64], by_deviation: NDArray[np.float64]
 ) -> Pull:
-    """By mean and deviation of the power at every place, both ``(c, N)``."""
+    """Return the pull by mean and deviation of the power at every place, both ``(c, N)``."""
     channel, own = batch.channel, np.arange(batch.shape[1])
     deviation = batch.power.deviation_db.reshape(batch.shape)
     by_variance = np.zeros((*batch.shape, batch.shape[1]))
@@ -101,7 +101,7 @@ def pull_of_power(
 def trend_of_universal(
     trend: NDArray[np.float64], channel: LocalChannel, by_universal: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """By B = `trend` (c, N, 2), through B M B', from derivatives by S + B M B' (c, N, N)."""
+    """Return the pull by B = `trend` (c, N, 2), from derivatives by S + B M B' (c, N, N)."""
     return 2.0 * (by_universal @ (trend @ channel.theta_covariance))
 
 
@@ -175,7 +175,7 @@ def _slope_over_distance(
 def pull_of_legs(
     start_m: NDArray[np.float64], ways_m: NDArray[np.float64], by_length: NDArray[np.float64]
 ) -> Pull:
-    """By the lengths (c, N) of the steps of ways (c, N, 2) from `start_m` (2,)."""
+    """Return the pull by lengths (c, N) of the steps of ways (c, N, 2) from `start_m` (2,)."""
     ends = np.concatenate([np.broadcast_to(start_m, (len(ways_m), 1, 2)), ways_m], axis=1)
     legs = np.diff(ends, axis=1)
     length = np.maximum(np.hypot(legs[..., 0], legs[..., 1]), TINY_M)
@@ -274,7 +274,7 @@ class WayBatch:
 
     @property
     def required_grid(self) -> LocalGrid:
-        """Where a map is wanted."""
+        """Return the region whose map is wanted."""
         if self._grid is None:
             raise AssertionError("the spatial average needs a grid")
         return self._grid
@@ -373,11 +373,11 @@ class ToldBatch:
 
     @property
     def grid(self) -> LocalGrid:
-        """Where a map is wanted."""
+        """Return the region whose map is wanted."""
         return self.batch.required_grid
 
     def above_db2(self, threshold_db2: float) -> NDArray[np.float64]:
-        """How much L_ii^2 is above a threshold, times the squared gate where it is; ``(c, N)``."""
+        """Return the excess of L_ii^2 over a threshold, times the squared gate; ``(c, N)``."""
         variance = np.diagonal(self.factor, axis1=1, axis2=2) ** 2
         if self.gate is not None:
             # With a gate g, L_ii^2 is kappa + g^2 (that of the whole measurement - kappa).
@@ -387,7 +387,7 @@ class ToldBatch:
         return np.maximum(variance - threshold_db2, 0.0)
 
     def pulled_back(self, pull: Pull) -> Pull:
-        """From slopes by S_g, B_g and the gates to those by S, B and the gates."""
+        """Turn slopes by S_g, B_g and the gates into those by S, B and the gates."""
         if self.gate is None:
             return pull
         by_gate = np.zeros(self.batch.shape) if pull.by_gate is None else pull.by_gate.copy()

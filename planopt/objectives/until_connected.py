@@ -71,7 +71,7 @@ class Search:
 
     @property
     def thresholds_dbm(self) -> tuple[float, ...]:
-        """Of each station."""
+        """Return the threshold of each station."""
         return (self.threshold_dbm, *self.further_thresholds_dbm)
 
 

@@ -89,5 +89,5 @@ class BaseStation:
 
     @property
     def site(self) -> Station:
-        """Where its antenna is, for the channel model."""
+        """Return the place of its antenna, for the channel model."""
         return Station(self.position_m, self.height_m)

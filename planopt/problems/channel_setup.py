@@ -227,7 +227,7 @@ class GivenParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelSetup:
-    """Where the truth and the first measurements come from and how the channel is fitted.
+    """Sources of ground truth and first measurements, and the fit of the channel.
 
     Attributes
     ----------

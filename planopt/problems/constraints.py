@@ -16,7 +16,7 @@ ParameterUncertainty = Literal["path_loss", "all"]
 
 @dataclass(frozen=True)
 class ConnectivityRule:
-    """What is asked of the connection along a path; a step counts by the place that it ends at.
+    """The rule of connectivity along a path; a step counts by the place that it ends at.
 
     Attributes
     ----------
@@ -95,18 +95,18 @@ class ConnectivityRule:
 
     @property
     def is_plain(self) -> bool:
-        """Whether p_min is asked of each step where it is possible, and nothing else."""
+        """Return whether p_min is asked of each step where it is possible, and nothing else."""
         return self.connectivity == "each_step" and self.slack_max_db is None
 
     @property
     def by_step(self) -> bool:
-        """Whether single steps are asked for, each by itself."""
+        """Return whether single steps are asked for, each by itself."""
         return self.kind.by_step
 
 
 @dataclass(frozen=True, kw_only=True)
 class Constraints:
-    """What every plan must keep.
+    """The constraints on every plan.
 
     Attributes
     ----------
@@ -135,10 +135,10 @@ class Constraints:
 
     @property
     def asks_connection(self) -> bool:
-        """Whether anything is asked of the connection."""
+        """Return whether anything is asked of the connection."""
         return self.p_min > 0.0 or self.rule.kind.asks_without_p_min
 
     @property
     def step_p_min(self) -> float:
-        """What is asked of single steps; 0 where p_min is of something else, or absent."""
+        """Return the probability asked of single steps; 0 where p_min is of something else."""
         return self.p_min if self.rule.kind.of_steps else 0.0

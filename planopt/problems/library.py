@@ -35,7 +35,7 @@ class LibraryEntry:
 
 
 def library_folder() -> Path:
-    """Where the library is: beside this file in an installed package, else in the checkout."""
+    """Return the library's folder: beside this file if installed, else in the checkout."""
     here = Path(__file__).parent
     installed = here / "library"
     return installed if installed.is_dir() else here.parents[1] / "problems"

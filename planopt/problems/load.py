@@ -63,7 +63,7 @@ def check_files(problem: Problem) -> None:
 
 
 def _is_known(given: GivenParameters | None) -> bool:
-    """Whether nothing of the channel's parameters is left to be estimated."""
+    """Return whether nothing of the channel's parameters is left to be estimated."""
     return given is not None and given.k_pl_db is not None
 
 

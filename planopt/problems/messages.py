@@ -132,7 +132,7 @@ def shown(value: object) -> str:
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """What to write instead of the unknown `word`."""
+    """Return what to write instead of the unknown `word`."""
     # The comparison takes time that grows with the square of the length.
     word = word[:LONGEST_KEY]
     # max_speed_m_s is speed_max_m_s with its words in another order.
@@ -155,7 +155,7 @@ def _kind_message(fault: ErrorDetails) -> str:
 
 
 def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
-    """What is allowed instead of the value."""
+    """Return what is allowed instead of the value."""
     kind = fault["type"]
     bounds = _range(field) if kind in _RANGE_TYPES and field is not None else ""
     wording = re.sub(r"^\w+ should", "should", fault["msg"]).split(" after validation")[0]
@@ -163,7 +163,7 @@ def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
 
 
 def _range(field: FieldInfo) -> str:
-    """Both ends of what `field` allows."""
+    """Return both ends of the range of `field`."""
     words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
     parts = [
         f"{word} {getattr(bound, name):g}"
@@ -180,7 +180,7 @@ _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
 
 
 def _within(fault: ErrorDetails, field: FieldInfo) -> str:
-    """What to give for a number beyond its range: the limit, an example, and what the key is."""
+    """Return what to give in place of a number beyond its range, with an example."""
     bounds = {
         name: float(getattr(bound, name))
         for bound in field.metadata

@@ -38,7 +38,7 @@ class ReachObjective:
 
     @property
     def charges_everywhere(self) -> bool:
-        """Whether places that keep p_min are charged, too."""
+        """Return whether places that keep p_min are charged, too."""
         return self.outage_charge == "everywhere"
 
 

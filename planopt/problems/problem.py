@@ -164,7 +164,7 @@ class Problem:
 
     @property
     def goal_m(self) -> tuple[float, float]:
-        """Where the (first) robot must go; only in a problem that is to reach a goal."""
+        """Return the (first) robot's goal; only in a problem that is to reach a goal."""
         goal = self.robots[0].goal_m
         if goal is None:
             raise AssertionError(f"the task of {self.name} is not to reach a goal")
@@ -172,12 +172,12 @@ class Problem:
 
     @property
     def sense(self) -> Literal["min", "max"]:
-        """Whether less or more of the objective is better."""
+        """Return whether less or more of the objective is better."""
         return "min" if isinstance(self.objective, ReachObjective) else "max"
 
     @property
     def cost_to_go(self) -> CostToGo | None:
-        """What the way beyond the horizon costs; None where there is no goal."""
+        """Return the form of the cost-to-go; None where there is no goal."""
         return self.objective.cost_to_go if isinstance(self.objective, ReachObjective) else None
 
     @cached_property
@@ -194,7 +194,7 @@ class Problem:
 
     @property
     def task(self) -> Task:
-        """What the problem asks: its goal, or its first term."""
+        """Return the task of the problem: that of its goal, or of its first term."""
         if isinstance(self.objective, ReachObjective):
             return "reach"
         return cast("Task", self.objective.terms[0].task or "custom")

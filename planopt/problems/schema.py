@@ -41,13 +41,13 @@ MOST_TURN_RAD = 2.0 * math.pi
 
 
 def task_fault(tables: ProblemFile) -> str | None:
-    """What keeps tables from being a problem of its task, in words; None if nothing does."""
+    """Return why tables are no problem of their task, in words; None if they are one."""
     fault = _reach_fault(tables) if tables.problem.task == "reach" else _terms_fault(tables)
     return fault or _same_name("world.moving", tables.world.moving)
 
 
 def _reach_fault(tables: ProblemFile) -> str | None:
-    """What keeps tables from being a problem that is to reach a goal."""
+    """Return why tables are no problem that is to reach a goal."""
     for number, robot in enumerate(tables.robots):
         if robot.goal_m is None:
             return f"task reach needs robots[{number}].goal_m"
@@ -69,7 +69,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
 
 
 def _terms_fault(tables: ProblemFile) -> str | None:
-    """What keeps tables from being a problem whose objective is a sum of terms."""
+    """Return why tables are no problem whose objective is a sum of terms."""
     task, terms = tables.problem.task, tables.objective.terms
     if not terms or terms[0].task != task:
         kinds = [each.kind for each in registered_terms() if each.task == task]
@@ -93,7 +93,7 @@ def _terms_fault(tables: ProblemFile) -> str | None:
 
 
 def _fault_of_robot(terms: Sequence[Term], robot: RobotTable, number: int) -> str | None:
-    """What keeps the terms that count for one robot from being planned for."""
+    """Return why the terms of one robot cannot be planned for."""
     key, weights = f"robots[{number}]", robot.weights
     if weights is not None and len(weights) != len(terms):
         return f"{key}.weights has {len(weights)} numbers for {len(terms)} objective.terms"
@@ -113,7 +113,7 @@ def _fault_of_robot(terms: Sequence[Term], robot: RobotTable, number: int) -> st
 
 
 def _dynamics_fault(tables: ProblemFile) -> str | None:
-    """What keeps robots that cannot turn or stop at will from being planned for."""
+    """Return why robots with dynamics cannot be planned for."""
     for number, robot in enumerate(tables.robots):
         if robot.dynamics == "single_integrator":
             continue
@@ -132,7 +132,7 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
 
 
 def _same_name(table: str, entries: Sequence[RobotTable] | Sequence[MovingTable]) -> str | None:
-    """What keeps the entries of a table from being told apart."""
+    """Return why the entries of a table cannot be told apart."""
     names = [entry.name for entry in entries]
     for number, name in enumerate(names):
         if names.index(name) < number:

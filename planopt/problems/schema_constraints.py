@@ -116,7 +116,7 @@ class ConstraintsTable(Table):
         return self
 
     def _fault(self) -> str | None:
-        """What does not fit the form of connectivity."""
+        """Return which key does not fit the rule of connectivity."""
         form, given = self.connectivity, self.model_fields_set
         for other in OWN.values():
             for key in other.keys:

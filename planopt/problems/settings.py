@@ -29,7 +29,7 @@ def known_planner(name: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerSettings:
-    """How plans are found.
+    """The settings of the planner.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class PlannerSettings:
 
 @dataclass(frozen=True)
 class ReportSettings:
-    """What is drawn.
+    """The settings of the report.
 
     Attributes
     ----------

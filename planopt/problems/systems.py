@@ -28,7 +28,7 @@ ACTIONS = ("solve", "simulate")
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a system.
+    """A request to a system.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def asked_planners(
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a system answers.
+    """The answer of a system.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ class Carrot:
         return target, float(self._along_m[-1] - self._at_m)
 
     def speed_m_s(self, acceleration_m_s2: float, swing_m: float) -> float:
-        """How fast a robot may be now that is to stop at the end and not to swing out far.
+        """Return how fast a robot may be now that is to stop at the end and not to swing out far.
 
         Parameters
         ----------

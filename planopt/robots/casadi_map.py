@@ -160,12 +160,12 @@ class CasadiMap:
 
     @property
     def kind(self) -> str:
-        """What messages call it."""
+        """Return the name for messages."""
         return "casadi_map"
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """None: all limits are intervals."""
+        """Return no disc: all limits are intervals."""
         return ()
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
@@ -190,27 +190,27 @@ class CasadiMap:
         return tuple((sample[0], sample[1]) for sample in samples[:-1])
 
     def way_pad_m(self, step_s: float) -> float:
-        """Half of what it drives in a part of a step at most."""
+        """Return half the longest way of a part of a step."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
 
     def timed_pad_m(self, step_s: float) -> float:
-        """None: that far it may be from even motion between the places, too."""
+        """Return 0: way_pad_m bounds the distance from even motion, too."""
         return 0.0
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """None: a plan ends at rest."""
+        """Return none: a plan ends at rest."""
         return ()
 
     def stop_way(self, state: NDArray[np.float64], step_s: float) -> None:
         """None."""
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """What the rest input changes."""
+        """Return the change of the state by the rest input."""
         after = self.step(state, self.rest_input, step_s)
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """None: a plan ends at rest."""
+        """Return none: a plan ends at rest."""
         return 0
 
     def longest_stop_steps(self, step_s: float) -> int:
@@ -218,7 +218,7 @@ class CasadiMap:
         return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Where it is: nothing is known of how it brakes, and a plan ends at rest."""
+        """Return its place: nothing is known of how it brakes, and a plan ends at rest."""
         return state[0], state[1]
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
@@ -232,7 +232,7 @@ class CasadiMap:
     def following(
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Of some inputs, each held for two steps, the one that leads nearest to the path ahead."""
+        """Return the inputs, each held for two steps, that lead nearest to the path ahead."""
         carrot = Carrot(np.vstack([state[:2], path_m]))
         ranges = [
             np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), TRIED)
@@ -257,7 +257,7 @@ class CasadiMap:
     def straight(
         self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
     ) -> None:
-        """None: nothing is known of how it moves."""
+        """Return None: nothing is known of how it moves."""
 
     def may_reach(
         self,
@@ -290,7 +290,7 @@ class CasadiMap:
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Of components over their bounds, and of steps longer than the speed allows."""
+        """Return the excess of components over bounds, and of steps over the speed's."""
         unit = self.speed_max_m_s * step_s
         lengths = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1)
         over = [float(np.max(lengths, initial=0.0)) - unit]
@@ -377,7 +377,7 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
 
 
 def _are_numbers(given: Any, shape: tuple[int, ...]) -> bool:
-    """Whether numbers of a shape are given: bounds with the lower one first, others finite."""
+    """Return whether numbers of a shape are given: bounds lower first, others finite."""
     try:
         found = np.array(given)
     except ValueError:

@@ -46,7 +46,7 @@ class DoubleIntegrator:
 
     @property
     def kind(self) -> str:
-        """What problem files call it."""
+        """Return the name in problem files."""
         return "double_integrator"
 
     @property
@@ -61,7 +61,7 @@ class DoubleIntegrator:
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Both limits."""
+        """Return the discs of both limits."""
         return (
             Disc(0, ("acceleration_x_m_s2", "acceleration_y_m_s2"), self.acceleration_max_m_s2),
             Disc(1, ("velocity_x_m_s", "velocity_y_m_s"), self.speed_max_m_s),
@@ -94,11 +94,11 @@ class DoubleIntegrator:
         return ((x + 0.5 * step_s * vx, y + 0.5 * step_s * vy),)
 
     def way_pad_m(self, step_s: float) -> float:
-        """None: the hull is exact."""
+        """Return 0: the hull is exact."""
         return 0.0
 
     def timed_pad_m(self, step_s: float) -> float:
-        """None: the middle Bezier point belongs to the middle of the step."""
+        """Return 0: the middle Bezier point belongs to the middle of the step."""
         return 0.0
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
@@ -119,7 +119,7 @@ class DoubleIntegrator:
         return PointWay(np.array([state[:2], state[:2] + stop_s * state[2:]]), 0.0)
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """None: it can always brake."""
+        """Return none: it can always brake."""
         return ()
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
@@ -127,7 +127,7 @@ class DoubleIntegrator:
         return self._steps_from(float(np.hypot(state[2], state[3])), step_s)
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """From full speed."""
+        """Return the steps of braking from full speed."""
         return self._steps_from(self.speed_max_m_s, step_s)
 
     def _steps_from(self, speed_m_s: float, step_s: float) -> int:
@@ -144,7 +144,7 @@ class DoubleIntegrator:
         return x + ahead_s * vx, y + ahead_s * vy
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """None: it accelerates to any side."""
+        """Return 0: it accelerates to any side."""
         return 0.0
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
@@ -218,7 +218,7 @@ class DoubleIntegrator:
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Of acceleration over a step, and of speed, in metres a step; NaN where one is."""
+        """Return the excess of acceleration and speed, in metres a step; NaN where one is NaN."""
         acceleration = np.hypot(inputs[:, 0], inputs[:, 1]) - self.acceleration_max_m_s2
         speed = np.hypot(states[:, 2], states[:, 3]) - self.speed_max_m_s
         return float(np.max(np.concatenate([0.5 * step_s * step_s * acceleration, step_s * speed])))

@@ -45,7 +45,7 @@ def rolled_out(
     inputs: NDArray[np.float64],
     step_s: float,
 ) -> Drive:
-    """Where `inputs` (N, m) lead from `state` (s,)."""
+    """Return where `inputs` (N, m) lead from `state` (s,)."""
     states = [np.asarray(state, dtype=np.float64)]
     for control in inputs:
         after = dynamics.step(tuple(states[-1]), tuple(control), step_s)

@@ -39,11 +39,11 @@ class Disc:
 
 
 class Dynamics(Protocol):
-    """How a robot moves that cannot turn or stop at will."""
+    """The dynamics of a robot: how it moves, brakes and turns."""
 
     @property
     def kind(self) -> str:
-        """What problem files call it."""
+        """Return the name in problem files."""
         ...
 
     @property
@@ -63,7 +63,7 @@ class Dynamics(Protocol):
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Those of the limits that are discs."""
+        """Return the limits that are discs."""
         ...
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
@@ -71,7 +71,7 @@ class Dynamics(Protocol):
         ...
 
     def limits(self, control: Components, after: Components) -> Components:
-        """What must be at most 0, for a solver: input of a step and state after it, scaled."""
+        """Return what must be at most 0, for a solver: input of a step, state after it, scaled."""
         ...
 
     def control_points(
@@ -81,11 +81,11 @@ class Dynamics(Protocol):
         ...
 
     def way_pad_m(self, step_s: float) -> float:
-        """How far outside that hull the way of a step may be, in metres."""
+        """Return how far outside that hull the way of a step may be, in metres."""
         ...
 
     def timed_pad_m(self, step_s: float) -> float:
-        """How much farther the way may be from where the hull's points have it at equal times.
+        """Return how much farther the way may be from the hull's points at equal times.
 
         The points are as far apart in time as they are in number, as those of Bezier curves are.
         """
@@ -100,14 +100,14 @@ class Dynamics(Protocol):
         ...
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """What must be 0 so that the robot can stop from a state; none where it always can.
+        """Return what must be 0 so that the robot can stop from a state; none where it always can.
 
         Differences of the components of the state.
         """
         ...
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """How many steps of :meth:`braking` it takes to stop."""
+        """Return how many steps of :meth:`braking` it takes to stop."""
         ...
 
     def longest_stop_steps(self, step_s: float) -> int:
@@ -115,11 +115,11 @@ class Dynamics(Protocol):
         ...
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """About where it comes to stand if it brakes from a state; smooth in the state."""
+        """Return about where it comes to stand if it brakes from a state; smooth in the state."""
         ...
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """About how long it turns before it drives to a place; smooth, and 0 at the place."""
+        """Return about how long it turns before driving to a place; smooth, 0 at the place."""
         ...
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
@@ -148,7 +148,7 @@ class Dynamics(Protocol):
         duration_s: float,
         slack_m: float,
     ) -> NDArray[np.bool_]:
-        """Whether it may be at places (n, 2) after a while, or `slack_m` from there.
+        """Return whether it may be at places (n, 2) after a while, or `slack_m` from there.
 
         Obstacles and the largest speed are left out; it is never False where the robot can be.
         """
@@ -163,9 +163,9 @@ class Dynamics(Protocol):
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """By how much inputs or speeds are over their limits, as metres that this makes a step."""
+        """Return the excess of inputs or speeds over their limits, in metres a step."""
         ...
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """How many metres a unit of each component of the state makes, in about a step."""
+        """Return how many metres a unit of each component of the state makes, in about a step."""
         ...

@@ -78,7 +78,7 @@ class Unicycle:
 
     @property
     def kind(self) -> str:
-        """What problem files call it."""
+        """Return the name in problem files."""
         return "unicycle"
 
     @property
@@ -93,7 +93,7 @@ class Unicycle:
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """None: all limits are intervals."""
+        """Return no disc: all limits are intervals."""
         return ()
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
@@ -108,7 +108,7 @@ class Unicycle:
         )
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Both inputs within their intervals, scaled."""
+        """Return both inputs over their intervals, scaled."""
         speed, rate = control
         return (
             (speed - self.speed_max_m_s) / self.speed_max_m_s,
@@ -120,7 +120,7 @@ class Unicycle:
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Where the tangents of each piece of the arc meet, and where pieces meet."""
+        """Return where tangents of each piece of the arc meet, and where pieces meet."""
         pieces = self._pieces(step_s)
         piece_s = step_s / pieces
         speed, rate = control
@@ -139,11 +139,11 @@ class Unicycle:
         return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
 
     def way_pad_m(self, step_s: float) -> float:
-        """None: the hull is exact."""
+        """Return 0: the hull is exact."""
         return 0.0
 
     def timed_pad_m(self, step_s: float) -> float:
-        """How far a place on a piece is from that of its hull's Bezier curve at the same time.
+        """Return the distance of a piece from its hull's Bezier curve at the same time.
 
         With r the radius, z half the turn and time u from -1 to 1, the arc is at ``r sin(u z)``
         along the chord and ``r (cos(u z) - cos z)`` across, the curve at ``r u sin(z)`` and
@@ -158,18 +158,18 @@ class Unicycle:
         return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """None: it stops at once."""
+        """Return none: it stops at once."""
         return ()
 
     def stop_way(self, state: NDArray[np.float64], step_s: float) -> None:
-        """None: it stops at once."""
+        """Return none: it stops at once."""
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
         """None."""
         return ()
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """None: it stops at once."""
+        """Return none: it stops at once."""
         return 0
 
     def longest_stop_steps(self, step_s: float) -> int:
@@ -177,11 +177,11 @@ class Unicycle:
         return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Where it is."""
+        """Return its place."""
         return state[0], state[1]
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """For a bearing b of a place d metres away, about pi / (2 w_max) (1 - cos b) d / (d + r).
+        """Return pi / (2 w_max) (1 - cos b) d / (d + r), of bearing b and distance d.
 
         That is what a half turn takes, and less within the turning circle, r = v_max / w_max.
         """
@@ -277,7 +277,7 @@ class Unicycle:
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Of speed and of turn rate, at full speed, in metres a step; NaN where one is."""
+        """Return the excess of speed and of turn rate, in metres a step; NaN where one is NaN."""
         speed = np.maximum(inputs[:, 0] - self.speed_max_m_s, self.speed_min_m_s - inputs[:, 0])
         rate = np.abs(inputs[:, 1]) - self.turn_rate_max_rad_s
         sideways = 0.5 * step_s * step_s * self.speed_max_m_s * rate

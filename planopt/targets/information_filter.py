@@ -60,7 +60,7 @@ class TargetModel:
 
 @dataclass(frozen=True, eq=False)
 class TargetPrediction:
-    """Where the target is expected, h steps ahead, without further measurements.
+    """The predicted track of the target, h steps ahead, without further measurements.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ class Derivatives:
 
     @staticmethod
     def of(rows: NDArray[np.float64]) -> Derivatives:
-        """Those whose :attr:`rows` are `rows`, which they keep."""
+        """Return the derivatives of :attr:`rows` `rows`, which they keep."""
         found = Derivatives(rows[..., 0], rows[..., 1:3], rows[..., 3:])
         object.__setattr__(found, "_rows", rows)
         return found

@@ -51,7 +51,7 @@ class Sensor:
 def sensing_information(
     sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """What one packet tells of the target, ``tr Phi^-1(q, p) = 1 / g(|q - p|)``, per m^2.
+    """Return the information of a packet, ``tr Phi^-1(q, p) = 1 / g(|q - p|)``, per m^2.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> N
 def is_clear(
     distance_m: NDArray[np.float64], wanted_m: float, tolerance_m: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Whether distances from obstacles (n,) are enough; (n,).
+    """Return whether distances from obstacles (n,) are enough; (n,).
 
     A distance of 0 is contact, and where it is a way's it may lead right through: it is never
     enough, also where no clearance is wanted.
@@ -133,7 +133,7 @@ def segments_clear(
     wanted_m: float,
     tolerance_m: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Whether straight segments keep a clearance, two to four times faster than their distances.
+    """Return whether straight segments keep a clearance, faster than by their distances.
 
     The same as :func:`is_clear` of :func:`segment_clearance_m`, for searches: how near an obstacle
     comes that is too near, or far enough, is not measured.
@@ -164,7 +164,7 @@ def segments_clear(
 
 
 def inside_bounds(workspace: Workspace, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether every position (n, 2) is within the bounds, the border included; (n,)."""
+    """Return whether every position (n, 2) is within the bounds, the border included; (n,)."""
     x_min, y_min, x_max, y_max = workspace.bounds_m
     x, y = positions_m[:, 0], positions_m[:, 1]
     return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)

@@ -103,7 +103,7 @@ def check_name(name: str) -> None:
 
 
 def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
-    """Whether the segments of the outline keep to themselves, judged by some of them."""
+    """Return whether the segments of the outline keep to themselves, judged by some of them."""
     corners = shapely.get_coordinates(polygon)
     segments = [shapely.LineString(ends) for ends in pairwise(corners)]
     sampled = segments[:: max(1, len(segments) // SAMPLED_SEGMENTS)]

@@ -60,7 +60,7 @@ class NearPairs:
 
 
 def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: float) -> NearPairs:
-    """All pairs of a position (n, 2) and an obstacle within `reach_m` of it."""
+    """Return all pairs of a position (n, 2) and an obstacle within `reach_m` of it."""
     points = np.asarray(shapely.points(positions_m), np.object_)
     node, obstacle = index.tree.query(points, predicate="dwithin", distance=reach_m)
     return NearPairs(node, obstacle, distances_m(points[node], index.polygons[obstacle]))
@@ -73,7 +73,7 @@ def blocked_ways(
     obstacle: NDArray[np.int64],
     clearance_m: float,
 ) -> NDArray[np.bool_]:
-    """Whether each straight way (n, 2) comes nearer than the clearance to its obstacle (n,)."""
+    """Return whether straight ways (n, 2) come nearer than the clearance to obstacles (n,)."""
     lines = segment_lines(starts_m, ends_m)
     return ~is_clear(distances_m(lines, index.polygons[obstacle]), clearance_m)
 
@@ -85,7 +85,7 @@ def open_moves(
     near: NearPairs,
     clearance_m: float,
 ) -> NDArray[np.bool_]:
-    """Whether the way from every node along every move ends on a node and keeps the clearance.
+    """Return whether every node's moves end on a node and keep the clearance.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from planopt.world.timed_motion import TimedMotion, TimedWay
 
 @dataclass(frozen=True, eq=False)
 class MovingDiscs:
-    """Where m discs are predicted over the next T steps: the planned ones, and those of braking.
+    """The predicted places of m discs over the next T steps: planned ones, and of braking.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class MovingDiscs:
         object.__setattr__(self, "bulges_m", np.reshape(bulges, self.radius_m.shape))
 
     def __len__(self) -> int:
-        """How many there are, m."""
+        """Return the number of discs, m."""
         return len(self.names)
 
     @property
@@ -65,18 +65,18 @@ class MovingDiscs:
 
     @property
     def steps(self) -> int:
-        """How many, T."""
+        """Return the number of steps, T."""
         return int(self.radius_m.shape[1])
 
     def counted_steps(self, number: int, motion: TimedMotion) -> int:
-        """For how many steps a motion must keep from disc number `number`.
+        """Return for how many steps a motion must keep from disc number `number`.
 
         From other robots until all stand, from moving obstacles until it stands itself.
         """
         return self.steps if self.is_robot[number] else min(motion.steps, self.steps)
 
     def motion(self, number: int) -> TimedMotion:
-        """How disc number `number` moves."""
+        """Return the motion of disc number `number`."""
         return TimedMotion(self.centres_m[number], self.ways[number] if self.ways else ())
 
 
@@ -107,7 +107,7 @@ def passing_gaps_m(
     starts_m: NDArray[np.float64],
     ends_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """By how much straight ways during one step keep more than they must from every disc; (m, ...).
+    """Return the spare distance of straight ways in one step from every disc; (m, ...).
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ class MovingObstacle:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether its way is not known for sure: only then does the probability matter."""
+        """Return whether its way is not known for sure: only then does the probability matter."""
         return self.position_std_m > 0.0 or self.acceleration_std_m_s2 > 0.0
 
 
@@ -210,7 +210,7 @@ def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArra
 
 
 def growth_m(obstacle: MovingObstacle, ahead_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What the disc is grown by for a step that ends `ahead_s` (n,) from now; (n,)."""
+    """Return the growth of the disc for a step that ends `ahead_s` (n,) from now; (n,)."""
     deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
     return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
 
@@ -222,7 +222,7 @@ def predicted_discs(
     steps: int,
     clearance_m: float,
 ) -> MovingDiscs:
-    """What moves over the next steps.
+    """Return the discs that move over the next steps.
 
     A disc moves straight during a step. Where its way turns within one, the disc of that step is as
     much larger as the turn leads away from the straight way, so that it covers the true one.
@@ -256,7 +256,7 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far the centre is from the straight way of each step at most; (n - 1,).
+    """Return the centre's largest distance from the straight way of each step; (n - 1,).
 
     Both are straight between turns, so that they are farthest apart at one.
     """

@@ -31,7 +31,7 @@ STREAMING = 2**32 - 1
 
 @dataclass(frozen=True)
 class ClassicVariable:
-    """Where a variable stands in a file.
+    """The place of a variable in a file.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class _Described:
 
     @property
     def padded_bytes(self) -> int:
-        """Of a record, to a multiple of four."""
+        """Return the bytes of a record, padded to a multiple of four."""
         return -(-self.record_values * self.dtype.itemsize // 4) * 4
 
 

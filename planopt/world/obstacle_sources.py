@@ -77,7 +77,7 @@ def _column_of_names(table: Any, name: str, count: int) -> list[str]:
 
 
 def _is_ring(source: Any) -> bool:
-    """Whether something is a list or an array of corners."""
+    """Return whether something is a list or an array of corners."""
     try:
         corners = np.asarray(source, dtype=np.float64)
     except (TypeError, ValueError):

@@ -50,7 +50,7 @@ _MODES = ("trinary", "scale", "raw")
 
 
 def is_grid(path: Path | str | None) -> bool:
-    """Whether a file is an occupancy grid, by the ending of its name."""
+    """Return whether a file is an occupancy grid, by the ending of its name."""
     return path is not None and Path(path).suffix.lower() in GRID_READERS
 
 
@@ -189,7 +189,7 @@ def _number(path: Path, table: dict[str, object], key: str) -> float:
 
 
 def _sane(value: float) -> bool:
-    """Whether a number, whole ones of any size included, is finite and no giant."""
+    """Return whether a number, whole ones of any size included, is finite and no giant."""
     return -1e300 < value < 1e300
 
 

@@ -37,7 +37,7 @@ TILE_CELLS = 32
 
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
-    """What a map says of square cells.
+    """An occupancy grid: a map of square cells.
 
     Attributes
     ----------

@@ -171,7 +171,7 @@ def _spacing(axis_m: NDArray[np.float64]) -> float:
 
 
 def _is_even(axis_m: NDArray[np.float64]) -> bool:
-    """Whether finite coordinates are ascending and evenly spaced."""
+    """Return whether finite coordinates are ascending and evenly spaced."""
     if not axis_m[-1] > axis_m[0]:
         return False
     off = axis_m - axis_m[0] - _spacing(axis_m) * np.arange(axis_m.size)

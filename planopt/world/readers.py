@@ -245,7 +245,7 @@ DEGREES = re.compile(r"CRS84|EPSG:+(\d*:)?(4326|4258|4269)\b", re.IGNORECASE)
 
 
 def _feature_name(feature: dict[str, object], otherwise: str) -> str:
-    """What a feature calls itself: property ``name``, then its id."""
+    """Return a feature's name: property ``name``, then its id."""
     properties = feature.get("properties")
     if isinstance(properties, dict):
         name = cast("dict[str, object]", properties).get("name")

@@ -65,14 +65,14 @@ def _ring(polygon: shapely.Polygon) -> list[Vertex]:
 
 
 def _is_convex_turn(before: Vertex, at: Vertex, after: Vertex) -> bool:
-    """Whether `at` turns left, or right by no more than `FLAT_M` from the chord."""
+    """Return whether `at` turns left, or right by no more than `FLAT_M` from the chord."""
     chord_x, chord_y = after[0] - before[0], after[1] - before[1]
     cross = chord_x * (before[1] - at[1]) - chord_y * (before[0] - at[0])
     return before != after and cross >= -FLAT_M * math.hypot(chord_x, chord_y)
 
 
 def _is_convex(ring: list[Vertex]) -> bool:
-    """Whether the simple counter-clockwise `ring` is convex."""
+    """Return whether the simple counter-clockwise `ring` is convex."""
     return all(_is_convex_turn(ring[i - 2], ring[i - 1], vertex) for i, vertex in enumerate(ring))
 
 
@@ -119,7 +119,7 @@ EMPTY_OFFSET_M = -1.0
 
 @dataclass(frozen=True)
 class PackedPieces:
-    """All convex pieces of all obstacles as padded arrays.
+    """The convex pieces of all obstacles as padded arrays.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class PackedPieces:
 
 @dataclass(frozen=True)
 class SeparatingLines:
-    """For each of s segments, up to c lines, nearest piece first.
+    """Up to c separating lines for each of s segments, nearest piece first.
 
     For both ends q of the segment ``normal . q - offset >= gap``, and for every corner v of the
     piece ``normal . v <= offset``.

@@ -114,7 +114,7 @@ def shortest_ways(
 def is_near_joined(
     ways: ShortestWays, places_m: NDArray[np.float64], within_m: float
 ) -> NDArray[np.bool_]:
-    """Whether places (n, 2) are at most so far from what ways may lead to; (n,)."""
+    """Return whether places (n, 2) are at most so far from what ways may lead to; (n,)."""
     if ways.joined is None:
         return np.ones(len(places_m), dtype=np.bool_)
     points = shapely.points(places_m)
@@ -122,12 +122,12 @@ def is_near_joined(
 
 
 def way_lengths_m(ways: ShortestWays, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How long the way to each place (n, 2) is; (n,), infinite beyond the radius."""
+    """Return the length of the way to each place (n, 2); (n,), infinite beyond the radius."""
     return _last_turns(ways, places_m)[0]
 
 
 def turns_m(ways: ShortestWays, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Where the way to a place (2,) turns, (k, 2), and the place itself last; None without way."""
+    """Return turns of the way to a place (2,), (k, 2), the place itself last; None if none."""
     length, last = _last_turns(ways, place_m[None])
     if not np.isfinite(length[0]):
         return None
@@ -141,7 +141,7 @@ def turns_m(ways: ShortestWays, place_m: NDArray[np.float64]) -> NDArray[np.floa
 def _last_turns(
     ways: ShortestWays, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """How long the way to each place (n, 2) is, and its last corner, -1 if it is straight."""
+    """Return each place's (n, 2) length of way, and its last corner, -1 if it is straight."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
     open_ = np.flatnonzero(is_near_joined(ways, places_m, 0.0))
     for corner in range(-1, len(ways.corners_m)):
@@ -213,7 +213,7 @@ def _lengths_to_corners(
 def _sees(
     closed: shapely.STRtree, place_m: NDArray[np.float64], others_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether the straight way from a place to each other (n, 2) enters nothing closed; (n,)."""
+    """Return whether straight ways from a place to others (n, 2) enter nothing closed; (n,)."""
     free = np.ones(len(others_m), dtype=np.bool_)
     if len(others_m) and len(closed.geometries):
         lines = segment_lines(np.broadcast_to(place_m, others_m.shape), others_m)

@@ -32,7 +32,7 @@ class TimedWay(Protocol):
 
     @property
     def within_m(self) -> float:
-        """How far from :meth:`at` the robot may be."""
+        """Return how far from :meth:`at` the robot may be."""
         ...
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -68,14 +68,14 @@ class EvenWay:
         return 0.0
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """On the line; at both ends exactly."""
+        """Return places on the line; at both ends exactly."""
         late = share[:, None]
         return (1.0 - late) * self.ends_m[0] + late * self.ends_m[1]
 
 
 @dataclass(frozen=True, eq=False)
 class TimedMotion:
-    """How something moves over n steps, after which it stands.
+    """A motion over n steps, after which it stands.
 
     Attributes
     ----------
@@ -90,11 +90,11 @@ class TimedMotion:
 
     @property
     def steps(self) -> int:
-        """How many, n."""
+        """Return the number of steps, n."""
         return len(self.places_m) - 1
 
     def way(self, step: int) -> TimedWay:
-        """Of step number `step`, 0 the first; standing after the last."""
+        """Return the way of step number `step`, 0 the first; standing after the last."""
         if step >= self.steps:
             return EvenWay(self.places_m[-1:].repeat(2, axis=0))
         return self.ways[step] if self.ways else EvenWay(self.places_m[step : step + 2])
@@ -105,12 +105,12 @@ class TimedMotion:
         return TimedMotion(places, tuple(map(self.way, range(steps))) if self.ways else ())
 
     def after(self, steps: int) -> TimedMotion:
-        """What is left of it after some steps, at most all."""
+        """Return the rest of the motion after some steps, at most all."""
         return TimedMotion(self.places_m[steps:], self.ways[steps:])
 
     @property
     def bulges_m(self) -> NDArray[np.float64]:
-        """How far it may be from even motion on the straight line of each step; ``(n,)``."""
+        """Return the largest distance from even motion on each step's line; ``(n,)``."""
         if not self.ways:
             return np.zeros(self.steps)
         ends = zip(self.ways, self.places_m[:-1], self.places_m[1:], strict=True)

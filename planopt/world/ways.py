@@ -51,7 +51,7 @@ def arc_segment_distances_m(
     first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
 
     def on_arc(angles: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether the arc passes through these directions from its centre."""
+        """Return whether the arc passes through these directions from its centre."""
         gone = (angles - first) if turn_rad > 0.0 else (first - angles)
         return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
 
@@ -61,7 +61,7 @@ def arc_segment_distances_m(
     square = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
 
     def foot(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where on the line of each segment the foot of a place is, and how far away."""
+        """Return the foot of a place on each segment's line, and its distance."""
         t = ((place - from_m) * along).sum(axis=1) / square
         near = from_m + np.clip(t, 0.0, 1.0)[:, None] * along
         return t, np.linalg.norm(place - near, axis=1)
@@ -137,7 +137,7 @@ class PointWay:
         return 0.0
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """On the lines between them."""
+        """Return places on the lines between them."""
         x, y = (np.interp(share, self.breaks, self.places_m[:, axis]) for axis in (0, 1))
         return np.stack([x, y], axis=1)
 
@@ -180,7 +180,7 @@ class Parabola:
         return 0.0
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """By its formula."""
+        """Return places by the formula."""
         t = share[:, None]
         return self.start_m + t * self.along_m + t * t * self.bend_m
 
@@ -221,7 +221,7 @@ class Arc:
 
     @property
     def bulge_m(self) -> float:
-        """About how far the middle is from the chord, a bound above."""
+        """Return about how far the middle is from the chord, a bound above."""
         return self.curving_m / 8.0
 
     @property

@@ -37,7 +37,7 @@ class Obstacle:
 
     @property
     def is_timed(self) -> bool:
-        """Whether it comes or goes."""
+        """Return whether it comes or goes."""
         return self.known_from_s > 0.0 or self.until_s < math.inf
 
     def __post_init__(self) -> None:

@@ -75,7 +75,7 @@ class SteeredPath(Protocol):
 
 
 class StepContext(Protocol):
-    """What is known when a robot plans one step."""
+    """The knowledge with which a robot plans one step."""
 
     @property
     def position_m(self) -> NDArray[np.float64]:
@@ -134,12 +134,12 @@ class StepContext(Protocol):
 
     @property
     def held(self) -> Held | None:
-        """What the robots hold of the target where packets have estimates, this one's last."""
+        """Return what robots hold of the target where packets have estimates, this one's last."""
         ...
 
     @property
     def target_motion(self) -> TargetModel:
-        """How the target moves."""
+        """Return how the target moves."""
         ...
 
     @property
@@ -149,7 +149,7 @@ class StepContext(Protocol):
 
     @property
     def region(self) -> Region:
-        """Where a map is wanted."""
+        """Return the region whose map is wanted."""
         ...
 
     @property
@@ -164,7 +164,7 @@ class StepContext(Protocol):
 
     @property
     def measuring(self) -> MeasuringRule:
-        """Which places of a path bring a measurement."""
+        """Return the rule by which places of a path bring a measurement."""
         ...
 
     @property
@@ -174,7 +174,7 @@ class StepContext(Protocol):
 
     @property
     def tries(self) -> MeasuringRule:
-        """Which places of a path are a try for connection."""
+        """Return the rule by which places of a path are tried for connection."""
         ...
 
     @property

@@ -220,7 +220,7 @@ class OwnTerm(Term):
 
     @property
     def calibration_fault(self) -> str | None:
-        """As for any expression."""
+        """Return why the expression does not go with a calibrated law; None where it does."""
         return _written(self, FEW_STEPS).calibration_fault
 
     def check(self, setting: TermSetting) -> None:

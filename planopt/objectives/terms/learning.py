@@ -98,7 +98,7 @@ class LearningTerm(Term):
 
     @property
     def has_slope(self) -> bool:
-        """All criteria have one."""
+        """Return True: all criteria have a slope."""
         return True
 
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:

@@ -124,7 +124,7 @@ class MappingTerm(Term):
 
     @property
     def learns(self) -> bool:
-        """All forms lead to places that are not known."""
+        """Return True: all forms lead to places that are not known."""
         return True
 
     @property
@@ -183,7 +183,7 @@ class MappingTerm(Term):
         return gains_m(paths)
 
     def _told(self, at: StepContext, told: ToldBatch) -> NDArray[np.float64]:
-        """What the measurements of one station tell."""
+        """Return what the measurements of one station tell."""
         if self.form == "path":
             excess, near = self._path_parts(at, told)
             return (excess * near).sum(axis=1)
@@ -199,7 +199,7 @@ class MappingTerm(Term):
     def _path_parts(
         self, at: StepContext, told: ToldBatch
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What of L_ii^2 is above the threshold, and psi of the way there; each ``(c, N)``."""
+        """Return the part of L_ii^2 above the threshold, and psi of the way there; ``(c, N)``."""
         settings = self.settings(at)
         length = np.cumsum(legs_m(at, told.batch.ways_m), axis=1)
         return told.above_db2(settings.threshold_db2), np.exp(-settings.decay_per_m * length)
@@ -220,7 +220,7 @@ class MappingTerm(Term):
 
     @property
     def has_slope(self) -> bool:
-        """All forms have one."""
+        """Return True: all forms have a slope."""
         return True
 
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
@@ -267,13 +267,13 @@ class MappingTerm(Term):
 
 
 def _by_universal(told: ToldBatch, by_universal: NDArray[np.float64]) -> Pull:
-    """By S_g + B_g M B_g' (c, N, N), symmetric."""
+    """Return the slope by S_g + B_g M B_g' (c, N, N), symmetric."""
     by_trend = trend_of_universal(told.trend, told.batch.channel, by_universal)
     return told.pulled_back(Pull(by_covariance=by_universal, by_trend=by_trend))
 
 
 def _information_slope(told: ToldBatch) -> Pull:
-    """Half the inverse by S; what fills a gated measurement up is no information."""
+    """Return half the inverse by S; what fills a gated measurement up is no information."""
     found = _by_universal(told, 0.5 * told.inverse)
     if told.gate is None:
         return found
@@ -283,7 +283,7 @@ def _information_slope(told: ToldBatch) -> Pull:
 
 
 def _average_slope(told: ToldBatch) -> Pull:
-    """With X = S^-1 C: -X X' by S, 2 X by C."""
+    """Return the slope of the average: with X = S^-1 C, -X X' by S and 2 X by C."""
     batch, grid = told.batch, told.grid
     distance, kernel, across = batch.across
     x = (told.inverse.astype(np.float32) @ told.across).astype(np.float32)

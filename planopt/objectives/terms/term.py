@@ -112,12 +112,12 @@ class Term:
 
     @property
     def structure(self) -> Structure:
-        """How the value of a path couples its places."""
+        """Return how the value of a path couples its places."""
         return "full"
 
     @property
     def bends_starts(self) -> bool:
-        """Whether paths in all directions are tried besides those of the lattice search.
+        """Return whether paths in all directions are tried besides those of the lattice search.
 
         Only of terms that couple all places of a path.
         """
@@ -125,37 +125,37 @@ class Term:
 
     @property
     def needs_power(self) -> bool:
-        """Whether the value rests on the predicted power at the end of each step."""
+        """Return whether the value rests on the predicted power at the end of each step."""
         return False
 
     @property
     def is_measured(self) -> bool:
-        """Whether the value is information that measurements along the path give."""
+        """Return whether the value is information that measurements along the path give."""
         return False
 
     @property
     def learns(self) -> bool:
-        """Whether a robot is to go to places that are not known yet."""
+        """Return whether a robot is to go to places that are not known yet."""
         return self.is_measured
 
     @property
     def is_motion_cost(self) -> bool:
-        """Whether the value is only lessened by moving: who has nothing else to do stands."""
+        """Return whether moving only lessens the value: a robot without other tasks stands."""
         return False
 
     @property
     def counts_others(self) -> bool:
-        """Whether what the other robots of a team plan changes the value."""
+        """Return whether what the other robots of a team plan changes the value."""
         return self.learns
 
     @property
     def shares_places(self) -> bool:
-        """Whether the value of one place is less for another place beside it."""
+        """Return whether the value of one place is less for another place beside it."""
         return self.is_measured
 
     @property
     def averages_map(self) -> bool:
-        """Whether the value is an average over the workspace."""
+        """Return whether the value is an average over the workspace."""
         return False
 
     @property
@@ -170,37 +170,37 @@ class Term:
 
     @property
     def ends_connected(self) -> bool:
-        """Whether a run for this term is over once all robots are connected."""
+        """Return whether a run for this term is over once all robots are connected."""
         return False
 
     @property
     def pays_standing(self) -> bool:
-        """Whether the value of standing changes from step to step while packets arrive."""
+        """Return whether the value of standing changes from step to step while packets arrive."""
         return False
 
     @property
     def may_stand(self) -> bool:
-        """Whether a robot that stands, by verified plans, may be doing its best."""
+        """Return whether a robot that stands, by verified plans, may be doing its best."""
         return self.task == "custom"
 
     @property
     def tries_connection(self) -> bool:
-        """Whether the value depends on where connection was tried before."""
+        """Return whether the value depends on where connection was tried before."""
         return False
 
     @property
     def whole_horizon(self) -> bool:
-        """Whether only paths of all steps have a value."""
+        """Return whether only paths of all steps have a value."""
         return False
 
     @property
     def steers(self) -> Steers | None:
-        """What a robot is steered to before its plan is made; None if nothing steers."""
+        """Return what a robot is steered to before its plan is made; None if nothing steers."""
         return None
 
     @property
     def calibration_fault(self) -> str | None:
-        """Why the term does not go with a calibrated law of connection; None where it does."""
+        """Return why the term excludes a calibrated law of connection; None where it does not."""
         return None
 
     def check(self, setting: TermSetting) -> None:
@@ -234,7 +234,7 @@ class Term:
 
     @property
     def has_slope(self) -> bool:
-        """Whether :meth:`slope` is there: searches climb if it is there for all terms."""
+        """Return whether :meth:`slope` is there: searches climb if it is there for all terms."""
         return False
 
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
@@ -246,7 +246,7 @@ class Term:
 
     @property
     def adds_stations(self) -> bool:
-        """Whether the value is a sum over the stations."""
+        """Return whether the value is a sum over the stations."""
         return self.is_measured
 
     def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64] | None:

@@ -58,7 +58,7 @@ LONGEST_ADDITIVE_OF_ESTIMATES = 1
 
 @dataclass(frozen=True)
 class TrackingTerm(Term):
-    """What the packets of a path tell the station of the target.
+    """The information on the target that packets of a path bring to the station.
 
     A packet sent at distance r of the target's predicted position has the information 1 / g(r),
     ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
@@ -159,7 +159,7 @@ class TrackingTerm(Term):
 
     @property
     def follows_filter(self) -> bool:
-        """Whether the value is of the station's filter, and no sum over steps."""
+        """Return whether the value is of the station's filter, and no sum over steps."""
         return self.form not in ("auto", "additive")
 
     @property

@@ -180,7 +180,7 @@ class UntilConnectedTerm(Term):
 
 
 def _beyond(path: NearPath, search: Search) -> Derivatives | None:
-    """What is charged beyond the last place, by that place; None if nothing steers."""
+    """Return what is charged beyond the last place, by that place; None if nothing steers."""
     steering = path.at.steering
     if path.ahead is None or steering is None:
         return None

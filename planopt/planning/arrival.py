@@ -10,13 +10,13 @@ from planopt.problems.problem import Problem
 
 
 def is_at_goal(problem: Problem, place_m: NDArray[np.float64]) -> bool:
-    """Whether a place (2,) is within the goal's radius."""
+    """Return whether a place (2,) is within the goal's radius."""
     away = float(np.linalg.norm(place_m - np.asarray(problem.goal_m)))
     return away <= problem.constraints.goal_radius_m
 
 
 def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
-    """Whether the problem's first robot stands in a state (s,): a step of braking does not move it.
+    """Return whether the first robot stands in a state (s,): braking does not move it.
 
     The single integrator always does.
     """
@@ -29,7 +29,7 @@ def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
 
 
 def stops_at_goal(problem: Problem, state: NDArray[np.float64]) -> bool:
-    """Whether a robot with dynamics is at the goal and comes to stand there if it brakes."""
+    """Return whether a robot with dynamics is at the goal and comes to stand there if it brakes."""
     dynamics = problem.robots[0].dynamics
     if dynamics is None or not is_at_goal(problem, state[:2]):
         return False

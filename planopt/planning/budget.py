@@ -36,17 +36,17 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Whether no new polish may begin."""
+        """Return whether no new polish may begin."""
         return perf_counter() >= self.ends_s
 
     @property
     def searched(self) -> bool:
-        """Whether searches end with what they have."""
+        """Return whether searches end with what they have."""
         return perf_counter() >= self.search_ends_s
 
     @property
     def proven(self) -> bool:
-        """Whether no further candidate is judged."""
+        """Return whether no further candidate is judged."""
         return perf_counter() >= self.proof_ends_s
 
 
@@ -70,6 +70,6 @@ def budget_from(problem: Problem, begun_s: float) -> Budget:
 
 
 def solve_limit_s(problem: Problem) -> float | None:
-    """How long one solve may take; None where there is no limit."""
+    """Return how long one solve may take; None where there is no limit."""
     budget_s = problem.planner.budget_s
     return None if budget_s is None else SOLVE_SHARE * budget_s

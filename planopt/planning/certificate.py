@@ -16,7 +16,7 @@ from planopt.problems.rule_kinds import rule_kind
 
 @dataclass(frozen=True)
 class RuleResult:
-    """What was asked over a whole plan, and what the path achieves.
+    """The value asked of a whole plan by its rule, and the value achieved.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class RuleResult:
 
     @property
     def missing(self) -> float:
-        """By how much the bound is missed, in its unit; negative where there is some to spare."""
+        """Return by how much the bound is missed, in its unit; negative if it is kept."""
         short = self.asked - self.achieved
         return -short if rule_kind(self.connectivity).greatest else short
 
@@ -64,7 +64,7 @@ def worst_result(results: Iterable[RuleResult | None]) -> RuleResult | None:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What the verifier computed, by code that shares nothing with the solver.
+    """The values that the verifier computed, by code that shares nothing with the solver.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Certificate:
 
     @property
     def excess_m(self) -> float | None:
-        """What the way costs beyond the cheapest found; None where the two cannot be compared."""
+        """Return the cost beyond the cheapest path found; None where the two cannot be compared."""
         way_m, best_m = self.path_cost_m, self.best_cost_m
         if way_m is None or best_m is None or not math.isfinite(max(way_m, best_m)):
             return None
@@ -256,7 +256,7 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 
 
 class Costs(TypedDict):
-    """What a certificate says of costs, by its attributes."""
+    """The costs in a certificate, by its attributes."""
 
     path_cost_m: float | None
     best_cost_m: float | None

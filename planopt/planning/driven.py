@@ -29,7 +29,7 @@ from planopt.world.separation import SeparatingLines, joined_lines, separating_l
 
 
 def dynamics_of(problem: Problem) -> Dynamics:
-    """Of the problem's first robot, which has some."""
+    """Return the dynamics of the problem's first robot, which has some."""
     dynamics = problem.robots[0].dynamics
     if dynamics is None:
         raise AssertionError("a single integrator has no dynamics of its own")
@@ -100,7 +100,7 @@ def motion_task(
     drive: Drive,
     still: SeparatingLines | None,
 ) -> MotionTask:
-    """What a polish from a drive needs; `still` are lines of standstill from what moves."""
+    """Return what a polish from a drive needs; `still` are lines of standstill from what moves."""
     last = drive.states[-1]
     end = standstill_m(problem, last)[None]
     reach = LINE_REACH_STEPS * problem.step_length_m
@@ -110,7 +110,7 @@ def motion_task(
 
 
 def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the robot stands (2,) that stops from `state` (s,), or a little beyond."""
+    """Return where the robot stands (2,) that stops from `state` (s,), or a little beyond."""
     dynamics = problem.robots[0].dynamics
     points = () if dynamics is None else dynamics.stop_points(tuple(state), problem.planner.step_s)
     return np.array(points[-1] if points else state[:2], dtype=np.float64)
@@ -119,7 +119,7 @@ def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.flo
 def polished_drive(
     problem: Problem, state: NDArray[np.float64], inputs: NDArray[np.float64] | None
 ) -> Drive | None:
-    """Where the inputs that a solver returned lead; None of a single integrator."""
+    """Return where the inputs that a solver returned lead; None of a single integrator."""
     if inputs is None:
         return None
     return rolled_out(dynamics_of(problem), state, inputs, problem.planner.step_s)

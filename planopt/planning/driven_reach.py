@@ -75,7 +75,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> tuple[Candidate, Pivot | None]:
-        """What is released, and the pivot that it is charged by.
+        """Return what is released, and the pivot that it is charged by.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class DrivenReach:
         return without_start(judge, warm)
 
     def _straight(self, judge: Judge, end_m: NDArray[np.float64]) -> Drive | None:
-        """From rest to rest at a place (2,), as far as the horizon; None where nobody knows how."""
+        """Return a drive from rest to rest at a place (2,), up to the horizon; None if unknown."""
         dynamics, settings = dynamics_of(self._problem), self._problem.planner
         inputs = dynamics.straight(judge.state, end_m, settings.step_s)
         if inputs is None:
@@ -227,7 +227,7 @@ class DrivenReach:
         return self._cascade.first_verified(situation, judge, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """What a polish from a drive is charged; by each step where it may come to the pivot."""
+        """Return the charge of a polish from a drive, by each step that may come to the pivot."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -244,7 +244,7 @@ class DrivenReach:
         )
 
     def _gets_nowhere(self, found: Candidate) -> bool:
-        """Whether a robot would come to stand about where it would if it braked now."""
+        """Return whether a robot would come to stand about where it would if it braked now."""
         if found.drive is None:
             return False
         resting = resting_places_m(found.drive)

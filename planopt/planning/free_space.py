@@ -22,7 +22,7 @@ BISECTIONS = 30
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Whether a way from start to goal keeps a clearance.
+    """Return whether a way from start to goal keeps a clearance.
 
     Parameters
     ----------

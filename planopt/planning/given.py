@@ -80,7 +80,7 @@ FURTHER_STREAMS = 2
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a seed fixes.
+    """Ground truth and first measurements of one seed.
 
     Attributes
     ----------
@@ -98,12 +98,12 @@ class Given:
 
     @property
     def stations(self) -> tuple[Given, ...]:
-        """What there is of each station, the first one's first."""
+        """Return what there is of each station, the first one's first."""
         return (self, *self.further)
 
     @property
     def truths(self) -> tuple[Truth, ...]:
-        """Of each station; empty if the problem has none."""
+        """Return the ground truth of each station; empty if the problem has none."""
         return tuple(given.truth for given in self.stations if given.truth is not None)
 
 
@@ -420,7 +420,7 @@ def _drawn_target(
 def _is_free(
     problem: Problem, index: ObstacleIndex, places_m: NDArray[np.float64], clearance: float
 ) -> bool:
-    """Whether all places (n, 2) are within the bounds and so far from obstacles."""
+    """Return whether all places (n, 2) are within the bounds and so far from obstacles."""
     if not inside_bounds(problem.workspace, places_m).all():
         return False
     away = clearance_m(index, places_m)

@@ -97,7 +97,7 @@ def history_of(
 
 
 def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Sequence[bool]) -> bool:
-    """Whether a track (n + 1, 2) once stayed about one place, giving way to nobody."""
+    """Return whether a track (n + 1, 2) once stayed about one place, giving way to nobody."""
     if len(track_m) <= CIRCLING_STEPS:
         return False
     windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)
@@ -110,7 +110,7 @@ def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Seque
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:
-    """What each of `count` steps after step `first` delivers by the deadline if connected; (n,).
+    """Return the data of `count` steps after step `first`, by the deadline if connected; (n,).
 
     Zero where no data are asked for.
     """

@@ -43,7 +43,7 @@ class Hole:
 
     @property
     def words(self) -> str:
-        """Where it is and how long."""
+        """Return where it is and how long."""
         x, y = self.from_m
         return (
             f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "

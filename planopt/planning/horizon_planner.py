@@ -40,7 +40,7 @@ MERGED_STEPS = 2.0
 def is_worth_following(
     start: Start, best: Start, polished_m: Sequence[NDArray[np.float64]], longest_m: float
 ) -> bool:
-    """Whether `start`, that has climbed, may lead to something better.
+    """Return whether `start`, that has climbed, may lead to something better.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class FallbackCascade:
         return with_effort(chosen, tried)
 
     def _is_settled(self, starts: list[Start], number: int, verified: list[Candidate]) -> bool:
-        """Whether start `number` need not be followed, there being verified candidates."""
+        """Return whether start `number` need not be followed, there being verified candidates."""
         if self._thorough or self._driven:
             return False
         if number >= min(self._followed, len(starts)):

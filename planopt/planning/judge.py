@@ -66,12 +66,12 @@ class Candidate:
 
     @property
     def relaxes(self) -> bool:
-        """Whether some step misses the connectivity bound."""
+        """Return whether some step misses the connectivity bound."""
         return self.certificate is not None and bool(self.certificate.relaxed_steps)
 
     @property
     def hopeless(self) -> bool:
-        """Whether the certificate shows that no path at all meets the bound at any step."""
+        """Return whether the certificate shows that no path at all meets the bound at any step."""
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
         # Where slack is bounded, no search shows anything.
@@ -88,7 +88,7 @@ class Candidate:
 
     @property
     def missing_db(self) -> float:
-        """By how much its steps miss the connectivity bound, in all."""
+        """Return by how much its steps miss the connectivity bound, in all."""
         return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
 
 

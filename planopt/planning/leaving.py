@@ -82,7 +82,7 @@ def leaving_path(
 def _inside_m(
     index: ObstacleIndex, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], ObstacleIndex]:
-    """How deep places (n, 2) are in the obstacles that the first one is in; all other obstacles.
+    """Return how deep places (n, 2) are in the first one's obstacles; all other obstacles.
 
     Obstacles that meet these count to them. None where the first place is on a border at most.
     """
@@ -101,7 +101,7 @@ def _inside_m(
 
 
 def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> float:
-    """By how much a place (2,) is too near to what moves, before the first step."""
+    """Return by how much a place (2,) is too near to what moves, before the first step."""
     if not len(moving):
         return 0.0
     away = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
@@ -109,7 +109,7 @@ def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> flo
 
 
 def _too_near_m(moving: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much each way (c, N + 1, 2) is too near to what moves after its first step; (c,)."""
+    """Return by how much ways (c, N + 1, 2) are too near to discs after the first step; (c,)."""
     if not len(moving):
         return np.zeros(len(ways_m))
     places = int(ways_m.shape[1])
@@ -119,7 +119,7 @@ def _too_near_m(moving: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.
 
 
 def _outside_m(workspace: Workspace, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far each place (n, 2) is out of bounds; (n,)."""
+    """Return how far each place (n, 2) is out of bounds; (n,)."""
     bounds = np.reshape(workspace.bounds_m, (2, 2))
     beyond = np.maximum(np.maximum(bounds[0] - places_m, places_m - bounds[1]), 0.0)
     return np.linalg.norm(beyond, axis=1)

@@ -252,7 +252,7 @@ class Planner:
         return _numbers("target_m", place, (2,), "x_m, y_m")
 
     def _was_connected(self, number: int, measured: Sequence[Measurements]) -> bool:
-        """Whether a robot is connected now, by its last measurements or by its last plan."""
+        """Return whether a robot is connected now, by its last measurements or by its last plan."""
         stations = self.problem.stations
         heard = [
             bool(taken.power_dbm[-1] >= station.threshold_dbm and not taken.censored[-1])

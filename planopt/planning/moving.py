@@ -18,7 +18,7 @@ def steps_ahead(problem: Problem) -> int:
 
 
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
-    """Where moving obstacles are predicted over the steps ahead, after `driven` steps of a run.
+    """Return the predicted discs over the steps ahead, after `driven` steps of a run.
 
     They are predicted anew at every step: what is not known of their way counts from then on.
     """

@@ -27,7 +27,7 @@ LEAST_BASE = 0.01
 
 
 class Termination(StrEnum):
-    """Why the search for a plan stopped. Says nothing about what the plan is worth."""
+    """The reason why the search for a plan stopped; it says nothing of the plan's value."""
 
     CONVERGED = "converged"
     ACCEPTABLE = "acceptable"
@@ -41,7 +41,7 @@ class Termination(StrEnum):
 
 
 class Verdict(StrEnum):
-    """What an independent check says of the plan.
+    """The verdict of an independent check of the plan.
 
     ``verified``: every constraint holds, the connectivity bound at every step where it is
     possible. ``feasible_unverified``: not rejected, but a part of the proof is missing.
@@ -182,13 +182,13 @@ class Plan:
 
     @property
     def gain(self) -> float:
-        """How much better than the lattice path the plan is, in the objective's unit."""
+        """Return the gain over the lattice path, in the objective's unit."""
         saved = self.lattice_objective - self.objective
         return saved if self.sense == "min" else -saved
 
     @property
     def polish_gain(self) -> float:
-        """How much better than the lattice path, by :func:`share_gained`."""
+        """Return the gain over the lattice path, by :func:`share_gained`."""
         return share_gained(self.gain, self.lattice_objective, self.objective)
 
 
@@ -216,7 +216,7 @@ def is_sound(
     position_m: NDArray[np.float64],
     path_m: NDArray[np.float64],
 ) -> bool:
-    """Whether the problem's first robot, at `position_m` (2,), can drive a path (N, 2) safely."""
+    """Return whether the first robot, at `position_m` (2,), can drive a path (N, 2) safely."""
     way = np.vstack([position_m, path_m])
     clearance = swept_clearance_m(index, way)
     return bool(

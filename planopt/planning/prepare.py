@@ -16,7 +16,7 @@ from planopt.problems.problem import Problem
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a seed fixes before planning begins.
+    """Ground truth, first measurements and belief of one seed.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Prepared:
 
     @property
     def truths(self) -> tuple[Truth, ...]:
-        """Of each station; empty if the problem has none."""
+        """Return the ground truth of each station; empty if the problem has none."""
         return () if self.truth is None else (self.truth, *self.further)
 
 

@@ -44,7 +44,7 @@ LINES_PER_SEGMENT = 4
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Where a robot is, what it knows, and the path that it would drive.
+    """The place and belief of a robot, and the path that it would drive.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class ReachPlanner:
         return replace(plan, pivot=pivot, route_m=route, holes=holes)
 
     def _why_blocked(self, situation: Situation, start: GlobalStart) -> str:
-        """Where contact would have to be left, and for how long."""
+        """Return where contact would have to be left, and for how long."""
         constraints = self.problem.constraints
         places = np.vstack([situation.position_m, start.path_m, start.route_m])
         holes = holes_on(self.problem, situation.power(places), places)
@@ -349,6 +349,6 @@ def eased(problem: Problem) -> Problem:
 
 
 def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which steps of a path move at all; a path that stands still needs no polish."""
+    """Return which steps of a path move at all; a path that stands still needs no polish."""
     steps = np.diff(np.vstack([judge.position_m, path_m]), axis=0)
     return np.linalg.norm(steps, axis=1) > STANDSTILL_M

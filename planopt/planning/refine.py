@@ -250,7 +250,7 @@ class Refiner:
         return float(self._cost.metre_costs(path_m).max())
 
     def _outage(self, path_m: NDArray[np.float64]) -> OutagePrice:
-        """What being out of contact costs along a path."""
+        """Return the cost of being out of contact along a path."""
         before, charged = self._cost.outage_charges(path_m)
         price = self._cost.rate_s_m * self._cost.outage_price
         return OutagePrice(price, before, charged)

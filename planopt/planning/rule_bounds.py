@@ -63,7 +63,7 @@ def with_bounds(task: PathTask, situation: Situation, rows: RuleRows) -> PathTas
 
 
 def lacks(situation: Situation, rows: RuleRows, point: Polished, *, firmly: bool = False) -> bool:
-    """Whether a returned path misses a bound where the solver thought that it keeps it.
+    """Return whether a returned path misses a bound where the solver thought that it keeps it.
 
     With `firmly` also where it keeps a step's bound by less than the search's predictions are off:
     the proof may find it missed, and then looks for places that keep it, which is dear.
@@ -140,7 +140,7 @@ def _with_total(task: PathTask, situation: Situation, rows: RuleRows) -> PathTas
 def _slack(
     situation: Situation, scale: float, missing_db: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """How much slack each row has, and what a dB of it counts in the solver.
+    """Return how much slack each row has, and what a dB of it counts in the solver.
 
     Where a start misses more than is allowed, as much as it takes; then slack is dear.
     """
@@ -155,7 +155,7 @@ def _slack(
 def _wanted(
     task: PathTask, situation: Situation, rows: RuleRows
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """What the local margins must reach for the bound, and local and exact ones at the start.
+    """Return the local margins wanted for the bound, and local and exact ones at the start.
 
     Where the local model is too optimistic by e at the start, it is asked for e more, and for
     less where it is not optimistic enough.
@@ -168,7 +168,7 @@ def _wanted(
 
 
 def _wanted_total(task: PathTask, situation: Situation, rows: RuleRows) -> tuple[float, float]:
-    """What the local sum must reach for the bound, and what it is at the start."""
+    """Return the local sum wanted for the bound, and the sum at the start."""
     total = task.evaluate(task.path_m).total
     if total is None:
         raise AssertionError("a bounded sum is there")
@@ -177,7 +177,7 @@ def _wanted_total(task: PathTask, situation: Situation, rows: RuleRows) -> tuple
 
 
 def _per_db(rows: RuleRows, power: Prediction) -> float:
-    """What lowering the threshold by a dB adds to the sum, at first order; not zero."""
+    """Return the sum's slope by the lowering of the threshold in dB; not zero."""
     if rows.weight is None:
         raise AssertionError("no sum is bounded")
     score = (power.mean_db - rows.threshold_dbm) / power.deviation_db
@@ -186,5 +186,5 @@ def _per_db(rows: RuleRows, power: Prediction) -> float:
 
 
 def _slack_of_sum(rows: RuleRows, power: Prediction) -> float:
-    """By how many dB the sum misses its bound, at first order."""
+    """Return by how many dB the sum misses its bound, at first order."""
     return (rows.total - rows.sum_of(power)) / _per_db(rows, power)

@@ -100,12 +100,12 @@ class Run:
 
     @property
     def outcome(self) -> Outcome:
-        """How the run ended."""
+        """Return how the run ended."""
         return self.runs[0].outcome
 
     @property
     def reason(self) -> str:
-        """Why it ended, in words."""
+        """Return why it ended, in words."""
         return self.runs[0].reason
 
     @property
@@ -120,7 +120,7 @@ class Run:
 
     @property
     def rungs(self) -> dict[str, int]:
-        """How often each fallback released a step, over all robots."""
+        """Return how often each fallback released a step, over all robots."""
         counts: Counter[str] = Counter()
         for run in self.runs:
             counts.update(run.rungs)

@@ -22,7 +22,7 @@ from planopt.world.separation import PackedPieces, pack_pieces
 
 @dataclass(frozen=True)
 class Ground:
-    """Where robots may be, ready for planning.
+    """The free space for planning: obstacles, convex pieces, lattice.
 
     Attributes
     ----------
@@ -86,12 +86,12 @@ class Scene:
 
     @property
     def index(self) -> ObstacleIndex:
-        """For the verifier: the obstacles as they are."""
+        """Return the obstacles as they are, for the verifier."""
         return self.ground.index
 
     @property
     def pieces(self) -> PackedPieces:
-        """For the solver: convex pieces."""
+        """Return convex pieces, for the solver."""
         return self.ground.pieces
 
     @property
@@ -179,7 +179,7 @@ def build_scenes(
 
 
 def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
-    """Whether obstacles cut the goal off, exactly, or the lattice is too coarse for the way."""
+    """Return whether obstacles cut the goal off, or the lattice is too coarse for the way."""
     start_m = tuple(place_m.tolist())
     what = "start_m" if start_m == problem.robots[0].start_m else "the place"
     robot = replace(problem.robots[0], start_m=start_m)

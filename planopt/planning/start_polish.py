@@ -140,7 +140,7 @@ def lines_count(standing: int, discs: MovingDiscs, horizon: int) -> int:
 
 
 def timed_pad_m(problem: Problem) -> float:
-    """What is not known of where the robot is on its way when, in metres."""
+    """Return the uncertainty of where the robot is on its way at a time, in metres."""
     dynamics = problem.robots[0].dynamics
     return 0.0 if dynamics is None else dynamics.timed_pad_m(problem.planner.step_s)
 
@@ -203,7 +203,7 @@ class StartPolish:
         rung: Rung,
         budget: Budget | None = None,
     ) -> list[Candidate]:
-        """What a start leads to, judged; nothing once the budget is spent.
+        """Return the judged candidates of a start; none once the budget is spent.
 
         Parameters
         ----------
@@ -329,7 +329,7 @@ class StartPolish:
 
 
 def _counted(problem: Problem, start: Start) -> float:
-    """What the value in the solver is about; of a goal, the time of all steps."""
+    """Return the value at which the solver's is counted; of a goal, the time of all steps."""
     return start.worth if start.charge is None else problem.planner.step_s * len(start.path_m)
 
 

@@ -204,7 +204,7 @@ class Stepper:
         ]
 
     def _goes_on(self, number: int, state: NDArray[np.float64]) -> bool:
-        """Whether a robot may go on from its last plan.
+        """Return whether a robot may go on from its last plan.
 
         A robot that was carried off its plan cannot drive the rest of it if it has dynamics, and
         does not keep to what the others keep clear for it.

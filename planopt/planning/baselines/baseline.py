@@ -56,7 +56,7 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
 def free_ends(
     problem: Problem, ground: Ground, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,).
+    """Return whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,).
 
     Raises
     ------

@@ -132,7 +132,7 @@ def in_words(file: str, differences: Iterator[Disagreement], source: str = "foun
 
 
 def same_words(said: str, found: str) -> bool:
-    """Whether two texts are one but for the last shown digit of decimal numbers in them."""
+    """Return whether two texts are one but for the last shown digit of decimal numbers in them."""
     these, those = _NUMBER.split(said), _NUMBER.split(found)
     # What is split at is a number at every odd place.
     return len(these) == len(those) and all(
@@ -142,7 +142,7 @@ def same_words(said: str, found: str) -> bool:
 
 
 def _same_shown(said: str, found: str) -> bool:
-    """Whether two printed numbers differ by no more than rounding the last digit."""
+    """Return whether two printed numbers differ by no more than rounding the last digit."""
     if "e" in said + found:
         return math.isclose(float(said), float(found), rel_tol=0.1)
     digits = max(len(number.partition(".")[2]) for number in (said, found))

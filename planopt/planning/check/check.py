@@ -88,7 +88,7 @@ def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What the check says.
+    """The outcome of a check.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ def check(path: Path | str) -> CheckResult:
 
 
 def _not_judged(saved: Saved, given: Given | None) -> list[str]:
-    """What nothing but planning again could tell, or what is not to be had without the truth."""
+    """Return what only planning again, or the ground truth, could tell."""
     remarks: list[str] = []
     problem = saved.problem
     if any(term.steers for term in problem.terms):
@@ -174,7 +174,7 @@ def _not_judged(saved: Saved, given: Given | None) -> list[str]:
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
-    """That there is nothing to judge, and what the file says besides that is not so."""
+    """Return that there is nothing to judge, and what the file says besides that is not so."""
     message, seed = str(saved.data["message"]), saved.record.seed
     found: dict[str, Any] = {"format": FORMAT, "problem_file": saved.data["problem_file"]}
     faults: list[str] = []

@@ -42,7 +42,7 @@ side of it: another machine rounds otherwise."""
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """What was measured on the way of a run.
+    """The measurements taken on the way of a run.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Taken:
 
     @property
     def learnt(self) -> list[bool]:
-        """Whether something was measured after each step."""
+        """Return whether something was measured after each step."""
         known = self.known_before_step
         if not len(known):
             return []
@@ -72,7 +72,7 @@ NOTHING_TAKEN = Taken(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.int64)
 
 
 def given_again(problem: Problem, seed: int) -> tuple[Given | None, list[str]]:
-    """What problem and seed give; None, and a remark, if its files are not to be had."""
+    """Return what problem and seed give; None, and a remark, if its files are not to be had."""
     try:
         return draw(problem, seed), []
     except InputError as error:
@@ -88,7 +88,7 @@ def taken_on_the_way(
     tracks_m: NDArray[np.float64],
     true_dbm: NDArray[np.float64],
 ) -> Taken:
-    """Where robots measure, one after the other: not near an earlier measurement.
+    """Return where robots measure in turn: not near an earlier measurement.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def taken_on_the_way(
 
 
 def _nearest_m(places_m: list[NDArray[np.float64]], place_m: NDArray[np.float64]) -> float:
-    """How far the nearest of some places is; infinite where there is none."""
+    """Return how far the nearest of some places is; infinite where there is none."""
     return float(np.linalg.norm(places_m - place_m, axis=1).min()) if places_m else np.inf
 
 
@@ -164,7 +164,7 @@ def belief_reasons(
     taken: Taken,
     seed: int,
 ) -> list[str]:
-    """What in the file cannot be so.
+    """Return what in the file cannot be so.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def _station_reasons(
     taken: Taken,
     seed: int,
 ) -> list[str]:
-    """What in the file cannot be so of one station."""
+    """Return what in the file cannot be so of one station."""
     file, prefix = belief.file.name, station_prefix(station)
     first = belief.measurements.take(slice(belief.first))
     start = first if given is None else given.measurements
@@ -246,7 +246,7 @@ OPTIONAL_ARRAYS = ("resolution_db", "position_std_m", "time_s", "receiver", "for
 def _measured(
     belief: SavedBelief, truth: Truth | None, taken: Taken, *, alone: bool
 ) -> Measurements:
-    """What is measured at the places of a run; without a truth, its rows say what was true.
+    """Return what is measured at the places of a run; without a truth, its rows say what was true.
 
     Rows have the serving power, which is a station's own only where that is alone.
     """

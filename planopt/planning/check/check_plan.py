@@ -76,7 +76,7 @@ OBSTACLE = "world.obstacles ("
 
 
 def explanation_faults(case: Case, explanation: Sequence[Relaxation]) -> list[str]:
-    """What in the explanation of one robot's plan cannot be so.
+    """Return what in the explanation of one robot's plan cannot be so.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def explanation_faults(case: Case, explanation: Sequence[Relaxation]) -> list[st
 
 
 def _value_faults(case: Case, fault: Fault, key: Key, one: Relaxation) -> list[str]:
-    """What is wrong with the values of an entry."""
+    """Return what is wrong with the values of an entry."""
     if key.asked == key.limit:
         stands = one.value is None and one.relaxed_value is None and not one.unit
         return [] if stands else [f"explanation: {key.name} has no value"]
@@ -398,7 +398,7 @@ def _on_the_way(
 
 
 def _leads_to_goal(problem: Problem, route_m: NDArray[np.float64]) -> bool:
-    """Whether a route (r, 2) is one over the lattice to the goal."""
+    """Return whether a route (r, 2) is one over the lattice to the goal."""
     roads = build_roads(problem, np.asarray(problem.goal_m))
     nearest, away = PlaceTree(roads.nodes_m).nearest(route_m, 1)
     nodes = nearest[:, 0]

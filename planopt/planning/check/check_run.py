@@ -88,7 +88,7 @@ they may be missing, all of them together."""
 
 @dataclass(frozen=True, eq=False)
 class _Driven:
-    """What is found again of one robot: states, plans, aims, beliefs before and after each.
+    """The states, plans, aims and beliefs of one robot, found again.
 
     And the objections to it.
     """
@@ -379,7 +379,7 @@ def _plan_reasons(
     plan: Plan,
     previous: Plan | None,
 ) -> list[str]:
-    """What is wrong with one released plan.
+    """Return what is wrong with one released plan.
 
     Parameters
     ----------
@@ -402,7 +402,7 @@ def _plan_reasons(
 
 
 def _is_cut_off(problem: Problem, driven: Sequence[_Driven]) -> bool:
-    """Whether obstacles cut a robot off from its goal where it is at the end, exactly."""
+    """Return whether obstacles cut a robot off from its goal where it is at the end, exactly."""
     for number, one in enumerate(driven):
         own = problem_of_robot(problem, number)
         x, y = one.states[-1][:2].tolist()
@@ -418,7 +418,7 @@ def _ended(
     driven: Sequence[_Driven],
     learnt: Sequence[list[bool]],
 ) -> tuple[tuple[Outcome, str], list[str]]:
-    """How the run ended and why in words, and what is wrong with where it did."""
+    """Return how the run ended, why in words, and what is wrong with where it did."""
     problem, steps = saved.problem, len(connected)
     now = problem
     for step in range(steps + 1):

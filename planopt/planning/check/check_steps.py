@@ -17,7 +17,7 @@ from planopt.planning.plan import Rung, Termination, Verdict
 
 
 def steps_reasons(said: Steps, found: Steps) -> list[str]:
-    """What in the table is not as found, by row and column; few rows of each column."""
+    """Return what in the table is not as found, by row and column; few rows of each column."""
     reasons: list[str] = []
     for name in said.columns:
         if name == "step":  # was counted when it was read

@@ -115,7 +115,7 @@ def _rung_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tu
 
 
 def _is_stop(problem: Problem, plan: Plan, previous: Plan | None) -> bool:
-    """Whether a plan stops: at once, by braking, or after the rest of the last one."""
+    """Return whether a plan stops: at once, by braking, or after the rest of the last one."""
     if plan.drive is None:
         return bool(np.abs(plan.positions_m - plan.positions_m[0]).max() <= EXACT)
     braking = plan.drive.dynamics.braking(
@@ -127,7 +127,7 @@ def _is_stop(problem: Problem, plan: Plan, previous: Plan | None) -> bool:
 
 
 def _is_one_step(plan: Plan) -> bool:
-    """Whether a plan moves in its first step alone."""
+    """Return whether a plan moves in its first step alone."""
     return bool(np.abs(np.diff(plan.positions_m[1:], axis=0)).max(initial=0.0) <= EXACT)
 
 
@@ -179,7 +179,7 @@ def _termination_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
 
 
 def _widest(problem: Problem) -> float:
-    """How far from its bound a row may be: metres of a place, their squares of a step; from 1."""
+    """Return how far from its bound a row may be: metres, or their squares of a step."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     return max(1.0, np.hypot(x_max - x_min, y_max - y_min), problem.step_length_m**2)
 
@@ -189,7 +189,7 @@ def _is_unpolished(problem: Problem) -> bool:
 
 
 def _objective_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
-    """Of a sum of terms: a path found without the lattice is compared with itself."""
+    """Check the objectives of a sum of terms; a path without the lattice is its own measure."""
     alone = plan.rung in WITHOUT_SEARCH or not planner_kind(problem.planner.name).searches
     return _unpolished_faults(plan) if alone else []
 
@@ -216,7 +216,7 @@ def _reach_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:
 
 
 def _unpolished_faults(plan: Plan) -> list[tuple[str, str]]:
-    """Where nothing was polished, the two objectives are one."""
+    """Check that the two objectives are one where nothing was polished."""
     if abs(plan.lattice_objective - plan.objective) <= EXACT * max(1.0, abs(plan.objective)):
         return []
     return [

@@ -207,7 +207,7 @@ STEPS_TRIED = 20
 
 
 def explain_no_way(problem: Problem, solve_again: SolveAgain) -> tuple[Relaxation, ...]:
-    """What would open a way to the goal, each change by itself.
+    """Return changes that would open a way to the goal, each by itself.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def explain_blocked(
     margins: NodeMargins,
     solve_again: SolveAgain,
 ) -> tuple[Relaxation, ...]:
-    """What would open a path to the goal, each change by itself.
+    """Return changes that would open a path to the goal, each by itself.
 
     Parameters
     ----------

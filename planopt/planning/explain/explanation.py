@@ -135,12 +135,12 @@ class Crossing:
 
     @property
     def at_goal(self) -> bool:
-        """Whether the goal itself is below the bound."""
+        """Return whether the goal itself is below the bound."""
         return bool(self.holes) and self.holes[-1].to_end
 
     @property
     def why(self) -> str:
-        """Why they are crossed: what the way costs, and what keeps the bound instead."""
+        """Return why they are crossed: what the way costs, and what keeps the bound instead."""
         instead = (
             f"the way that keeps it all along is {self.kept_m:.0f} m long"
             if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal
@@ -153,7 +153,7 @@ class Crossing:
         )
 
     def __str__(self) -> str:
-        """Where the holes are, how long, and why they are crossed."""
+        """Return where the holes are, how long, and why they are crossed."""
         where = "; ".join(hole.words for hole in self.holes)
         goal = "; the goal is itself below it" if self.at_goal else ""
         return f"crosses {where}: below constraints.p_min {self.p_min:g}{goal}; {self.why}"

@@ -56,7 +56,7 @@ def faults_of(case: Case) -> tuple[Fault, ...]:
 
 
 def met_nowhere(case: Case) -> bool:
-    """Whether single steps are asked for, may be missed, and all are."""
+    """Return whether single steps are asked for, may be missed, and all are."""
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
@@ -172,7 +172,7 @@ class Key:
         return max(value, self.limit) if down else min(value, self.limit)
 
     def amount_of(self, value: float) -> float:
-        """By how much a value is looser than what is asked; negative where it is tighter."""
+        """Return by how much a value is looser than what is asked; negative where it is tighter."""
         return self.asked - value if self.limit < self.asked else value - self.asked
 
 

@@ -143,7 +143,7 @@ def attained_amount(case: Case, key: Key) -> float | None:
 
 
 def _is_kept(case: Case, problem: Problem) -> bool:
-    """Whether the plan's path keeps the rule of a changed problem."""
+    """Return whether the plan's path keeps the rule of a changed problem."""
     plan, rule = case.plan, problem.constraints.rule
     first, broad = case.posteriors[0], None
     power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
@@ -173,7 +173,7 @@ HALVINGS = 7
 
 
 def explain_no_verified_plan(case: Case, plan_again: PlanAgain) -> tuple[Relaxation, ...]:
-    """What would let everything be kept, each change by itself.
+    """Return changes that would let everything be kept, each by itself.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _blamed(
 
 
 def _lacking(case: Case, fault: Fault, key: Key, near: Sequence[Case]) -> float:
-    """By how much a key must be loosened for a plan that there is, or for any."""
+    """Return by how much a key must be loosened for a plan that there is, or for any."""
     if fault.missed != "connection":
         return min(fault.shortfall, key.most)
     if met_nowhere(case):

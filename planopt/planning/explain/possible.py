@@ -91,7 +91,7 @@ MOST_PLACES = 50_000
 
 
 def is_possible(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> bool:
-    """Whether what is within reach by each step does not rule the rule out.
+    """Return whether what is within reach by each step does not rule the rule out.
 
     Parameters
     ----------

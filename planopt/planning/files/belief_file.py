@@ -39,7 +39,7 @@ class NpzArrays:
     prefix: str = ""
 
     def within(self, prefix: str) -> NpzArrays:
-        """Those whose names begin with `prefix`, asked for without it."""
+        """Return the arrays whose names begin with `prefix`, asked for without it."""
         own = {
             name.removeprefix(prefix): array
             for name, array in self.arrays.items()
@@ -53,7 +53,7 @@ class NpzArrays:
         return NpzArrays(self.path, rest, self.prefix)
 
     def error(self, name: str, message: str) -> InputError:
-        """What to raise if the array `name` cannot be used."""
+        """Return the error to raise if the array `name` cannot be used."""
         return InputError(message, file=self.path, key=self.prefix + name, remedy=REMEDY)
 
     def of_kind(self, name: str, kinds: str, shape: tuple[int, ...] | None) -> NDArray[Any]:
@@ -146,12 +146,12 @@ class SavedBelief:
 
     @property
     def stations(self) -> tuple[SavedBelief, ...]:
-        """What there is of each station, the first one's first."""
+        """Return what there is of each station, the first one's first."""
         return (self, *self.further)
 
 
 def station_prefix(station: int) -> str:
-    """What names of a station's arrays begin with."""
+    """Return what names of a station's arrays begin with."""
     return f"stations[{station}]." if station else ""
 
 
@@ -188,7 +188,7 @@ def write_belief(
 
 
 def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """What :func:`write_belief` writes, by name."""
+    """Return what :func:`write_belief` writes, by name."""
     fit, posterior = belief.fit, belief.posterior
     measurements = posterior.measurements
     return {
@@ -214,7 +214,7 @@ def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> dict[
 
 
 def calibration_arrays(posterior: ChannelPosterior) -> dict[str, NDArray[Any]]:
-    """Those of the file's arrays that have the calibrated law of connection; none without one."""
+    """Return the file's arrays of the calibrated law of connection; none without one."""
     if posterior.outcomes is None:
         return {}
     law = posterior.outcomes.law
@@ -225,7 +225,7 @@ def calibration_arrays(posterior: ChannelPosterior) -> dict[str, NDArray[Any]]:
 
 
 def parameter_arrays(parameters: ChannelParameters) -> dict[str, NDArray[Any]]:
-    """Those of the file's arrays that have the channel's parameters."""
+    """Return the file's arrays of the channel's parameters."""
     station = parameters.station
     return {
         "parameters": np.array([getattr(parameters, name) for name in PARAMETER_NAMES]),
@@ -253,7 +253,7 @@ def read_belief(path: Path, stations: int = 1) -> SavedBelief:
 
 
 def _saved(arrays: NpzArrays) -> SavedBelief:
-    """What the file says of one station."""
+    """Return what the file says of one station."""
     power = arrays.floats("power_dbm", None)
     count = len(power)
     positions = arrays.floats("positions_m", (count, 2))
@@ -291,7 +291,7 @@ def _saved(arrays: NpzArrays) -> SavedBelief:
 
 
 def first_posterior(saved: SavedBelief) -> ChannelPosterior:
-    """What was believed before the first step."""
+    """Return what was believed before the first step."""
     posterior = condition(
         saved.parameters,
         saved.measurements.take(slice(saved.first)),
@@ -303,7 +303,7 @@ def first_posterior(saved: SavedBelief) -> ChannelPosterior:
 
 
 def first_posteriors(saved: SavedBelief) -> tuple[ChannelPosterior, ...]:
-    """What was believed of each station before the first step."""
+    """Return what was believed of each station before the first step."""
     return tuple(first_posterior(own) for own in saved.stations)
 
 
@@ -335,7 +335,7 @@ def grown_posterior(
 
 
 def _optional(arrays: NpzArrays, count: int) -> dict[str, NDArray[Any]]:
-    """What measurements may have beside place, power and flag, and the file has."""
+    """Return what measurements may have beside place, power and flag, and the file has."""
     found: dict[str, NDArray[Any]] = {
         name: arrays.floats(name, (count,)) for name in OPTIONAL_NAMES if name in arrays.arrays
     }

@@ -120,7 +120,7 @@ def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
 
 
 def saved_from(file: Path, said: Mapping[str, Any]) -> Saved:
-    """As :func:`read_saved`, of a JSON file that has been read."""
+    """Return what :func:`read_saved` does, of a JSON file that has been read."""
     data, former = without_former_forms(file, said)
     if data.get("format") != FORMAT:
         message = f"is {data['format']!r}, should be {FORMAT}" if "format" in data else "is missing"
@@ -202,7 +202,7 @@ def _read_json(file: Path) -> Mapping[str, Any]:
 
 
 def _record(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _AnyRecord:
-    """What `file` says, typed.
+    """Return what `file` says, typed.
 
     Raises
     ------

@@ -67,7 +67,7 @@ class StepTimesRecord(Record):
 
 
 class RunRecord(Record):
-    """What judging ``run.json`` starts from."""
+    """The contents of ``run.json`` that judging starts from."""
 
     seed: int = Field(ge=0)
     outcome: str

@@ -143,7 +143,7 @@ def write_belief_of_run(
 def known_before_steps(
     belief: Belief, first: int, tracks_m: Sequence[NDArray[np.float64]]
 ) -> NDArray[np.int64]:
-    """How many measurements each step was planned on; ``(steps,)``.
+    """Return how many measurements each step was planned on; ``(steps,)``.
 
     Measurements of the run are taken at the places driven to, in order, each place at most once
     a visit; so going along both finds the step of each.

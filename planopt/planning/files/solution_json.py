@@ -41,7 +41,7 @@ class RobotRecord(Record):
 
 
 class CertificateRecord(Record):
-    """What only the solver knows of the plan's own certificate."""
+    """The part of a plan's certificate that only the solver knows."""
 
     kkt_residual: NotNegative | None
 
@@ -93,7 +93,7 @@ class RelaxationRecord(BaseModel):
 
 
 class CrossingRecord(Record):
-    """What a way to a goal that crosses coverage holes costs, and what keeping contact takes."""
+    """The cost of a way that crosses coverage holes, and what keeping contact takes."""
 
     robot: str
     cost_m: NotNegative
@@ -118,7 +118,7 @@ class RobotPlanRecord(RobotRecord):
 
 
 class PlanRecord(Record):
-    """What judging ``plan.json`` starts from."""
+    """The contents of ``plan.json`` that judging starts from."""
 
     seed: int = Field(ge=0)
     explanation: list[RelaxationRecord]
@@ -128,7 +128,7 @@ class PlanRecord(Record):
 
 
 class NoPlanRecord(Record):
-    """What judging ``plan.json`` or ``run.json`` starts from where there is no plan."""
+    """The contents of ``plan.json`` or ``run.json`` where there is no plan."""
 
     seed: int = Field(ge=0)
     message: str
@@ -270,7 +270,7 @@ def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
 
 
 def _question(problem: Problem, seed: int) -> dict[str, Any]:
-    """What was asked."""
+    """Return what was asked."""
     return {
         "problem": problem.name,
         "horizon": problem.planner.horizon,
@@ -300,7 +300,7 @@ def explanation_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
 
 
 def crossings_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
-    """Why each way to a goal crosses coverage holes; where they are is in the robots' `holes`."""
+    """Return why each way to a goal crosses coverage holes; the robots' `holes` have where."""
     return [
         {
             "robot": one.robot,
@@ -316,7 +316,7 @@ def crossings_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
 
 
 def explanation_again(records: Iterable[RelaxationRecord]) -> tuple[Relaxation, ...]:
-    """What :func:`explanation_json` wrote."""
+    """Return what :func:`explanation_json` wrote."""
     return tuple(
         Relaxation(
             one.constraint,

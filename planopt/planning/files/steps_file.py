@@ -359,7 +359,7 @@ def target_table(problem: Problem, target: TargetLog) -> NumberTable:
 
 
 def knowledge_table(problem: Problem, channel: ChannelLog) -> NumberTable:
-    """How well the channel was known over a run."""
+    """Return how well the channel was known over a run."""
     columns = (
         problem.planner.step_s * np.arange(len(channel.rms_db), dtype=np.float64),
         channel.rms_db,

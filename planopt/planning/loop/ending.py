@@ -32,7 +32,7 @@ place has stalled."""
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """How far one robot has come.
+    """The progress of one robot.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome,
 
 
 def _stays(robot: Progress) -> bool:
-    """Whether a robot has stayed about one place for `STALL_STEPS`, at its goal or not."""
+    """Return whether a robot has stayed about one place for `STALL_STEPS`, at its goal or not."""
     return _circling(robot.states, robot.problem.step_length_m)
 
 
@@ -118,7 +118,7 @@ def goal_ending(
     learnt: Sequence[bool],
     plan: Plan | None,
 ) -> tuple[Outcome, str] | None:
-    """How a run ends where its track does, and why in words; None if it goes on.
+    """Return how a run ends where its track does, and why in words; None if it goes on.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def standstill(
     *,
     alone: bool = True,
 ) -> str | None:
-    """Why a robot that stands still or circles will go on doing so, in words; None if it may not.
+    """Return why a robot that stands or circles will go on so, in words; None if it may not.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def standstill(
 
 
 def _unit_m(problem: Problem) -> NDArray[np.float64]:
-    """What makes metres of a state."""
+    """Return the factors that make metres of a state."""
     dynamics = problem.robots[0].dynamics
     return np.ones(2) if dynamics is None else np.array(dynamics.unit_m(problem.planner.step_s))
 
@@ -203,7 +203,7 @@ def _detail(plan: Plan) -> str:
 def terms_ending(
     problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """How a run ends after its last step so far, and why in words; None if it goes on.
+    """Return how a run ends after its last step so far, and why in words; None if it goes on.
 
     It ends once all robots of which that is asked are connected, or at their goals; once no robot
     will ever do anything again, which is a failure unless nothing is left to learn; and after
@@ -251,13 +251,13 @@ def terms_ending(
 
 
 def _has_arrived(robot: Progress) -> bool:
-    """Whether a robot stands at its goal."""
+    """Return whether a robot stands at its goal."""
     here = robot.states[-1]
     return is_at_goal(robot.problem, here[:2]) and stands(robot.problem, here)
 
 
 def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:
-    """Why a robot will do nothing more for its task, in words; None if it may.
+    """Return why a robot will do nothing more for its task, in words; None if it may.
 
     The inputs of a plan for tracking change while a robot stands; it does its task as long as
     packets arrive. For other terms standing still may be the best, if plans are verified.
@@ -276,7 +276,7 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
 
 
 def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
-    """Where the other robots have been, if that counts."""
+    """Return where the other robots have been, if that counts."""
     if not counts_others(problem):
         return NOTHING_PENDING
     driven = [np.array(each.states)[1:, :2] for each in robots]
@@ -285,7 +285,7 @@ def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pend
 
 
 def _has_left(robot: Progress, told: Pending) -> bool:
-    """Whether a robot could still learn something somewhere, that the others have not."""
+    """Return whether a robot could still learn something somewhere, that the others have not."""
     problem, states = robot.problem, robot.states
     spacing = problem.channel.measure_spacing_m
     posteriors = anticipated(robot.posteriors, told, states[-1][:2], spacing)
@@ -300,7 +300,7 @@ def _has_left(robot: Progress, told: Pending) -> bool:
 
 
 def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
-    """Who stands or circles, and why."""
+    """Return who stands or circles, and why."""
     unmeasured = any(learns(robot.problem) for robot, _ in stuck)
     whys = [
         f"{robot.problem.robots[0].name}: {why}" if len(problem.robots) > 1 else why

@@ -75,7 +75,7 @@ def _given(
 
 
 def learn_stations(problem: Problem, given: Given) -> Belief:
-    """What the first measurements tell of every station."""
+    """Fit the channel of every station to the first measurements."""
     beliefs = [
         learn(problem, own.measurements, station) for station, own in enumerate(given.stations)
     ]

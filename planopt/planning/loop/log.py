@@ -23,7 +23,7 @@ from planopt.targets.sensor import noise_covariance_m2
 
 
 class Outcome(StrEnum):
-    """How a closed loop ended."""
+    """The outcome of a closed loop."""
 
     REACHED = "reached"
     STALLED = "stalled"
@@ -74,7 +74,7 @@ class StepLog:
 
 @dataclass(frozen=True)
 class Metrics:
-    """What a run is judged by.
+    """The metrics of a run.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class RobotRun:
 
     @property
     def rungs(self) -> dict[str, int]:
-        """How often each fallback released a step."""
+        """Return how often each fallback released a step."""
         counts: dict[str, int] = {}
         for rung in self.log.rung[1:]:
             counts[rung.value] = counts.get(rung.value, 0) + 1
@@ -185,7 +185,7 @@ class TargetLog:
 
 @dataclass(frozen=True, eq=False)
 class ChannelLog:
-    """How well the channel was known after each step, row 0 at the start; of the first robot.
+    """Errors of the first robot's channel after each step; row 0 at the start.
 
     Attributes
     ----------
@@ -344,7 +344,7 @@ def watched(
     delivered: NDArray[np.bool_],
     generator: np.random.Generator,
 ) -> list[TargetWatch | None]:
-    """What is known of the target after each step of robots that have been driven already.
+    """Return what is known of the target after each step of robots that have been driven already.
 
     Parameters
     ----------

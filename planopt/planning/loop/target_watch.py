@@ -89,7 +89,7 @@ class TargetWatch:
     past: tuple[InformationState, ...] = ()
 
     def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
-        """Where robot number `robot` expects the target after each step from now; (steps, 2)."""
+        """Return the target's track as robot number `robot` expects it from now; (steps, 2)."""
         state = self.robots[robot]
         return predict_target(self.model, state.mean, state.covariance, steps).positions_m
 
@@ -152,7 +152,7 @@ def _first_watch(
 
 
 def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
-    """What robot number `robot` plans for, N = `steps` steps ahead, before it is steered."""
+    """Return what robot number `robot` plans for, N = `steps` steps ahead, before it is steered."""
     if watch is None:
         return Aim(None, None)
     expected_m = watch.expected_m(robot, steps)
@@ -160,7 +160,7 @@ def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
 
 
 def _held(watch: TargetWatch, robot: int) -> Held | None:
-    """What a robot has measured since the station last knew all of it; None without estimates."""
+    """Return measurements since the station last knew all of them; None without estimates."""
     if watch.packets != "estimates":
         return None
     count = len(watch.sent)
@@ -185,7 +185,7 @@ def observed(
     delivered: NDArray[np.bool_],
     generator: np.random.Generator,
 ) -> TargetWatch:
-    """All filters after step number `step`, at whose end robots stand at `positions_m` (n, 2).
+    """Return all filters after step number `step`, robots standing at `positions_m` (n, 2).
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def counted(
     positions_m: NDArray[np.float64],
     delivered: NDArray[np.bool_],
 ) -> TargetWatch:
-    """All filters a step later, after measurements of the target.
+    """Return all filters a step later, after measurements of the target.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def counted(
 
 
 def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> NDArray[np.bool_]:
-    """Which measurements of each step the station knows after the last; ``(steps, robots)``."""
+    """Return which measurements the station knows after the last step; ``(steps, robots)``."""
     arrived = np.array([step.delivered for step in sent])
     arrived[len(sent) - min(delay_steps, len(sent)) :] = False
     if packets == "estimates":

@@ -54,7 +54,7 @@ NO_VARIABLE = -1
 
 @dataclass(frozen=True, eq=False)
 class ConeRows:
-    """Which rows of a programme are cones.
+    """The rows of a programme that are cones.
 
     Attributes
     ----------

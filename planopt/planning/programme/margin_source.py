@@ -142,7 +142,7 @@ def remembering(evaluate: EvaluatePath) -> EvaluatePath:
 
 
 class ValueSource:
-    """What the callbacks of a built solver evaluate: exchanged for each solve."""
+    """The functions that a built solver's callbacks evaluate: exchanged for each solve."""
 
     def __init__(self) -> None:
         self._evaluate: EvaluatePath | None = None

@@ -59,7 +59,7 @@ class MotionShape:
 
     @property
     def variables(self) -> int:
-        """All of them."""
+        """Return all variables."""
         return self.horizon * self.per_step
 
     @property
@@ -88,7 +88,7 @@ class MotionRows:
     box_y: list[Any]
 
     def stacked(self) -> list[Any]:
-        """All of them, in this order."""
+        """Return all rows, in this order."""
         return [
             *self.defect,
             *self.limit,
@@ -155,7 +155,7 @@ def _hull_rows(
     line: Any,
     segment: int,
 ) -> None:
-    """What the points of one way must keep."""
+    """Return the rows that the points of one way must keep."""
     for number, (x, y) in enumerate(points, start=1):
         share = number / (len(points) + 1)
         for j in range(shape.lines):

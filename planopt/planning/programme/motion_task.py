@@ -74,7 +74,7 @@ class MotionNumbers:
         w: NDArray[np.float64],
         charge: GoalCharge | None,
     ) -> NDArray[np.float64]:
-        """Of what the way to a goal costs (2 N + len(w),); zero where none is charged."""
+        """Return the gradient of the way's cost (2 N + len(w),); zero where none is charged."""
         if self.task is None or charge is None:
             return np.zeros(positions_m.size + len(w))
         state = self.task.drive.states[0]

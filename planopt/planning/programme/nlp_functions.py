@@ -77,7 +77,7 @@ def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 def named_multipliers(
     rows: NDArray[np.float64], horizon: int, lines: int, bounds: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Those of :mod:`~planopt.planning.programme.path_rows`, which come first, and of connectivity.
+    """Return multipliers of :mod:`~planopt.planning.programme.path_rows` and connectivity.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def nlp_functions(solver: Any) -> NlpFunctions:
 
 @dataclass(frozen=True)
 class NlpPoint:
-    """What the solver returned.
+    """The point that the solver returned.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ def nlp_point(
 
 
 def lost_point(horizon: int, variables: int, rows: int) -> NlpPoint:
-    """What stands for a solve that could not begin: no numbers at all."""
+    """Return the point of a solve that could not begin: no numbers at all."""
     nothing = np.full(variables, np.nan)
     failure = Termination.NUMERICAL_FAILURE
     return nlp_point(horizon, nothing, np.full(rows, np.nan), nothing, failure, 0)

@@ -123,7 +123,7 @@ def tail_count(discs: MovingDiscs, horizon: int) -> int:
 def _discs_met(
     discs: MovingDiscs, chosen: NDArray[np.int64], path_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Which discs a path comes too near to in steps that have no line from them; (m, N)."""
+    """Return which discs a path comes too near to in steps that have no line from them; (m, N)."""
     if not len(discs):
         return np.zeros((0, len(path_m) - 1), dtype=np.bool_)
     apart = discs.apart_m[:, : len(path_m) - 1]

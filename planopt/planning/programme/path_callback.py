@@ -82,7 +82,7 @@ class Differentiated(Protocol):
 
     @property
     def hessian(self) -> NDArray[np.float64]:
-        """What is not zero of it."""
+        """Return the numbers of the Hessian that are not zero."""
         ...
 
 

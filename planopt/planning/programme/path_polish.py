@@ -25,7 +25,7 @@ from planopt.world.separation import SeparatingLines
 
 @dataclass(frozen=True)
 class PathTask:
-    """What one polish is to do.
+    """The task of one polish.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ from planopt.objectives.terms.term import Structure
 
 
 def curvature_size(n: int, structure: Structure) -> int:
-    """How many numbers the Hessian of a value over N = `n` stages has."""
+    """Return how many numbers the Hessian of a value over N = `n` stages has."""
     return {"stagewise": 3 * n, "chain": 7 * n - 4, "full": 4 * n * n}[structure]
 
 

@@ -54,7 +54,7 @@ class PathShape:
 
     @property
     def variables(self) -> int:
-        """All variables: places, slacks, those of the dynamics."""
+        """Return all variables: places, slacks, those of the dynamics."""
         return 2 * self.horizon + self.slacks + self.driven
 
     @property

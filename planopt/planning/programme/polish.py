@@ -24,7 +24,7 @@ from planopt.world.separation import SeparatingLines
 
 @dataclass(frozen=True)
 class Polished:
-    """What came out.
+    """The result of a polish.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Polished:
 
 @dataclass(frozen=True)
 class OutagePrice:
-    """What it costs to be out of contact on the way.
+    """The price of being out of contact on the way.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class OutagePrice:
 
 @dataclass(frozen=True)
 class ReachTask:
-    """What one polish is to do.
+    """The task of one polish.
 
     Attributes
     ----------

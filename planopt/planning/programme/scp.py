@@ -69,7 +69,7 @@ USABLE = (Termination.CONVERGED, Termination.ACCEPTABLE)
 
 @dataclass(frozen=True)
 class Model:
-    """What is known of a programme at a point; see the module."""
+    """The model of a programme at a point; see the module."""
 
     rows: NDArray[np.float64]
     jacobian: NDArray[np.float64]
@@ -97,7 +97,7 @@ class Step:
 
     @property
     def usable(self) -> bool:
-        """Whether the step may be tried."""
+        """Return whether the step may be tried."""
         return self.termination in USABLE
 
 
@@ -338,7 +338,7 @@ class _Climb:
     def _share(
         self, merit: float, value: float, rows: NDArray[np.float64], promised: float
     ) -> float:
-        """How much of what was promised a point brings."""
+        """Return the share of the promised decrease that a point brings."""
         gained = merit - self._merit(value, rows)
         return gained / promised if np.isfinite(gained) else -np.inf
 
@@ -358,7 +358,7 @@ class _Climb:
         return self._functions.values(x, self._parameters)
 
     def _excess(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """By how much each row but the cones misses its bounds."""
+        """Return by how much each row but the cones misses its bounds."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
         return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
 
@@ -369,7 +369,7 @@ class _Climb:
         return value + self._penalty * float(self._excess(rows).sum())
 
     def _promised(self, model: Model, step: NDArray[np.float64]) -> float:
-        """How much less the merit is at the end of a step, if the model is right."""
+        """Return the decrease of the merit in a step, if the model is right."""
         slope = float(model.gradient @ step + 0.5 * step @ (model.curvature @ step))
         rows = model.rows + model.jacobian @ step
         before, after = self._excess(model.rows).sum(), self._excess(rows).sum()
@@ -382,7 +382,7 @@ class _Climb:
         multipliers: NDArray[np.float64],
         region: float,
     ) -> Model:
-        """What is known at x, within a region in longest steps."""
+        """Return the model at x, within a region in longest steps."""
         curving = multipliers.copy()
         curving[self._cones.row] = 0.0
         widest = region * self._reach

@@ -22,7 +22,7 @@ _Asked = tuple[bytes, tuple[int, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Circumstances:
-    """What a plan is made and judged under.
+    """The circumstances that a plan is made and judged under.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Circumstances:
         steps: tuple[int, ...],
         search: Callable[[], tuple[float, ...]],
     ) -> tuple[float, ...]:
-        """What the verifier's search within reach of a state finds by some steps, made once.
+        """Return what the search within reach of a state finds by some steps, made once.
 
         Candidates that miss the bound at the same steps all ask for it.
         """

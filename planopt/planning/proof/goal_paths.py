@@ -71,7 +71,7 @@ class GoalGrid:
 
 @dataclass(frozen=True, eq=False)
 class GoalCosts:
-    """What one belief says of a grid.
+    """The costs of a grid by one belief.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class GoalCosts:
 
 @dataclass(frozen=True)
 class PricedPath:
-    """What a path costs with the rest of the way, and what the cheapest found costs.
+    """The cost of a path with the rest of the way, and that of the cheapest found.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class PricedPath:
 
     @property
     def is_compared(self) -> bool:
-        """Whether the grid has paths from where the path begins and from where it ends."""
+        """Return whether the grid has paths from where the path begins and from where it ends."""
         return max(self.cost_m, self.best_m) < np.inf
 
 

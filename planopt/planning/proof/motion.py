@@ -29,7 +29,7 @@ from planopt.world.ways import Way
 
 @dataclass(frozen=True)
 class Apart:
-    """What is found of a motion.
+    """Least distances of a motion from others at equal times.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def _least(away_m: NDArray[np.float64]) -> float | None:
 def swept_motion(
     problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> TimedMotion:
-    """When the problem's first robot is where, on a finite path and while it stops after it.
+    """Return the timed motion of the first robot, on a finite path and stopping after it.
 
     Straight from place to place where `drive` can be none along the path, which the verifier
     objects to.
@@ -103,7 +103,7 @@ def swept_motion(
 
 @dataclass(frozen=True)
 class MotionJudgement:
-    """What is found.
+    """The findings on a motion.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ def judge_motion(
 
 
 def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Drive | None) -> str:
-    """Why a drive can be none along a finite path; empty if it may be one."""
+    """Return why a drive cannot lead along a finite path; empty if it may."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None
@@ -234,7 +234,7 @@ def _clearance_reasons(problem: Problem, swept: NDArray[np.float64], what: str) 
 
 
 def _within(problem: Problem, way: Way) -> bool:
-    """Whether all of a way is in the workspace, to round-off."""
+    """Return whether all of a way is in the workspace, to round-off."""
     places, within = way.points_m()
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     low = places.min(axis=0) - within + 2.0 * CLEARANCE_TOLERANCE_M

@@ -28,7 +28,7 @@ from planopt.problems.problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class Serving:
-    """What is believed of stations, each of which may connect.
+    """The beliefs of stations, each of which may connect.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Serving:
         return tuple(connection_law(posterior) for posterior in self.posteriors)
 
     def law(self, predictions: Sequence[Prediction]) -> Prediction:
-        """What stands for the serving power, from predictions of each station's power."""
+        """Return the prediction of the serving power, from those of each station's power."""
         return serving_prediction(predictions, self.thresholds_dbm, self.p_min, self.laws)
 
     def probability(self, positions_m: NDArray[np.float64], slack_db: float) -> NDArray[np.float64]:
@@ -80,7 +80,7 @@ SEARCH_ERROR_DB = 2e-3
 
 
 def is_search_exact(posterior: ChannelPosterior) -> bool:
-    """Whether searches look at what certificates rest on."""
+    """Return whether searches look at what certificates rest on."""
     return len(posterior.measurements) <= SEARCH_EXACT_LIMIT
 
 
@@ -200,7 +200,7 @@ Broad = BroadPrediction | Serving
 
 
 def broad_prediction(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Broad | None:
-    """What the problem's bound rests on; None where the only posterior itself serves.
+    """Return the prediction that the bound rests on; None where the only posterior serves.
 
     Parameters
     ----------

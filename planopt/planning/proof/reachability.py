@@ -57,7 +57,7 @@ def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
-    """Where the problem's first robot may be some steps after `state`; None if anywhere near."""
+    """Return where the first robot may be some steps after `state`; None if anywhere near."""
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     if dynamics is None:
         return None
@@ -266,7 +266,7 @@ def best_margins_by_step(
 def _reached(
     start_m: NDArray[np.float64], radius_m: float, step: int, may_reach: MayReach | None
 ) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
-    """Whether places (n, 2) are within reach."""
+    """Return whether places (n, 2) are within reach."""
 
     def reached(places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         near = np.linalg.norm(places_m - start_m, axis=1) <= radius_m

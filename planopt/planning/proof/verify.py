@@ -41,7 +41,7 @@ STANDING = "the plan stands still short of the goal, and nothing that moves is i
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the verifier says of a path, and the prediction that it rests on.
+    """The verdict on a path, and the prediction that it rests on.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ def _gets_nowhere(
     positions_m: NDArray[np.float64],
     drive: Drive | None,
 ) -> bool:
-    """Whether a robot stands still short of its goal, with nothing moving that it waits for."""
+    """Return whether a robot stands short of its goal, with nothing moving to wait for."""
     if problem.task != "reach" or len(under.moving) or is_at_goal(problem, positions_m[0]):
         return False
     track = positions_m if drive is None else drive.states
@@ -180,7 +180,7 @@ def _gets_nowhere(
 
 
 def _on_the_edge(problem: Problem, power: Prediction) -> bool:
-    """Whether an error of `KEPT_ERROR_DB` could turn the bound at a step."""
+    """Return whether an error of `KEPT_ERROR_DB` could turn the bound at a step."""
     margins = bound_margin_db(
         power.mean_db,
         power.deviation_db,

@@ -69,7 +69,7 @@ class RoughClearance:
     bounds_m: tuple[float, float, float, float]
 
     def is_free(self, places_m: NDArray[np.float64], clearance: float) -> NDArray[np.bool_]:
-        """Whether places (..., 2) are within bounds and about `clearance` from obstacles; (...)."""
+        """Return whether places (..., 2) are in bounds and about `clearance` from obstacles."""
         x_min, y_min, x_max, y_max = self.bounds_m
         x, y = places_m[..., 0], places_m[..., 1]
         inside = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
@@ -397,7 +397,7 @@ class CoupledStarts:
         return list(found)
 
     def _is_apart(self, situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether ways (c, N, 2) keep from all that moves; ``(c,)``."""
+        """Return whether ways (c, N, 2) keep from all that moves; ``(c,)``."""
         begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
         whole = np.concatenate([begin, ways_m], axis=1)
         return ways_gap_m(situation.circumstances.moving, whole) >= -CLEARANCE_TOLERANCE_M

@@ -58,7 +58,7 @@ CORRECTION_ROUNDS = 8
 
 @dataclass(frozen=True)
 class GlobalStart:
-    """Where the polish starts.
+    """The initial guess of the polish.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class GlobalSearch:
         return given, timed_places(way, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
-        """Whether a run has gone in circles, or on for longer than the dearest direct path.
+        """Return whether a run has gone in circles, or on for longer than the dearest direct path.
 
         The shortest path out of contact all the way costs ``1 + outage_price`` times its length. A
         robot that has driven for as long as that takes drives the shortest path from then on, and
@@ -271,7 +271,7 @@ class GlobalSearch:
         return ways
 
     def _metre_cost(self) -> NDArray[np.float64]:
-        """What a metre costs at every node, in metres."""
+        """Return the cost of a metre at every node, in metres."""
         charged = 1.0 + self._problem.reach.outage_price * self.margins.outage_share
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
@@ -350,7 +350,7 @@ class GlobalSearch:
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
     def _gets_nowhere(self, situation: Situation, nodes: NDArray[np.intp]) -> bool:
-        """Whether a path stays where the robot is, short of the goal."""
+        """Return whether a path stays where the robot is, short of the goal."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - situation.position_m, axis=1).max()
         at_goal = int(nodes[-1]) == self._scene.goal_node
@@ -422,7 +422,7 @@ class GlobalSearch:
     def _start(
         self, situation: Situation, ways: Ways, nodes: NDArray[np.intp], *, direct: bool = False
     ) -> GlobalStart:
-        """What there is to know of a path."""
+        """Return the initial guess of a path."""
         problem, road_map = self._problem, self._scene.road_map
         route = way_from(road_map, ways, int(nodes[-1]), np.inf)
         soon = way_from(

@@ -101,7 +101,7 @@ def _good_place(
 def _reached(
     judge: Judge, ways: ShortestWays, places_m: NDArray[np.float64], clear_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Which of the places (n, 2) a way leads to, their margins and ways' lengths, best first."""
+    """Return which places (n, 2) a way leads to, their margins and lengths, best first."""
     away = np.linalg.norm(places_m - ways.start_m, axis=1)
     places = places_m[(away <= ways.radius_m) & inside_bounds(judge.problem.workspace, places_m)]
     places = places[is_clear(clearance_m(judge.index, places), clear_m)]
@@ -118,7 +118,7 @@ def _reached(
 
 
 def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """In which order places are hoped for: the nearest that meets the bound, else the best."""
+    """Return the order of places: the nearest that meets the bound, else the best."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -159,7 +159,7 @@ def _in_fewest_steps(
 def _crossings(
     way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where a leg, driven on, meets a later one, driven back: places (n, 2), how far along (n,)."""
+    """Return where a leg meets a later one, driven back: places (n, 2), how far along (n,)."""
     legs = np.diff(way_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):

@@ -51,7 +51,7 @@ MISSING_DB_SHARE = 10.0
 
 
 def can_climb(problem: Problem) -> bool:
-    """Whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
+    """Return whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
     return all(term.has_slope for term in problem.terms)
 
 
@@ -97,7 +97,7 @@ class LocalRanking:
         self._stations = self._told if same else [near(each) for each in situation.stations]
 
     def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
-        """About `CLIMBED_PLACES` of the map that ways about `about_m` (a, 2) can change.
+        """Return about `CLIMBED_PLACES` of the map that ways about `about_m` (a, 2) can change.
 
         None where none is averaged. Of places farther away the measurements at hand know too
         little, and ways would seem to tell much of them.
@@ -181,12 +181,12 @@ class LocalRanking:
 
 
 def _averages_map(problem: Problem) -> bool:
-    """Whether a term is the spatial average of the map."""
+    """Return whether a term is the spatial average of the map."""
     return any(term.averages_map for term in problem.terms)
 
 
 def _thinned(grid: LocalGrid) -> LocalGrid:
-    """About `RANKED_PLACES` of a grid, evenly among them, for all."""
+    """Return about `RANKED_PLACES` of a grid, evenly among them, for all."""
     every = max(1, round(len(grid.root_weight) / RANKED_PLACES))
     return LocalGrid(
         grid.positions_m[::every],
@@ -197,6 +197,6 @@ def _thinned(grid: LocalGrid) -> LocalGrid:
 
 
 def _anchors(ways_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Up to `count` of the ways' places, evenly among them; (a, 2)."""
+    """Return up to `count` of the ways' places, evenly among them; (a, 2)."""
     places = ways_m.reshape(-1, 2)
     return places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(np.intp)]

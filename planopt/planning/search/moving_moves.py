@@ -96,7 +96,7 @@ TINY_M2 = 1e-30
 def first_steps_apart(
     discs: MovingDiscs, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether first steps from a place (2,) to `ends_m` (n, 2) keep from all that moves; (n,).
+    """Return whether first steps from a place (2,) to `ends_m` (n, 2) keep from discs; (n,).
 
     From a place that is nearer than planners keep, they may lead away.
     """
@@ -106,7 +106,7 @@ def first_steps_apart(
 def steps_apart(
     discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether straight ways (..., 2) during one step, 0 the first, keep from all that moves; (...).
+    """Return whether straight ways (..., 2) in one step, 0 the first, keep from discs; (...).
 
     A way that begins nearer than planners keep may lead away.
     """
@@ -174,7 +174,7 @@ class MovingMoves:
     def blocked(
         self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Whether each move to nodes (n,) in one step comes too near; ``(21, n)``."""
+        """Return whether each move to nodes (n,) in one step comes too near; ``(21, n)``."""
         found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
         for number in range(len(self._discs)):
             found |= self._blocked_by(step, number, rows, columns)
@@ -211,7 +211,7 @@ class MovingMoves:
     def _blocked_by(
         self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Whether each move to nodes, given by rows and columns that broadcast, meets one disc."""
+        """Return whether moves to nodes, by rows and columns that broadcast, meet one disc."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]

@@ -135,7 +135,7 @@ class StageRewards:
     def _by_power(
         self, term: Term, where: Window | Nodes, chance: NDArray[np.float64]
     ) -> NDArray[np.float64] | float:
-        """What a term gives for the power at a place, whenever it is visited."""
+        """Return a term's reward for the power at a place, whenever it is visited."""
         powers = [
             Prediction(station.mean_db[where], station.deviation_db[where])
             for station in self._field.stations
@@ -155,7 +155,7 @@ class StageRewards:
 
 
 def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What moves of these lengths are worth in themselves: their energy, negative.
+    """Return the value of moves of these lengths by themselves: their energy, negative.
 
     Where measurements share what they tell, standing still is not a move: measuring at one place
     twice is worth less than the stand-in says.
@@ -214,7 +214,7 @@ def path_to(found: LatticeValues, end: tuple[int, int]) -> NDArray[np.intp]:
 def _best_source(
     found: LatticeValues, stage: int, node: tuple[int, int], blocked: NDArray[np.bool_] | None
 ) -> tuple[int, int]:
-    """Which of the 21 nodes (iy, ix) its best value came from, by a move not `blocked`."""
+    """Return which of the 21 nodes (iy, ix) its best value came from, by a move not `blocked`."""
     # One by one: for so few, arrays cost several times as much.
     (rows, columns), value, closed = found.windows[stage], found.values[stage], found.table.closed
     height, width = value.shape
@@ -441,7 +441,7 @@ class StartSearch:
         return [self._field.places_m(path) for path in paths]
 
     def _loses(self, rewards: StageRewards, path: NDArray[np.intp], guide: Guide) -> bool:
-        """Whether the path is worth less once its nodes have good values.
+        """Return whether the path is worth less once its nodes have good values.
 
         They get them where the bound rests on them.
         """

@@ -56,12 +56,12 @@ class WaysFrom:
             self.length_m = self._ways.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether the straight way to each place (n, 2) is clear."""
+        """Return whether the straight way to each place (n, 2) is clear."""
         starts = np.broadcast_to(self._position_m, places_m.shape)
         return segments_clear(self._ground.index, starts, places_m, self._wanted_m)
 
     def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where the way to a place (2,) beside `node` turns, its start and its end; (m, 2)."""
+        """Return turns of the way to a place (2,) beside `node`, its start and its end; (m, 2)."""
         if self._ways is None:
             raise AssertionError("there is no way to any node")
         nodes = way_from(self._ground.road_map, self._ways, node, math.inf)[::-1]

@@ -59,7 +59,7 @@ def _steps(
     nodes_m: NDArray[np.float64],
     longest_m: float,
 ) -> NDArray[np.float64]:
-    """How many steps it is to each place (n, 2), straight or by the node beside it; (n,)."""
+    """Return how many steps it is to each place (n, 2), straight or by the node beside it; (n,)."""
     aside: NDArray[np.float64] = np.linalg.norm(nodes_m[beside] - places_m, axis=1)
     straight: NDArray[np.float64] = np.linalg.norm(places_m - here_m, axis=1)
     length = np.where(ways.straight(places_m), straight, ways.length_m[beside] + aside)

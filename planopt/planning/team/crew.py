@@ -216,7 +216,7 @@ def _member(
 
 
 def _steer(problem: Problem, ground: Ground) -> Steer | None:
-    """What steers the robot of a problem; None where no term does."""
+    """Return the steering of a problem's robot; None where no term steers."""
     for term in problem.terms:
         if term.steers is not None:
             return STEERINGS[term.steers](problem, ground, term).find_way
@@ -225,7 +225,7 @@ def _steer(problem: Problem, ground: Ground) -> Steer | None:
 
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
-    """Where all robots are, and what they know.
+    """The states, beliefs and last plans of all robots.
 
     Attributes
     ----------
@@ -316,7 +316,7 @@ def _in_order(
 def _pending(
     crew: Sequence[Member], moment: TeamMoment, number: int, made: Mapping[int, Plan]
 ) -> Pending:
-    """What robot `number` is told of where the others measure: by the plans `made`, and before."""
+    """Return where others measure, as robot `number` is told: by plans `made`, and before."""
     if not counts_others(crew[number].problem):
         return NOTHING_PENDING
     planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)

@@ -56,7 +56,7 @@ def reserved_path(
 def reserved_motion(
     problem: Problem, number: int, state: NDArray[np.float64], last: Plan | None
 ) -> TimedMotion:
-    """What robot number `number` has reserved for the steps ahead.
+    """Return what robot number `number` has reserved for the steps ahead.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def planned_motion(problem: Problem, plan: Plan) -> TimedMotion:
 
 
 def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
-    """What a robot must keep from while it plans: moving obstacles, and robots where that is asked.
+    """Return the discs to keep from: moving obstacles, and robots where that is asked.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def least_moving_clearances_m(
 
 
 def driven_motion(track_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
-    """What was driven, or is planned, over the steps of a track (n + 1, 2) alone."""
+    """Return what was driven, or is planned, over the steps of a track (n + 1, 2) alone."""
     if drive is None:
         return TimedMotion(track_m)
     ways = drive.dynamics.ways(drive.states[:-1], drive.inputs, step_s)

@@ -113,7 +113,7 @@ FINER = 4
 
 
 def learns(problem: Problem) -> bool:
-    """Whether a problem's robots are to measure: a term is worth what is not known yet."""
+    """Return whether a problem's robots are to measure: a term is worth what is not known yet."""
     return any(term.learns for term in problem.terms)
 
 
@@ -193,7 +193,7 @@ def _beside(
     nodes_m: NDArray[np.float64],
     places_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Those places (n, 2) that a straight way leads to from the nearest node."""
+    """Return the places (n, 2) that a straight way leads to from the nearest node."""
     places = places_m[inside_bounds(problem.workspace, places_m)]
     if not len(places) or not len(nodes_m):
         return places[:0]

@@ -43,7 +43,7 @@ JOINT_NEIGHBOURS = 128
 
 
 def needs_stages(problem: Problem) -> bool:
-    """Whether predictions of single stages are needed: by a term, or to bound connectivity."""
+    """Return whether a term, or the bound on connectivity, needs predictions of stages."""
     return problem.constraints.asks_connection or any(term.needs_power for term in problem.terms)
 
 
@@ -105,7 +105,7 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
 def _joint_channels(
     situation: Situation, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
 ) -> list[NearStation]:
-    """Of each station, where a term couples the places of a path; else none."""
+    """Return the channel of each station, where a term couples the places; else none."""
     problem = situation.problem
     if not any(term.shares_places for term in problem.terms):
         return []

@@ -34,7 +34,7 @@ class PathWorth:
         return float(sum(self.by_term(path_m))) - slack_cost(self.situation, path_m)
 
     def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
-        """What each term of the objective contributes, its weight included.
+        """Return the contribution of each term of the objective, its weight included.
 
         Raises
         ------
@@ -71,7 +71,7 @@ SHARE_IN_DB = 100.0
 
 
 def slack_cost(at: Situation, path_m: NDArray[np.float64]) -> float:
-    """What the slack of a path (N, 2) costs, in the objective's unit."""
+    """Return the cost of a path's (N, 2) slack, in the objective's unit."""
     rule = at.problem.constraints.rule
     if rule.slack_price == 0.0:
         return 0.0
@@ -83,7 +83,7 @@ def slack_cost(at: Situation, path_m: NDArray[np.float64]) -> float:
 
 
 def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
-    """By how much a path (N, 2) misses the rule beyond its slack; 0 where it does not.
+    """Return by how much a path (N, 2) misses the rule beyond its slack; 0 where it does not.
 
     In dB, of all steps together; of a rule over a whole plan as a share of what is asked times
     `SHARE_IN_DB`.
@@ -101,7 +101,7 @@ def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
 
 
 def _missed_db(at: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much each step that is asked for misses the bound; (N,)."""
+    """Return by how much each step that is asked for misses the bound; (N,)."""
     power, problem = at.power(path_m), at.problem
     margins = margins_asked_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB

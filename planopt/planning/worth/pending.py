@@ -100,7 +100,7 @@ def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> ND
 
 
 def counts_others(problem: Problem) -> bool:
-    """Whether robots are told what the others of their team measure, and a term counts it."""
+    """Return whether robots are told what others of the team measure, and a term counts it."""
     return problem.planner.coordination == "joint" and any(
         term.counts_others for term in problem.terms
     )

@@ -47,7 +47,7 @@ class ReachCost:
 
     @property
     def outage_price(self) -> float:
-        """What a metre out of contact costs besides."""
+        """Return the price of a metre out of contact."""
         return self.problem.reach.outage_price if self.priced else 0.0
 
     @property
@@ -119,12 +119,12 @@ class ReachCost:
         return outage_share(chance, self._is_below(power), self._everywhere)
 
     def metre_costs(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What a metre counts where the robot is and along a path (N, 2), in metres; (N + 1,)."""
+        """Return the cost of a metre at the robot and along a path (N, 2), in metres; (N + 1,)."""
         places = np.vstack([self.position_m, path_m])
         return 1.0 + self.outage_price * self._outage_share(places)
 
     def outage_charges(self, path_m: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """What of a metre is charged where the robot is, and what would be along a path (N, 2).
+        """Return the charged share of a metre at the robot, and along a path (N, 2).
 
         The second as if connection were impossible there; (N,).
         """
@@ -144,5 +144,5 @@ class ReachCost:
 
 
 def resting_places_m(drive: Drive) -> NDArray[np.float64]:
-    """Where a robot would come to stand if it braked from each state of a drive; (N + 1, 2)."""
+    """Return where a robot that brakes from each state of a drive would stand; (N + 1, 2)."""
     return np.column_stack(drive.dynamics.resting_place(tuple(drive.states.T)))

@@ -194,7 +194,7 @@ def scores_of(
     threshold_dbm: float,
     law: ConnectionLaw | None = None,
 ) -> Derivatives:
-    """How many deviations the mean of every stage is above a threshold, as a normal score."""
+    """Return the normal score of every stage: deviations of the mean above a threshold."""
     spread = np.maximum(deviation.value, LEAST_DEVIATION_DB)
     z, by = (mean.value - threshold_dbm) / spread, (1.0 / spread)[:, None]
     first = by * (mean.gradient - z[:, None] * deviation.gradient)
@@ -214,7 +214,7 @@ def stage_predictor(
     path_m: NDArray[np.float64],
     neighbours: int,
 ) -> StagePredictor | ServingStages:
-    """What predicts the stages about a path (N, 2): several stations where `broad` has them."""
+    """Return the predictor of stages about a path (N, 2), of several stations by `broad`."""
     if isinstance(broad, Serving):
         return ServingStages(broad, path_m, neighbours)
     return StagePredictor(neighbour_model(posterior, path_m, neighbours))
@@ -230,5 +230,5 @@ def stage_powers(
 
 
 def serving_of(predict: StagePredictor | ServingStages, powers: Sequence[StagePower]) -> StagePower:
-    """What connectivity rests on, from :func:`stage_powers`."""
+    """Return the power that connectivity rests on, from :func:`stage_powers`."""
     return predict.law(powers) if isinstance(predict, ServingStages) else powers[0]

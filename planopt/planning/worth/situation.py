@@ -28,7 +28,7 @@ from planopt.targets.information_filter import TargetModel
 
 
 def structure_of(problem: Problem) -> Structure:
-    """How the worth of a path couples its places.
+    """Return how the worth of a path couples its places.
 
     A dynamic programme over places is exact unless it couples all of them.
     """
@@ -39,7 +39,7 @@ def structure_of(problem: Problem) -> Structure:
 
 
 def bends_starts(problem: Problem, *, steered: bool = True) -> bool:
-    """Whether the places of a path are coupled by a term that no lattice search stands in for.
+    """Return whether a term couples the places of a path and no lattice search stands in.
 
     Then paths in all directions are tried besides those of the lattice, and more are followed. A
     term that steers the robot may do without them, but not where it is steered nowhere.
@@ -173,7 +173,7 @@ class Situation:
 
     @property
     def target_motion(self) -> TargetModel:
-        """How the target moves."""
+        """Return how the target moves."""
         return target_model(self.problem)
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
@@ -205,7 +205,7 @@ class Situation:
 
     @cached_property
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
-        """What is believed of each station's channel once the others' measurements are known."""
+        """Return each station's posterior once the others' measurements are known."""
         spacing = self.problem.channel.measure_spacing_m
         return anticipated(self.stations, self.pending, self.position_m, spacing)
 
@@ -216,7 +216,7 @@ class Situation:
 
     @property
     def held(self) -> Held | None:
-        """What the robot holds of the target; of the others nothing is told."""
+        """Return what the robot holds of the target; of the others nothing is told."""
         if self.own_held is None:
             return None
         others = np.zeros((len(self.others_m), self.own_held.steps))
@@ -224,12 +224,12 @@ class Situation:
 
     @property
     def stations(self) -> tuple[ChannelPosterior, ...]:
-        """What is believed of each station's channel."""
+        """Return the posterior of each station's channel."""
         broad = self.circumstances.broad
         return broad.posteriors if isinstance(broad, Serving) else (self.posterior,)
 
     def law(self, powers: Sequence[Prediction]) -> Prediction:
-        """What connectivity rests on, from predictions of each station's power."""
+        """Return the power that connectivity rests on, from each station's prediction."""
         broad = self.circumstances.broad
         return broad.law(powers) if isinstance(broad, Serving) else powers[0]
 
@@ -241,7 +241,7 @@ class Situation:
 
     @cached_property
     def measuring(self) -> MeasuringRule:
-        """Which places bring a measurement."""
+        """Return the rule by which places bring a measurement."""
         return MeasuringRule.of(self.anticipated, self.problem.channel.measure_spacing_m)
 
     @cached_property
@@ -252,7 +252,7 @@ class Situation:
 
     @cached_property
     def near_region(self) -> Region:
-        """Where the map is wanted, fine where a plan can change anything."""
+        """Return the region of the map, fine where a plan can change anything."""
         return region_near(self.problem, self.region, self.position_m)
 
     @cached_property
@@ -265,7 +265,7 @@ class Situation:
 
     @cached_property
     def tries(self) -> MeasuringRule:
-        """Which places a search for connection tries.
+        """Return the rule by which places are tried for connection.
 
         None near measurements without connection: multipath is known there. Nor where the robot
         is, unless its last step was connected, or was before without one: near a measurement with
@@ -297,7 +297,7 @@ class Situation:
 
     @property
     def workspace_diagonal_m(self) -> float:
-        """From corner to corner of the bounds."""
+        """Return the length from corner to corner of the bounds."""
         x_min, y_min, x_max, y_max = self.problem.workspace.bounds_m
         return math.hypot(x_max - x_min, y_max - y_min)
 

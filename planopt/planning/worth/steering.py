@@ -274,7 +274,7 @@ class GoalSteering:
         ends_m: NDArray[np.float64],
         metre_cost: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """What straight legs to `ends_m` (n, 2) cost, at the nodes nearest to places on them."""
+        """Return the cost of straight legs to `ends_m` (n, 2), at the nodes nearest to them."""
         road_map = self._ground.road_map
         lattice = road_map.lattice
         lengths = np.linalg.norm(ends_m - start_m, axis=1)

@@ -98,12 +98,12 @@ class SteeringWay:
         return len(legs) - away[:, ::-1].argmin(axis=1)
 
     def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How far it is from each place (n, 2) to the end of the way; (n,)."""
+        """Return how far it is from each place (n, 2) to the end of the way; (n,)."""
         turns = self.next_turns(places_m)
         return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
 
     def path_m(self, steps: int, longest_m: float) -> NDArray[np.float64]:
-        """Where a robot is that drives the way, ending a step at every turn; ``(steps, 2)``."""
+        """Return the path along the way, ending a step at every turn; ``(steps, 2)``."""
         found: list[NDArray[np.float64]] = []
         here = self.turns_m[0]
         for turn in self.turns_m[1:]:
@@ -116,7 +116,7 @@ class SteeringWay:
         return np.array(found[:steps])
 
     def gained_m(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """By how much the places of ways (..., N, 2) are nearer than the start, summed; (...)."""
+        """Return how much nearer the places of ways (..., N, 2) are than the start, summed."""
         distance = self.distance_m(ways_m.reshape(-1, 2)).reshape(ways_m.shape[:-1])
         return (self.rest_m[0] - distance).sum(axis=-1)
 

@@ -12,19 +12,19 @@ from planopt.problems.problem import Problem
 
 
 def margin_missed(margin_db: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Where margins are below zero by more than rounding."""
+    """Return where margins are below zero by more than rounding."""
     return margin_db < -MARGIN_TOLERANCE_DB
 
 
 def is_missed(result: RuleResult) -> bool:
-    """Whether a rule is missed by more than rounding."""
+    """Return whether a rule is missed by more than rounding."""
     return result.missing > RULE_TOLERANCE * max(1.0, abs(result.asked))
 
 
 def data_asked_mbit(
     problem: Problem, history: History, count: int
 ) -> tuple[NDArray[np.float64], float]:
-    """What each of a plan's steps delivers if connected ``(count,)``, and what must be, in all.
+    """Return data of each step if connected ``(count,)``, and what must be delivered in all.
 
     What is missing is spread evenly over the time until the deadline: a plan that ends before it
     must deliver its share, one that reaches it everything.
@@ -42,12 +42,12 @@ def data_asked_mbit(
 
 
 def connected_steps_asked(problem: Problem, history: History, count: int) -> float:
-    """How many of a plan's steps must be connected, for the average over the run and the plan."""
+    """Return how many steps must be connected, for the average over run and plan."""
     return problem.constraints.p_min * (history.steps + count) - history.connected_steps
 
 
 def is_priced(problem: Problem) -> bool:
-    """Whether single steps may miss the bound at a price: of a robot that is to reach a goal.
+    """Return whether single steps may miss the bound at a price, on the way to a goal.
 
     A stated time is asked for itself: the price is of metres, and a robot may wait in contact.
     """

@@ -124,7 +124,7 @@ def proven_rule(rule: ConnectivityRule) -> ProvenRule:
 
 
 def asked_steps(problem: Problem, history: History, count: int) -> NDArray[np.bool_]:
-    """Whether p_min is asked of each of a plan's `count` steps by itself; ``(count,)``.
+    """Return whether p_min is asked of each of a plan's `count` steps by itself; ``(count,)``.
 
     Rules over several steps ask it of none.
     """

@@ -47,7 +47,7 @@ they end, the grid is as it is."""
 
 @dataclass(frozen=True)
 class StepsFinding:
-    """What is found of the bound on single steps; fields as in the certificate.
+    """The findings on the bound on single steps; fields as in the certificate.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ def _result(
     asked: NDArray[np.bool_],
     relaxation_db: tuple[float, ...],
 ) -> RuleResult | None:
-    """How many of the steps that are asked for keep the bound; None for the plain rule."""
+    """Return how many of the steps asked for keep the bound; None for the plain rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
         return None
@@ -196,7 +196,7 @@ def _priced(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
 ) -> tuple[PricedPath, float]:
-    """What a path (N + 1, 2) costs with the rest of the way, and the cheapest that is found.
+    """Return the cost of a path (N + 1, 2) with the rest of the way, and the cheapest found.
 
     And the largest connectivity margin found in the workspace.
     """

@@ -14,7 +14,7 @@ HALVINGS = 22
 
 
 def whole_plan_result(case: PathCase) -> RuleResult:
-    """What a path achieves of a rule over all its steps, and by how many dB it misses it.
+    """Return what a path achieves of a rule over all steps, and by how many dB it misses.
 
     The slack is the least lowering of the threshold with which the rule holds; where it does not
     within `slack_max_db`, or none is allowed, it is zero and the rule is missed.
@@ -33,7 +33,7 @@ def whole_plan_result(case: PathCase) -> RuleResult:
 
 
 def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
-    """Why a path does not keep its rule; nothing where it does, within its slack."""
+    """Return why a path does not keep its rule; nothing where it does, within its slack."""
     if not is_missed(result) or result.slack_db > 0.0:
         return []
     rule = problem.constraints.rule

@@ -31,7 +31,7 @@ from planopt.problems.problem import Problem
 
 
 class PlannedJoint(PlannedRule):
-    """All steps of a plan together."""
+    """The planner's half of the rule that all steps together are connected."""
 
     allocates: ClassVar[bool] = True
     more_steps: ClassVar[bool] = False

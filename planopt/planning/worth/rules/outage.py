@@ -103,7 +103,7 @@ def _measured(
 def _excess(
     sizes: NDArray[np.float64], missed: NDArray[np.bool_], limit: float, before: float
 ) -> NDArray[np.float64]:
-    """How much longer than `limit` the longest run of missed steps is, by row; ``(c,)``."""
+    """Return how much longer than `limit` the longest run of missed steps is; ``(c,)``."""
     run = np.full(len(sizes), before)
     longest = np.zeros(len(sizes))
     for size, out in zip(sizes.T, missed.T, strict=True):
@@ -146,7 +146,7 @@ def held_steps(situation: Situation, path_m: NDArray[np.float64]) -> NDArray[np.
 def fewest_held(
     sizes: NDArray[np.float64], keeps: NDArray[np.bool_], limit: float, before: float
 ) -> NDArray[np.bool_]:
-    """Which steps to hold so that no run of others is above `limit`; ``(n,)``.
+    """Return which steps to hold so that no run of others is above `limit`; ``(n,)``.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ UNASKED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RuleRows:
-    """What is asked of a path of N steps.
+    """The rows of the rule for a path of N steps.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ def held_rows(problem: Problem, asked: NDArray[np.bool_]) -> RuleRows:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """What a search minds.
+    """The steps, level and credits that a search minds.
 
     Attributes
     ----------
@@ -196,12 +196,12 @@ def planned_rule(rule: ConnectivityRule) -> PlannedRule:
 
 
 def has_step_rows(problem: Problem) -> bool:
-    """Whether single steps are bounded."""
+    """Return whether single steps are bounded."""
     return problem.constraints.asks_connection and not has_sum_row(problem)
 
 
 def has_sum_row(problem: Problem) -> bool:
-    """Whether a sum over the steps is bounded."""
+    """Return whether a sum over the steps is bounded."""
     return planned_rule(problem.constraints.rule).bounds_sum
 
 

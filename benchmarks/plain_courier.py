@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from planopt import load
 from planopt.channel.fields.truth import mean_power_dbm, measure
 from planopt.channel.prediction import connection_probability
-from planopt.planning.arrival import is_at_goal
 from planopt.planning.history import BEGINNING
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.problems.problem import Problem

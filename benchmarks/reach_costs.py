@@ -26,7 +26,7 @@ from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
-from planopt.problems.objective_forms import OutageCharge, ReachObjective
+from planopt.problems.problem import OutageCharge, ReachObjective
 from planopt.studies.bench.cases import library_names
 from planopt.studies.compare import mean_interval
 

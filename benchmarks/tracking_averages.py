@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from planopt import Problem, load, simulate
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
 from planopt.planning.loop.metrics import LOST_RATIO
-from planopt.problems.objective_forms import TermsObjective
+from planopt.problems.problem import TermsObjective
 from planopt.problems.target import Packets
 from planopt.studies.compare import mean_interval
 

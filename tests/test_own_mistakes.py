@@ -28,7 +28,7 @@ from planopt.extend import (
 )
 from planopt.objectives import LearningTerm
 from planopt.objectives.terms import term as terms
-from planopt.problems import FunctionTruth, rule_kinds
+from planopt.problems import FunctionTruth, constraints
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +36,7 @@ def forgotten(monkeypatch):
     """Forget own kinds after each test."""
     terms.registered_terms()
     monkeypatch.setattr(terms, "_kinds", dict(terms._kinds))
-    monkeypatch.setattr(rule_kinds, "_registered", dict(rule_kinds._registered))
+    monkeypatch.setattr(constraints, "_registered", dict(constraints._registered))
 
 
 @pytest.fixture(scope="module")

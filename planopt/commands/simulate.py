@@ -65,7 +65,7 @@ def simulate(asked: Asked) -> int:
 def _say_ahead(asked: Asked, plans: Sequence[Plan]) -> None:
     """Tell of coverage holes on the way before the first step, unless JSON was asked for."""
     from planopt.planning.holes import goal_in_words, holes_in_words
-    from planopt.planning.robot_problem import problem_of_robot
+    from planopt.problems.problem import problem_of_robot
 
     if asked.json or asked.problem.task != "reach":
         return

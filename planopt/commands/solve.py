@@ -71,7 +71,7 @@ def solve(asked: Asked) -> int:
 
 def _in_words(solution: Solution) -> str:
     from planopt.planning.explain.explanation import Crossing
-    from planopt.planning.robot_problem import problem_of_robot
+    from planopt.problems.problem import problem_of_robot
 
     problem, plans = solution.problem, solution.plans
     lines = [

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.problems.rule_kinds import rule_kind
+from planopt.problems.constraints import rule_kind
 
 
 @dataclass(frozen=True)

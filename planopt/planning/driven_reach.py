@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.arrival import stands, stops_at_goal
 from planopt.planning.budget import Budget
 from planopt.planning.driven import (
     drive_candidate,
@@ -28,6 +27,7 @@ from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.pivot import ROUNDING_STEPS, Ahead, GoalCharge, find_pivot
+from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.lattice_search import retime

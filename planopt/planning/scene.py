@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from planopt.errors import NoPlanError
 from planopt.planning.free_space import is_joined
 from planopt.planning.roads import build_roads, nodes_in_reach
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 from planopt.world.lattice import nearest_node, node_positions
 from planopt.world.road_map import RoadMap, Ways, shortest_ways

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from planopt.planning.budget import Budget, solve_limit_s
 from planopt.planning.driven import motion_shape, motion_task, polished_drive, standstill_m
 from planopt.planning.judge import Candidate, Judge
-from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Rung, Termination
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.offenders import (
@@ -28,6 +27,7 @@ from planopt.planning.programme.offenders import (
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
+from planopt.planning.proof.circumstances import obstacles_ahead
 from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
 from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start

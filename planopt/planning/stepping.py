@@ -20,14 +20,13 @@ from planopt.planning.history import history_of
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan, Rung
-from planopt.planning.robot_problem import problem_at, problem_of_robot
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.team.couriers import Couriers
 from planopt.planning.team.crew import TeamMoment, build_crew, plan_together
 from planopt.planning.team.reservations import has_separation
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.situation import Aim
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_at, problem_of_robot
 from planopt.world.workspace import Obstacle
 
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]

@@ -16,8 +16,7 @@ from planopt.problems.channel_setup import (
     RasterTruth,
     SampledMeasurements,
 )
-from planopt.problems.objective_forms import ReachObjective, TermsObjective
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, ReachObjective, TermsObjective
 from planopt.problems.schema import ProblemFile
 from planopt.problems.schema_channel import (
     ChannelTable,

@@ -10,8 +10,7 @@ from planopt.errors import InputError, require_text
 from planopt.problems.check_motion import check_dynamics
 from planopt.problems.checks import check
 from planopt.problems.messages import input_error
-from planopt.problems.objective_forms import TermsObjective
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, TermsObjective
 from planopt.problems.robot import Robot
 from planopt.problems.save import problem_to_dict
 from planopt.problems.schema import ProblemFile

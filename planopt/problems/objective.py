@@ -11,7 +11,7 @@ from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
 from planopt.objectives.terms.transmission_energy import TransmissionEnergyTerm
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
-from planopt.problems.objective_forms import CostToGo, ReachObjective, TermsObjective
+from planopt.problems.problem import CostToGo, ReachObjective, TermsObjective
 
 __all__ = [
     "CasadiTerm",

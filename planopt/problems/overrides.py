@@ -18,9 +18,8 @@ from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
 from planopt.problems.load import check_files, problem_from_tables
 from planopt.problems.messages import input_error
-from planopt.problems.objective_forms import ReachObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, ReachObjective
 from planopt.problems.save import problem_to_dict
 from planopt.problems.schema_objective import ObjectiveTable
 from planopt.problems.settings import PlannerSettings

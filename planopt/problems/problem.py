@@ -1,25 +1,76 @@
-"""A planning problem as plain frozen data, units in the names. No file, no solver, no truth."""
+"""A planning problem as plain frozen data, units in the names. No file, no solver, no truth.
+
+Its objective has two forms: reach a goal, or a weighted sum of terms. Also the problem at one time
+of a run, and that of one robot.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from planopt.objectives.terms.term import require_kind
+from planopt.objectives.terms.term import Term, require_kind
 from planopt.parts import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.comparison_settings import ComparisonSettings
 from planopt.problems.constraints import Constraints
-from planopt.problems.objective_forms import CostToGo, ReachObjective, Term, TermsObjective
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.target import Target
 from planopt.short_repr import wrapped
 from planopt.world.workspace import Workspace
+
+CostToGo = Literal["geodesic", "connected"]
+OutageCharge = Literal["below_p_min", "everywhere"]
+
+
+@dataclass(frozen=True)
+class ReachObjective:
+    """Reach the goal in least time and effort, out of contact as little as that is worth.
+
+    The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
+    driven where the probability of connection is P counts ``1 + outage_price (1 - P)`` metres.
+
+    Attributes
+    ----------
+    effort_weight_s2_m2
+        Seconds of travel that one second at 1 m/s is worth, in s^2/m^2.
+    cost_to_go
+        What the way beyond the horizon costs: ``geodesic`` (shortest way round the obstacles) or
+        ``connected`` (cheapest path at the outage price).
+    outage_price
+        What a metre that is certainly out of contact costs besides, in metres (a number).
+    outage_charge
+        Where that is charged: ``everywhere``, which is the expected cost, or ``below_p_min`` only.
+    """
+
+    effort_weight_s2_m2: float = 0.1
+    cost_to_go: CostToGo = "connected"
+    outage_price: float = 10.0
+    outage_charge: OutageCharge = "everywhere"
+
+    @property
+    def charges_everywhere(self) -> bool:
+        """Return whether places that keep p_min are charged, too."""
+        return self.outage_charge == "everywhere"
+
+
+@dataclass(frozen=True)
+class TermsObjective:
+    """A weighted sum of named terms over the horizon, to be maximised.
+
+    Attributes
+    ----------
+    terms
+        At least one; the first is the task's.
+    """
+
+    terms: tuple[Term, ...]
+
 
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
@@ -214,3 +265,34 @@ def _objective(
     for number, term in enumerate(found):
         require_kind(term, f"objective.terms[{number}]")
     return TermsObjective(found)
+
+
+def problem_at(problem: Problem, steps: int) -> Problem:
+    """Return `problem` with the obstacles that are known after so many steps.
+
+    The problem itself where these are its obstacles.
+    """
+    workspace = problem.workspace
+    if not workspace.timed:
+        return problem
+    known = workspace.known_at(steps * problem.planner.step_s)
+    if known == workspace.obstacles:
+        return problem
+    return replace(problem, workspace=replace(workspace, obstacles=known))
+
+
+def problem_of_robot(problem: Problem, number: int) -> Problem:
+    """`problem` with robot number `number` alone, and with the weights that it gives its terms."""
+    robot = problem.robots[number]
+    alone = replace(problem, robots=(robot,))
+    if not robot.weights:
+        return alone
+    own = tuple(
+        replace(term, weight=weight)
+        for term, weight in zip(problem.terms, robot.weights, strict=True)
+        if weight > 0.0
+    )
+    # Its weights are those of its terms now.
+    return replace(
+        alone, robots=(replace(robot, weights=()),), objective=replace(problem.objective, terms=own)
+    )

@@ -27,8 +27,7 @@ from planopt.problems.channel_setup import (
     SampledMeasurements,
 )
 from planopt.problems.load import problem_from_tables
-from planopt.problems.objective_forms import ReachObjective, Term
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, ReachObjective, Term
 from planopt.problems.schema import SCHEMA_VERSION
 from planopt.problems.schema_constraints import constraints_table
 from planopt.problems.schema_robot import robot_table

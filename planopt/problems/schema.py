@@ -17,9 +17,9 @@ from pydantic_core import PydanticCustomError
 from planopt.objectives.terms.term import registered_terms
 from planopt.problems.base_station import BaseStation
 from planopt.problems.comparison_settings import ComparisonSettings
+from planopt.problems.constraints import rule_kind
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Task
-from planopt.problems.rule_kinds import rule_kind
 from planopt.problems.schema_channel import ChannelTable
 from planopt.problems.schema_constraints import ConstraintsTable
 from planopt.problems.schema_objective import ObjectiveTable

@@ -9,8 +9,14 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from planopt.errors import InputError
-from planopt.problems.constraints import ConnectivityRule, Constraints, ParameterUncertainty
-from planopt.problems.rule_kinds import OWN, known_rule, rule_kind
+from planopt.problems.constraints import (
+    OWN,
+    ConnectivityRule,
+    Constraints,
+    ParameterUncertainty,
+    known_rule,
+    rule_kind,
+)
 from planopt.problems.tables import Table
 
 Positive = Annotated[float, Field(gt=0, le=1e9)]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from planopt.problems.objective_forms import CostToGo, OutageCharge, ReachObjective, Term
+from planopt.problems.problem import CostToGo, OutageCharge, ReachObjective, Term
 from planopt.problems.tables import Table
 from planopt.problems.term_tables import ANY_TERM
 

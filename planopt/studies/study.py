@@ -38,6 +38,7 @@ from planopt.files.regular import read_bytes, read_text
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import remove_remains, strict_text, write_text
 from planopt.objectives.terms.term import Term, outside_terms, register
+from planopt.problems.constraints import register_rule, registered_rules
 from planopt.problems.planner_kinds import (
     PlannerKind,
     register_planner,
@@ -45,7 +46,6 @@ from planopt.problems.planner_kinds import (
 )
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import FILE_KEYS
-from planopt.problems.rule_kinds import register_rule, registered_rules
 from planopt.problems.save import problem_to_dict
 
 UNDECIDING = ("report", "compare")

@@ -18,7 +18,7 @@ from planopt.planning.leaving import leaving_path
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.robot_problem import problem_at
+from planopt.problems.problem import problem_at
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.unicycle import Unicycle

@@ -22,10 +22,9 @@ from planopt.errors import InputError
 from planopt.planning.baselines.baseline import held, released
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import build_ground
 from planopt.planning.worth.situation import Situation
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.targets.sensor import sensing_information
 from planopt.world.road_map import RoadMap
 

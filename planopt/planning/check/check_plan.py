@@ -64,12 +64,10 @@ from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.roads import build_roads
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.solution import Solution
 from planopt.planning.team.reservations import beside, others_of, worst_of_robots
-from planopt.planning.worth.pending import counts_others
-from planopt.planning.worth.situation import Aim
-from planopt.problems.problem import Problem
+from planopt.planning.worth.situation import Aim, counts_others
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.robots.drive import braked_motion
 
 OBSTACLE = "world.obstacles ("

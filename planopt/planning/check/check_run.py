@@ -71,12 +71,10 @@ from planopt.planning.plan import Plan, Rung
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.goal_paths import GoalGrid
 from planopt.planning.roads import build_roads
-from planopt.planning.robot_problem import problem_at, problem_of_robot
 from planopt.planning.run import Run
 from planopt.planning.team.reservations import beside, others_of, worst_of_robots
-from planopt.planning.worth.pending import counts_others, places_of_others
-from planopt.planning.worth.situation import Aim
-from planopt.problems.problem import Problem
+from planopt.planning.worth.situation import Aim, counts_others, places_of_others
+from planopt.problems.problem import Problem, problem_at, problem_of_robot
 from planopt.robots.drive import Drive, braked_motion
 from planopt.world.clearance import ObstacleIndex
 from planopt.world.timed_motion import TimedMotion

@@ -27,14 +27,13 @@ from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.verify import judge
-from planopt.planning.robot_problem import problem_at
 from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.situation import Aim, Situation
 from planopt.planning.worth.steering_way import steering_way
 from planopt.problems.planner_kinds import planner_kind
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_at
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 

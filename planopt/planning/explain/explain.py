@@ -33,7 +33,6 @@ from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.proof.predictions import broad_prediction
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
@@ -41,7 +40,7 @@ from planopt.planning.solve import solve, solve_on
 from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.road_map import RoadMap, shortest_ways, way_from
 
 SolveAgain = Callable[[Problem], Verdict]

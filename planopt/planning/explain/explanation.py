@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.holes import SHORTEST_IN_WORDS_M, Hole
 from planopt.planning.plan import Plan
-from planopt.planning.robot_problem import problem_of_robot
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.moving_obstacle import MovingDiscs
 
 

@@ -24,9 +24,8 @@ from planopt.planning.proof.predictions import broad_prediction, certified_predi
 from planopt.planning.proof.rules.asked import is_missed, margin_missed
 from planopt.planning.proof.rules.proven import PathCase
 from planopt.planning.proof.rules.whole_plan import whole_plan_result
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.tolerances import margins_asked_db
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 
 SETTLED_SHARE = 0.02
 """The least amount that helps is found to this share of itself."""

@@ -18,8 +18,7 @@ from planopt.channel.fields.truth import Truth, mean_power_dbm
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.roads import node_at, nodes_in_reach
-from planopt.planning.robot_problem import problem_of_robot
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
 from planopt.world.road_map import RoadMap, cheapest_ways, way_from
 

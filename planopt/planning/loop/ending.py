@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
-from planopt.planning.arrival import is_at_goal, stands
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Verdict
+from planopt.planning.proof.motion import is_at_goal, stands
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.left_to_learn import learns, left_to_learn
-from planopt.planning.worth.pending import (
+from planopt.planning.worth.situation import (
     NOTHING_PENDING,
     Pending,
     anticipated,

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import Truth, true_power_dbm
-from planopt.planning.arrival import is_at_goal, stands
 from planopt.planning.loop.log import Outcome, RobotRun, StepLog
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.plan import Plan, Rung, Verdict
+from planopt.planning.proof.motion import is_at_goal, stands
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.robots.drive import Drive

@@ -1,4 +1,7 @@
-"""The context that a plan is made and verified in, besides the problem and the posterior."""
+"""The context that a plan is made and verified in, besides the problem and the posterior.
+
+Moving obstacles are predicted over a plan's steps, and while robots brake after them.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,10 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.history import BEGINNING, History
-from planopt.planning.moving import obstacles_ahead
 from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid
 from planopt.planning.proof.predictions import Broad, broad_prediction
 from planopt.problems.problem import Problem
-from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
+from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs, predicted_discs
 
 _Asked = tuple[bytes, tuple[int, ...]]
 """A state, and steps."""
@@ -112,3 +114,31 @@ def circumstances_of(
     if moving is None:
         moving = obstacles_ahead(problem, history.steps)
     return Circumstances(moving, history, broad_prediction(problem, posteriors), goal_grid)
+
+
+def steps_ahead(problem: Problem) -> int:
+    """Steps for which it counts where everything is: planned ones, then the longest braking."""
+    settings = problem.planner
+    braking = [
+        robot.dynamics.longest_stop_steps(settings.step_s)
+        for robot in problem.robots
+        if robot.dynamics is not None
+    ]
+    return settings.horizon + max(braking, default=0)
+
+
+def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
+    """Return the predicted discs over the steps ahead, after `driven` steps of a run.
+
+    They are predicted anew at every step: what is not known of their way counts from then on.
+    """
+    if not problem.workspace.moving:
+        return NOTHING_MOVES
+    settings = problem.planner
+    return predicted_discs(
+        problem.workspace.moving,
+        driven * settings.step_s,
+        settings.step_s,
+        steps_ahead(problem),
+        problem.constraints.clearance_m,
+    )

@@ -1,4 +1,4 @@
-"""Judge a motion: where it sweeps, whether it can be driven, and how far it keeps from others.
+"""Judge a motion: its sweep, whether it can be driven, how far it keeps from others, arrival.
 
 For the single integrator the way is straight from place to place. Any other robot says by states
 and inputs how it drives: from them every step is computed again by the robot's dynamics, and the
@@ -6,7 +6,7 @@ way of stopping after the last step counts as swept, so that no next step is wit
 
 Distances at equal times need the times as well. A robot with dynamics brakes after the last step,
 which counts at its own times. So do the other robots, until all stand; moving obstacles count until
-this robot stands.
+this robot stands. A robot has arrived where it stands at the goal, or would come to stand there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M, STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion, dynamics_defect_m
 from planopt.robots.dynamics import Dynamics
@@ -240,3 +240,31 @@ def _within(problem: Problem, way: Way) -> bool:
     low = places.min(axis=0) - within + 2.0 * CLEARANCE_TOLERANCE_M
     high = places.max(axis=0) + within - 2.0 * CLEARANCE_TOLERANCE_M
     return bool(low[0] >= x_min and low[1] >= y_min and high[0] <= x_max and high[1] <= y_max)
+
+
+def is_at_goal(problem: Problem, place_m: NDArray[np.float64]) -> bool:
+    """Return whether a place (2,) is within the goal's radius."""
+    away = float(np.linalg.norm(place_m - np.asarray(problem.goal_m)))
+    return away <= problem.constraints.goal_radius_m
+
+
+def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
+    """Return whether the first robot stands in a state (s,): braking does not move it.
+
+    The single integrator always does.
+    """
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if dynamics is None:
+        return True
+    control = dynamics.braking(state, step_s, 1)[0]
+    after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)
+    return float(np.linalg.norm(after[:2] - state[:2])) <= STANDSTILL_M
+
+
+def stops_at_goal(problem: Problem, state: NDArray[np.float64]) -> bool:
+    """Return whether a robot with dynamics is at the goal and comes to stand there if it brakes."""
+    dynamics = problem.robots[0].dynamics
+    if dynamics is None or not is_at_goal(problem, state[:2]):
+        return False
+    way = dynamics.stop_way(state, problem.planner.step_s)
+    return stands(problem, state) if way is None else is_at_goal(problem, way.points_m()[0][-1])

@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
-from planopt.planning.arrival import is_at_goal
 from planopt.planning.certificate import Certificate
-from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.motion import judge_apart, judge_motion, swept_motion
+from planopt.planning.proof.circumstances import Circumstances, obstacles_ahead
+from planopt.planning.proof.motion import is_at_goal, judge_apart, judge_motion, swept_motion
 from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
 from planopt.planning.proof.rules.proven import PathCase
 from planopt.planning.proof.rules.single_steps import judge_single_steps

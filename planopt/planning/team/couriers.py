@@ -20,11 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.arrival import is_at_goal
-from planopt.planning.moving import obstacles_ahead
 from planopt.planning.plan import Plan, Rung, Verdict
+from planopt.planning.proof.circumstances import obstacles_ahead
+from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Outlook, ReachPlanner
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Scene
 from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
 from planopt.planning.team.crew import TeamMoment, keep_apart
@@ -36,7 +35,7 @@ from planopt.planning.team.reservations import (
     reserved_motion,
 )
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.moving_obstacle import MovingDiscs, joined_discs
 from planopt.world.timed_motion import TimedMotion
 

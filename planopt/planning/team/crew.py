@@ -27,7 +27,6 @@ from planopt.planning.plan import Plan, Verdict
 from planopt.planning.planners import Planner, asked_plan, planner_for
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
-from planopt.planning.robot_problem import problem_of_robot
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.team.reservations import (
     beside,
@@ -38,11 +37,17 @@ from planopt.planning.team.reservations import (
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.pending import NOTHING_PENDING, Pending, counts_others, places_of_others
-from planopt.planning.worth.situation import Aim, Situation
+from planopt.planning.worth.situation import (
+    NOTHING_PENDING,
+    Aim,
+    Pending,
+    Situation,
+    counts_others,
+    places_of_others,
+)
 from planopt.planning.worth.steering import ConnectionSteering, GoalSteering, Steering
 from planopt.planning.worth.steering_way import SteeringWay, steering_way
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
 
 Steer = Callable[[Situation], SteeringWay | None]

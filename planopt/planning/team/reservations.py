@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.certificate import Certificate, dearest, worst_result
-from planopt.planning.moving import obstacles_ahead, steps_ahead
 from planopt.planning.plan import Plan
+from planopt.planning.proof.circumstances import obstacles_ahead, steps_ahead
 from planopt.planning.proof.motion import judge_apart
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion, standing_motion

@@ -14,7 +14,7 @@ from planopt.errors import InputError
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.loop.target_watch import aim_of, counted, watch_target
 from planopt.planning.run import summary_of
-from planopt.problems.objective_forms import TermsObjective
+from planopt.problems.problem import TermsObjective
 from planopt.targets.information_filter import predict, predicted_information
 
 STEPS = 6

@@ -79,7 +79,7 @@ def _worth_together(solution):
     from planopt.planning.given import team_seeds
     from planopt.planning.history import BEGINNING
     from planopt.planning.team.crew import build_crew
-    from planopt.planning.worth.pending import Pending
+    from planopt.planning.worth.situation import Pending
 
     crew = build_crew(solution.problem, team_seeds(solution.problem, solution.seed))
     total, made = 0.0, []

@@ -11,7 +11,7 @@ from planopt.objectives.path_loss_learning import Criterion, path_loss_gain
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.pending import MOST_DRIVEN, Pending, anticipated
+from planopt.planning.worth.situation import MOST_DRIVEN, Pending, anticipated
 
 
 def mapping(form):

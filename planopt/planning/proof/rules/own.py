@@ -13,7 +13,7 @@ from planopt.parts import calling, class_name, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.proven import BySlack, PathCase, ProvenRule
-from planopt.problems.rule_kinds import register_rule
+from planopt.problems.constraints import register_rule
 
 KEY = "constraints.connectivity"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import sys
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+import planopt
 from planopt.problems.schema import json_schema
 
 ROOT = Path(__file__).parents[1]
@@ -102,3 +104,17 @@ def test_nothing_refers_to_what_a_reader_cannot_look_up() -> None:
     """No papers by nickname and no numbered equations of elsewhere in the schema's words."""
     words = json.dumps(json_schema())
     assert not re.findall(r"(?i)the seed's|theory|lemma \d|\bdesign\b|\(\d\)", words)
+
+
+def test_docstrings_begin_with_their_subject() -> None:
+    """No first line opens with What, Of or Where, as if it had neither subject nor verb."""
+    opening = re.compile(r"(What|Of|Where|Whether|Why|By how|Those|Plan alone)\b")
+    riddles = [
+        f"{path}: {words.splitlines()[0]}"
+        for path in sorted(Path(planopt.__file__).parent.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module)
+        and (words := ast.get_docstring(node)) is not None
+        and opening.match(words)
+    ]
+    assert not riddles

@@ -1,4 +1,4 @@
-"""How received power varies in space: fits, predictions, connection, ground truth.
+"""The radio channel: received power in space, fits, predictions, connection, ground truth.
 
 Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
 """

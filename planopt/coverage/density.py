@@ -1,4 +1,4 @@
-"""How much each place of a region matters: the uniform density, and smooth ones by quadrature.
+"""The density of a region, the weight of each place: uniform, or smooth by quadrature.
 
 A density is anything with the two methods of :class:`Density`; densities on a grid are in
 :mod:`planopt.coverage.raster_density`.

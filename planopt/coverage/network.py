@@ -1,4 +1,4 @@
-"""Who can talk to whom: undirected graphs of agents."""
+"""Communication networks: undirected graphs of agents."""
 
 from __future__ import annotations
 

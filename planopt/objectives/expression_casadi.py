@@ -1,5 +1,5 @@
 # pyright: basic
-"""From a CasADi expression to instructions, and from instructions to exact derivatives.
+"""CasADi expressions as instructions, and exact derivatives of these.
 
 Symbols are those of :data:`planopt.objectives.expression.WIDTHS`. Derivatives by them are CasADi's;
 what they change with the place comes from the stages' own predictions.

@@ -1,4 +1,4 @@
-"""Which places of a path bring a measurement: one rule for the loop, objectives, searches, solvers.
+"""The places of a path that bring a measurement: one rule for loop, objectives and solvers.
 
 A robot measures at the end of a step, but not nearer than the spacing to an earlier measurement:
 there multipath is known already, and another reading of it would tell nothing. The same holds

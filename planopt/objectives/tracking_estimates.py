@@ -21,7 +21,7 @@ from scipy.special import log_ndtr
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What robots have measured that the station does not know yet.
+    """The robots' measurements that the station does not know yet.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Held:
 
 
 def counting(held: int, stage: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Which of the K places' packets tell of step s at step k: ``(K, held + K, K)`` of 0 and 1.
+    """Return the packets that tell of step s at step k: ``(K, held + K, K)`` of 0 and 1.
 
     Parameters
     ----------

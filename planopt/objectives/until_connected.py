@@ -1,4 +1,4 @@
-"""How far a robot drives along a path until it is connected (equation 4.16): a cost, in metres.
+"""The expected distance along a path until connected (equation 4.16): a cost, in metres.
 
 Plans are valued by assumed-density filtering (equation 4.18): places are taken in turn, and given
 that the earlier ones are not connected, power at all later ones is taken as Gaussian again, with

@@ -1,1 +1,1 @@
-"""How a plan is found and proved."""
+"""Planning: plans are found, refined and verified."""

@@ -1,4 +1,4 @@
-"""How long a plan may take: until when searches go on and polishes begin, how long one may take."""
+"""The time budget of a plan: until when searches go on and polishes begin, and their limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which planner a problem asks for, all with the same way to ask for a plan."""
+"""The planner that a problem asks for, all with the same way to ask for a plan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a problem to what its robots know at the start: truth, first measurements, belief."""
+"""Prepare a run: ground truth, first measurements and initial belief of a problem."""
 
 from __future__ import annotations
 

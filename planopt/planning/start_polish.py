@@ -1,4 +1,4 @@
-"""From a start to candidates: polish it, and build in what the proof objects to.
+"""Turn a start into candidates: polish it, and build in what the proof objects to.
 
 All lines of a start path: from obstacles, from what moves, and from what moves after it.
 """

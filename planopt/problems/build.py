@@ -1,4 +1,4 @@
-"""From the validated tables of a problem file to the plain data that the rest works with."""
+"""Build the plain data of a problem from the validated tables of its file."""
 
 from __future__ import annotations
 

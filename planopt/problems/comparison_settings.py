@@ -1,4 +1,4 @@
-"""What a comparison of a problem runs where nothing else is asked for: settings and seeds."""
+"""The default settings and seeds of a comparison of a problem."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class SettingGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonSettings:
-    """What ``planopt compare`` runs where it is given no settings.
+    """The settings of ``planopt compare`` where it is given none.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How the plans of a problem are found and drawn."""
+"""Settings of the planner and of the report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How evaders move: not at all, at random, or away from their pursuers, greedily or ahead in time.
+"""The motion of evaders: none, at random, or away from pursuers, greedily or with foresight.
 
 Evaders see their pursuers exactly, and where these drive to. That is more than they would know, so
 that what holds against them holds against others.

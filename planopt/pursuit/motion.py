@@ -1,4 +1,4 @@
-"""How pursuers drive towards a point: straight, or as a unicycle that turns first or drives an arc.
+"""The motion of pursuers towards a point: straight, or as a unicycle with turns or arcs.
 
 States are arrays whose last axis begins with x and y, so that many are driven at once.
 """
@@ -60,7 +60,7 @@ class StraightMotion:
 
     @property
     def turning_s(self) -> float:
-        """None."""
+        """Return 0: it turns at once."""
         return 0.0
 
     def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:

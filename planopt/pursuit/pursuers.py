@@ -1,4 +1,4 @@
-"""How pursuers decide where to drive: to the reported place, in stages or to every new report."""
+"""The decisions of pursuers: drive to the reported place, in stages or to every new report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far robots keep from each other, and from moving obstacles, over time."""
+"""The distances of robots from each other and from moving obstacles, over time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TIME = "time [s]"
 
 
 def has_apart(problem: Problem) -> bool:
-    """Whether a problem asks robots to keep apart from each other or from what moves."""
+    """Return whether a problem asks robots to keep apart from each other or from what moves."""
     separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     return separated or bool(problem.workspace.moving)
 

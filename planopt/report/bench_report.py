@@ -1,4 +1,4 @@
-"""How planners did in the regression suite, as text and as a figure."""
+"""The results of planners in the regression suite, as text and as a figure."""
 
 from __future__ import annotations
 

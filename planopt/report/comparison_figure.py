@@ -52,7 +52,7 @@ Setting = tuple[str, str | None, str]
 
 @dataclass(frozen=True)
 class Look:
-    """How one setting is drawn: shift and width are in distances between horizons."""
+    """The style of one setting: shift and width are in distances between horizons."""
 
     label: str
     colour: str
@@ -67,7 +67,7 @@ WHOLE_RUN = "whole run"
 
 @dataclass(frozen=True)
 class Axis:
-    """What stands along the panels: the horizon, a swept key, or numbers of settings.
+    """The axis of the panels: the horizon, a swept key, or numbers of settings.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ def _shown(rows: Sequence[Row]) -> list[str]:
 
 
 def _numbered(panel: Panel, comparison: Comparison) -> list[Artist]:
-    """What numbers of settings mean, as entries of the legend without marks."""
+    """Return what numbers of settings mean, as entries of the legend without marks."""
     entries: list[Artist] = []
     names = short_keys(comparison.rows)
     for number, runs in enumerate(runs_by_setting(comparison.runs), start=1):

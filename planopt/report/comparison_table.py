@@ -168,7 +168,7 @@ def _paired(
 
 
 def _differs(row: Row | None) -> bool:
-    """Whether a metric differs from the first setting's on any seed."""
+    """Return whether a metric differs from the first setting's on any seed."""
     return row is not None and any((row.paired_difference, row.difference_low, row.difference_high))
 
 

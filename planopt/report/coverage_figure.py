@@ -55,7 +55,7 @@ UNLINKED: dict[str, Any] = {"color": PURPLE, "marker": "x", "label": "no connect
 
 @dataclass(frozen=True, eq=False)
 class NetworkPicture:
-    """What is drawn.
+    """The run of a network that is drawn, and what it ran on.
 
     Attributes
     ----------
@@ -357,7 +357,7 @@ def _paths(
 
 
 def _teams(panel: Panel, picture: NetworkPicture) -> None:
-    """How many agents respond to each event, and how many it asks for."""
+    """Draw how many agents respond to each event, and how many it asks for."""
     run, times_s = picture.run, picture.run.times_s[:-1]
     for number, event in enumerate(picture.events):
         colour = SERIES[number % len(SERIES)]
@@ -372,7 +372,7 @@ def _teams(panel: Panel, picture: NetworkPicture) -> None:
 
 
 def _errors(panel: Panel, picture: NetworkPicture) -> None:
-    """How far off the estimated places are, and what the agents think."""
+    """Draw the errors of the estimated places, and what the agents think."""
     run, times_s = picture.run, picture.run.times_s[:-1]
     for number, event in enumerate(picture.events):
         colour = SERIES[number % len(SERIES)]
@@ -388,7 +388,7 @@ def _errors(panel: Panel, picture: NetworkPicture) -> None:
 
 
 def _shade(panel: Panel, picture: NetworkPicture) -> None:
-    """When events are there."""
+    """Shade the times when events are there."""
     last_s = float(picture.run.times_s[-1])
     for number, event in enumerate(picture.events):
         colour = SERIES[number % len(SERIES)]

@@ -68,7 +68,7 @@ def window_about(problem: Problem, places_m: NDArray[np.float64]) -> Bounds:
 
 
 def _window_begin(low: float, high: float, side: float, first: float, last: float) -> float:
-    """Where a window about places from `low` to `high` begins, of bounds from `first` to `last`."""
+    """Return the begin of a window about `low` to `high`, of bounds `first` to `last`."""
     room = BORDER * side
     begin = (low + high - side) / 2.0
     if last - first + 2.0 * room <= side:
@@ -80,7 +80,7 @@ def _window_begin(low: float, high: float, side: float, first: float, last: floa
 
 
 def is_small(problem: Problem, window: Bounds) -> bool:
-    """Whether a window shows so little of the workspace that an inset has to say where it is."""
+    """Return whether a window shows so little of the workspace that it needs an inset."""
     x_min, _, x_max, _ = problem.workspace.bounds_m
     return window[2] - window[0] < INSET_BELOW * (x_max - x_min)
 
@@ -201,7 +201,7 @@ def _draw_margin(panel: Panel, problem: Problem, window: Bounds) -> Artist:
 
 
 def _rings(area: shapely.Geometry) -> list[NDArray[np.float64]]:
-    """All rings of polygons, (n, 2) each."""
+    """Return all rings of polygons, (n, 2) each."""
     return [ring_xy(line) for line in shapely.get_parts(shapely.boundary(area))]
 
 

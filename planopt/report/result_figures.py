@@ -62,7 +62,7 @@ MEANING = {
 
 
 def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
-    """What was found and what an independent check says of it, a line each.
+    """Return the plan and the verdict of an independent check in words, a line each.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
 
 
 def apart_words(proof: Certificate) -> list[str]:
-    """How far a plan keeps from other robots and from what moves; nothing where nothing does."""
+    """Return how far a plan keeps from robots and discs that move; nothing without any."""
     parts = [
         f"{distance:.3f} m from {what}"
         for distance, what in (
@@ -227,7 +227,7 @@ def _draw_distance(
 
 
 def team_plan_words(plans: Sequence[Plan]) -> list[str]:
-    """What was found for each robot and what an independent check says of it, a few lines each."""
+    """Return each robot's plan and the verdict of an independent check, a few lines each."""
     lines: list[str] = []
     for plan in plans:
         proof = plan.certificate

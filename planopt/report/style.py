@@ -1,4 +1,4 @@
-"""How every figure looks: colours that colour-blind readers can tell apart, sizes, and words.
+"""The style of every figure: colours for colour-blind readers as well, sizes, and words.
 
 Colours are those of Okabe and Ito (2008) and the perceptually even maps viridis and cividis.
 Nothing global is set: figures of the caller look as before.

@@ -12,7 +12,7 @@ from planopt.studies.comparison import Comparison
 
 @dataclass(frozen=True)
 class MetricName:
-    """How a metric is shown.
+    """The name, unit and form of a metric.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends
 
 
 def metric_name(metric: str) -> MetricName:
-    """How `metric` is shown; a metric unknown here is shown by its own name, as it is."""
+    """Return how `metric` is shown; a metric unknown here is shown by its own name, as it is."""
     return METRIC_NAMES.get(metric, MetricName(spaced(metric), "as is", 1.0, 3))
 
 

@@ -56,7 +56,7 @@ def layers_of(problem: Problem) -> tuple[Layer, ...]:
 
 
 def team_window(problem: Problem, places_m: NDArray[np.float64]) -> Bounds:
-    """What a map shows: a window about `places_m` and stations if they fill only a part of it.
+    """Return the map's window: about `places_m` and stations if these fill only a part.
 
     Where the whole channel matters, the whole workspace.
     """

@@ -125,7 +125,7 @@ def series_of(run: Run) -> tuple[tuple[Drawer, float], ...]:
 
 
 def _draw_apart(panel: Panel, run: Run) -> None:
-    """How far robots keep from each other and from what moves."""
+    """Draw how far robots keep from each other and from what moves."""
     log = run.runs[0].log
     step_s = run.problem.planner.step_s
     motions = [driven_motion(one.log.positions_m, one.drive, step_s) for one in run.runs]

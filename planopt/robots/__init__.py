@@ -1,1 +1,1 @@
-"""How robots move."""
+"""The dynamics of robots."""

@@ -202,7 +202,7 @@ class CasadiMap:
         return ()
 
     def stop_way(self, state: NDArray[np.float64], step_s: float) -> None:
-        """None."""
+        """Return None: a plan ends at rest."""
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
         """Return the change of the state by the rest input."""
@@ -210,11 +210,11 @@ class CasadiMap:
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Return none: a plan ends at rest."""
+        """Return 0: a plan ends at rest."""
         return 0
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """None."""
+        """Return 0: a plan ends at rest."""
         return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:

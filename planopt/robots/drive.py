@@ -1,4 +1,4 @@
-"""How a robot drives along a path, and where it is at which time until it stands.
+"""The drive of a robot along a path, and its place at each time until it stands.
 
 The single integrator, q+ = q + h v with a speed limit, drives straight within a step.
 """

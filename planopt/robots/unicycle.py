@@ -162,18 +162,18 @@ class Unicycle:
         return ()
 
     def stop_way(self, state: NDArray[np.float64], step_s: float) -> None:
-        """Return none: it stops at once."""
+        """Return None: it stops at once."""
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """None."""
+        """Return none: it stops at once."""
         return ()
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Return none: it stops at once."""
+        """Return 0: it stops at once."""
         return 0
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """None."""
+        """Return 0: it stops at once."""
         return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:

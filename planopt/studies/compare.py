@@ -312,12 +312,12 @@ def _motion_runs(
 
 
 def _horizons_of(planner: str, horizons: Sequence[int | None]) -> Sequence[int | None]:
-    """Those that matter to a planner: bounds foresee the whole run whatever the horizon."""
+    """Return those that matter to a planner: bounds foresee the whole run whatever the horizon."""
     return horizons[:1] if planner_kind(planner).foresees else horizons
 
 
 def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
-    """What is compared if nothing is said: both where there is a goal."""
+    """Return the costs-to-go compared by default: both where there is a goal."""
     return ("geodesic", "connected") if problem.task == "reach" else (None,)
 
 

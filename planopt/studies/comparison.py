@@ -78,7 +78,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All runs of a comparison and the table made of them.
+    """The runs of a comparison, and the table made of them.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ def setting_of(one: RunSummary | Row) -> tuple[str, str, str | None, str, int]:
 
 
 def has_horizon(one: RunSummary | Row) -> bool:
-    """Whether the horizon of a setting matters: bounds foresee the whole run, whatever it is."""
+    """Return whether a setting's horizon matters: bounds foresee the whole run, whatever it is."""
     kind = OWN.get(one.planner)
     return kind is None or not kind.foresees
 

@@ -162,7 +162,7 @@ def estimation_study(
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """What is measured of a channel, what a map of it should say, and that without multipath."""
+    """Measurements of a channel, and its map with and without multipath."""
 
     known: Measurements
     everywhere: Measurements

@@ -176,7 +176,7 @@ Group = TypeVar("Group")
 
 @dataclass(frozen=True)
 class Study(Generic[Item, Shared, Result]):
-    """How each item of a study is done; the functions must be picklable.
+    """The functions that do each item of a study; they must be picklable.
 
     Attributes
     ----------

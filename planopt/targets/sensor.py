@@ -1,4 +1,4 @@
-"""How well a robot senses the target from where it stands: best at a certain distance from it.
+"""The sensor of a robot: the noise of measuring the target by its distance.
 
 [GM11] gives ``tr Phi^-1 = 1 / g(r)`` and not Phi itself. Here Phi = 2 g I_2, which has that
 trace: noise alike in every direction, g half the variance of a coordinate.

@@ -1,4 +1,4 @@
-"""How far a robot drives until it is connected, along a given path (equation 3.14).
+"""The distance that a robot drives until it is connected, along a given path (equation 3.14).
 
 The prior field along a straight line, place by place: exact and fast.
 

@@ -1,1 +1,1 @@
-"""Which channel the measurements come from: five methods, their likelihoods and their doubts."""
+"""Fits of the channel to measurements: five methods, their likelihoods and uncertainty."""

@@ -1,4 +1,4 @@
-"""Which parameters a set of measurements can identify, asked before any estimation.
+"""The parameters that a set of measurements can identify, asked before any estimation.
 
 Five parameters are wanted (K_PL, n_PL, xi, beta, omega). Which of them the positions allow is a
 question of geometry and counts; the answer decides what is fitted and what is set to a prior, and

@@ -1,1 +1,1 @@
-"""How far a fitted channel can be believed: held-out walks and calibration."""
+"""Validation of a fitted channel: held-out walks and calibration."""

@@ -1,4 +1,4 @@
-"""How far predictions can be believed: coverage, PIT and error on held-out measurements.
+"""Calibration of predictions: coverage, PIT and error on held-out measurements.
 
 A prediction is a normal distribution. Over many held-out powers its probability integral transform
 (PIT), the share of the distribution below what was measured, should be uniform, and a central

@@ -1,1 +1,1 @@
-"""How many agents respond to an event, and which."""
+"""The agents that respond to an event: how many, and which."""

@@ -1,4 +1,4 @@
-"""How many of n agents an event asks for.
+"""The number of agents, of n, that an event asks for.
 
 A demand is any function from the number of agents to the number that should respond, between 0 and
 the number of agents. The constructors here return such functions; :func:`demanded` checks what one

@@ -1,4 +1,4 @@
-"""When an assignment is made anew, and how little of it is then changed.
+"""Hysteresis of an assignment: when it is made anew, and how little of it is then changed.
 
 An assignment that follows every step of the agents may flip: a coverage agent on its way to its
 centroid overtakes a slow sensing agent. So it is latched. It is made again when the number of

@@ -1,1 +1,1 @@
-"""How agents that cover a region and respond to events move."""
+"""Control of agents that cover a region and respond to events."""

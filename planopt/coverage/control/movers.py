@@ -1,4 +1,4 @@
-"""How agents get on toward their targets in one step: by the laws, or by a plan over a horizon."""
+"""Moves of agents toward their targets in one step: by laws, or by a plan over a horizon."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""How many agents there are, found by the agents themselves over their links."""
+"""Counting: agents find over their links how many they are."""

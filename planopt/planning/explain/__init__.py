@@ -1,1 +1,1 @@
-"""Why there is no verified plan, in the problem file's words, and the least change that helps."""
+"""Explanations why there is no verified plan, by the problem file's keys, and what helps."""

@@ -1,4 +1,4 @@
-"""Why a plan is not verified, and what would give one that is: each change by itself."""
+"""Explanation why a plan is not verified, and changes that each give one that is."""
 
 from __future__ import annotations
 

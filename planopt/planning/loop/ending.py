@@ -1,4 +1,4 @@
-"""When a closed loop ends: when its task is done, at a standstill, or after the steps allowed."""
+"""The end of a closed loop: its task is done, a standstill, or no step is left."""
 
 from __future__ import annotations
 

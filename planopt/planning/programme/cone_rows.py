@@ -86,7 +86,7 @@ class ConeRows:
 
 
 def no_cones() -> ConeRows:
-    """None."""
+    """Return rows of which none is a cone."""
     return _rows([], [], [], [], [])
 
 

@@ -1,4 +1,4 @@
-"""Which structure a solver for any smooth value of a path is built for."""
+"""The structure that a solver for any smooth value of a path is built for."""
 
 from __future__ import annotations
 

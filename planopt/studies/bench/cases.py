@@ -27,7 +27,7 @@ COSTS_TO_GO = ("connected", "geodesic")
 
 @dataclass(frozen=True, order=True)
 class Question:
-    """What planners are asked: their answers are compared with each other.
+    """A question to planners, whose answers are compared with each other.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ def problem_of(case: Case) -> Problem:
 
 
 def _allows(problem: Problem, planner: str) -> bool:
-    """Whether a planner can plan for a problem, without knowing the ground truth."""
+    """Return whether a planner can plan for a problem, without knowing the ground truth."""
     kind = planner_kind(planner)
     if kind.foresees or (kind.tracks and not problem.targets):
         return False

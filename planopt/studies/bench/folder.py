@@ -39,7 +39,7 @@ STUDY = Study(kind=Row, prepare=start_of, work=answer, key=key_of)
 
 @dataclass(frozen=True)
 class Manifest:
-    """What made the rows of a folder.
+    """The versions, machine and settings that made the rows of a folder.
 
     Attributes
     ----------

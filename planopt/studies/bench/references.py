@@ -45,7 +45,7 @@ _ABOUT = (
 
 @dataclass(frozen=True)
 class Reference:
-    """What a planner is known to reach in a case.
+    """The best that a planner is known to reach in a case.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Reference:
 
     @property
     def case(self) -> Case:
-        """What was asked, and of which planner."""
+        """Return the question, and of which planner it was asked."""
         question = Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
         return Case(question, self.planner)
 

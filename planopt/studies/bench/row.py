@@ -102,18 +102,18 @@ class Row:
 
     @property
     def question(self) -> Question:
-        """What was asked."""
+        """Return what was asked."""
         return Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
 
     @property
     def case(self) -> Case:
-        """What was asked, and of which planner."""
+        """Return the question, and of which planner it was asked."""
         return Case(self.question, self.planner)
 
 
 @dataclass(frozen=True)
 class Start:
-    """What the cases of one problem and seed share: the first belief, and scenes with goals."""
+    """The first belief, and scenes with goals, of all cases of one problem and seed."""
 
     prepared: Prepared
     scenes: tuple[Scene, ...] | None

@@ -25,7 +25,7 @@ CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
 
 @dataclass(frozen=True)
 class Score:
-    """How one planner did.
+    """The scores of one planner.
 
     Attributes
     ----------

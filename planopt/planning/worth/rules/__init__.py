@@ -1,1 +1,1 @@
-"""How plans are sought that keep a rule of connectivity, one file for each kind of rule."""
+"""The planners' halves of the rules of connectivity, one file for each kind of rule."""

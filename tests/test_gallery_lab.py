@@ -6,17 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import planopt
-
 PAGE = Path(__file__).parents[1] / "docs" / "gallery" / "plot_lab.py"
 TRUE = np.array([[1.0, 1.0], [4.0, 2.0], [2.0, 4.0]])
 
 
 @pytest.fixture
 def beside(tmp_path: Path, monkeypatch) -> Path:
-    """The folder of the data, beside a repository that is somewhere else."""
-    monkeypatch.setattr(planopt, "__file__", str(tmp_path / "repository/planopt/__init__.py"))
-    return tmp_path / "shared" / "data" / "lab"
+    """The folder of the data."""
+    monkeypatch.setenv("PLANOPT_DATA", str(tmp_path))
+    return tmp_path / "lab"
 
 
 def test_stand_in(beside: Path, capsys) -> None:

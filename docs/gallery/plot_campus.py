@@ -7,17 +7,17 @@ A log of walks, rides and drives on a university campus at 462.7 MHz, heard by t
 licence). Each receiver's channel is fitted, mapped, and then put to the test on whole days that the
 fit has not seen.
 
-The data are not part of planopt: they are read from ``../shared/data/campus`` beside the
-repository, and without them this page has no figure.
+The data are not part of planopt: they are read from the folder ``campus`` of the one that the
+variable ``PLANOPT_DATA`` of the environment names, and without them this page has no figure.
 """
 
 # %%
 # Positions are GPS, some metres off. Powers have an unknown constant for each receiver, which the
 # fit takes into :math:`K_{PL}`. Powers within 3 dB of the noise floor count as "at most this".
+import os
 from functools import partial
 from pathlib import Path
 
-import planopt
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.logs.log_file import read_columns, read_log
 from planopt.channel.logs.log_format import LogFormat
@@ -31,7 +31,7 @@ from planopt.report.calibration_figure import draw_calibration
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_posterior_map
 
-CAMPUS = Path(planopt.__file__).resolve().parents[2] / "shared" / "data" / "campus"
+CAMPUS = Path(os.environ.get("PLANOPT_DATA", "data")) / "campus"
 LOG = LogFormat(censored_column="near_floor")
 
 stations, floors_dbm, logs, fits = {}, {}, {}, {}

@@ -10,11 +10,14 @@ is or what a random path is. The problem ``fig3`` of the library has one choice.
 # %%
 # Plans of five steps for the average variance of the map, and two walks: uniform over the disc of
 # one step, and full steps that turn little.
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 
 from planopt import load, simulate
+from planopt.report.animation import save_animation
 from planopt.report.result_figures import draw_team_run
 
 problem = load("fig3")
@@ -48,5 +51,10 @@ for name, run in runs.items():
 # does not. What a random path is decides how much better planning looks: the page of results has
 # the comparison over seeds. Against full steps in random directions the paper's own form
 # (``two_layer``, one step ahead) has an RMS error less by 5.6 +- 4.3 % after 100 steps (14 seeds).
-#
-# ``planopt simulate fig3 --animation --out run`` draws a run step by step.
+
+# %%
+# ``planopt compare fig3`` makes the comparison of the figure. One run step by step,
+# the plans for the average variance
+# (``planopt simulate fig3 --animation --out run`` from the command line):
+animation = Path(tempfile.mkdtemp()) / "fig3.gif"
+save_animation(runs["auto"], animation)

@@ -12,11 +12,14 @@ does not say where station, robots and target start, nor how large the workspace
 # One step ahead, as in the paper (its criterion (4), the form ``additive``), and 20 steps ahead by
 # the form ``sampled``, which follows the station's filter through drawn channels: there an outage
 # lasts, robots side by side share it, and a packet more is worth less where one has come through.
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 
 from planopt import load, simulate
+from planopt.report.animation import save_animation
 from planopt.report.result_figures import draw_team_run
 
 problem = load("fig4")
@@ -59,5 +62,9 @@ for name, run in runs.items():
 # target lost; in many worlds they are alike. The form ``auto``, the default, is ``additive`` up to
 # ten steps and ``sampled`` beyond. The paper's order of the four strategies is not robust: the page
 # of results has their means.
-#
-# ``planopt simulate fig4 --animation --out run`` draws a run step by step.
+
+# %%
+# ``planopt compare fig4`` makes the comparison of the figure. One run step by step,
+# the longer horizon (``planopt simulate fig4 --animation --out run`` from the command line):
+animation = Path(tempfile.mkdtemp()) / "fig4.gif"
+save_animation(runs["20 steps, sampled"], animation)

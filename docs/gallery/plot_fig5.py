@@ -11,9 +11,13 @@ disc, and one that does not think of communication.
 # %%
 # All plan one step ahead, as in the paper. Two bounds know what no robot can: the oracle path loss,
 # shadowing and where the target will be, the clairvoyant multipath as well.
+import tempfile
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 
 from planopt import load, simulate
+from planopt.report.animation import save_animation
 from planopt.report.result_figures import draw_team_run
 
 problem = load("fig5")
@@ -49,5 +53,10 @@ for name, run in runs.items():
 # strategies changes from world to world; the page of results has means over seeds. A longer
 # horizon brings more: time-averaged trace P over seeds 100 to 119 (``planopt compare fig5
 # --horizons 1,10 --seeds 100:120``) is .142 +- .019 m^2 one step ahead and .105 +- .021 at ten.
-#
-# ``planopt simulate fig5 --animation --out run`` draws a run step by step.
+
+# %%
+# ``planopt compare fig5`` makes the comparison of the figure. One run step by step,
+# the robot that predicts the channel
+# (``planopt simulate fig5 --animation --out run`` from the command line):
+animation = Path(tempfile.mkdtemp()) / "fig5.gif"
+save_animation(runs["auto"], animation)

@@ -6,23 +6,23 @@ A robot drove through a room of 5 by 5.5 m while a Wi-Fi router stood at one of 
 al., IROS 2024, repository wenhaol/DCM-RSSI, MIT licence). For each place the channel is fitted with
 the router's position unknown, both ways of footnote 2 of [GM11], and compared with where it was.
 
-The data are not part of planopt: they are read from ``../shared/data/lab`` beside the repository,
-and without them this page has no figure.
+The data are not part of planopt: they are read from the folder ``lab`` of the one that the
+variable ``PLANOPT_DATA`` of the environment names, and without them this page has no figure.
 """
 
 # %%
 # Which end transmits does not matter: the router is the station, its power is measured along the
 # robot's way. Powers are whole dBm. Neither end's height is stated; the fit takes both to be equal.
+import os
 from pathlib import Path
 
 import numpy as np
 
-import planopt
 from planopt.channel.measurements import Measurements
 from planopt.channel.station.station_search import fit_channel_and_station
 from planopt.report.station_figure import draw_stations
 
-LAB = Path(planopt.__file__).resolve().parents[2] / "shared" / "data" / "lab"
+LAB = Path(os.environ.get("PLANOPT_DATA", "data")) / "lab"
 RESOLUTION_DB = 1.0
 
 

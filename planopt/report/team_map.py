@@ -194,9 +194,12 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
 
 
 def draw_target(panel: Panel, target: TargetLog) -> list[Artist]:
-    """Draw the target's true way, and where the station thought that it was."""
+    """Draw the target's true way, and below it where the station thought that it was.
+
+    Estimates are as wide as to be seen beside the way when they are on it.
+    """
     x, y = target.true_m.T
-    panel.plot(x, y, color=WHITE, linewidth=4.2, zorder=PATH_Z + 0.3)
+    panel.plot(x, y, color=WHITE, linewidth=2.6, zorder=PATH_Z + 0.35)
     (way,) = panel.plot(
         x, y, color=BLACK, linewidth=1.6, zorder=PATH_Z + 0.4, label="target, true way"
     )
@@ -213,11 +216,11 @@ def draw_target(panel: Panel, target: TargetLog) -> list[Artist]:
     )
     estimates = panel.scatter(
         *target.station_mean_m.T,
-        s=17.0,
+        s=30.0,
         color=WHITE,
         edgecolors=BLACK,
         linewidths=0.9,
-        zorder=PATH_Z + 0.5,
+        zorder=PATH_Z + 0.3,
         label="the station's estimates",
     )
     return [way, end, estimates]

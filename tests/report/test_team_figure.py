@@ -204,3 +204,19 @@ def test_pictures_are_written(simulation, belief, plan, tmp_path):
     written = sorted(tmp_path.iterdir())
     assert [file.name for file in written] == ["plan.png", "run.png"]
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in written)
+
+
+def test_the_true_way_is_seen_where_estimates_are_on_it(simulation):
+    """It lies above them, and they are wider than its white edge."""
+    axes = drawn(draw_team_run(team_run(simulation, "track"))).axes[0]
+    way = line_of(axes, "target, true way")
+    (estimates,) = (
+        each for each in axes.collections if each.get_label() == "the station's estimates"
+    )
+    (edge,) = (
+        line
+        for line in axes.get_lines()
+        if line is not way and np.array_equal(line.get_xydata(), way.get_xydata())
+    )
+    assert estimates.get_zorder() < edge.get_zorder() < way.get_zorder()
+    assert np.sqrt(estimates.get_sizes()[0]) > edge.get_linewidth() > way.get_linewidth()

@@ -8,12 +8,16 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.maps.posterior_map import PosteriorMap
 from planopt.channel.measurements import Measurements
 from planopt.channel.validation.held_out_report import HeldOutReport
+from planopt.planning.holes import BlockedError
+from planopt.planning.prepare import prepare
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
+from planopt.problems.problem import Problem
 from planopt.report.calibration_figure import draw_calibration
 from planopt.report.comparison_figure import draw_comparison, draw_traces
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_belief, draw_posterior_map
+from planopt.report.no_plan_figure import draw_no_plan
 from planopt.report.reliability_figure import draw_reliability
 from planopt.report.result_figures import draw_driven, draw_solution
 from planopt.report.run_figure import draw_run_series
@@ -26,6 +30,12 @@ def picture_solution(solution: Solution, folder: Path) -> None:
     save_figure(draw_solution(solution), folder / "plan.png")
     if solution.problem.task == "reach":
         save_figure(draw_belief(solution.problem, solution.belief), folder / "belief.png")
+
+
+def picture_no_plan(problem: Problem, seed: int, error: BlockedError, folder: Path) -> None:
+    """The ways that a hard bound forbids."""
+    belief = prepare(problem, seed).belief
+    save_figure(draw_no_plan(problem, belief, str(error), error.blocked), folder / "plan.png")
 
 
 def picture_run(run: Run, folder: Path) -> None:

@@ -32,6 +32,7 @@ def solve(asked: Asked) -> int:
     from planopt.planning.explain.explain import explain, explain_no_plan
     from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, save_no_plan, save_solution
     from planopt.planning.files.solution_json import no_plan_json, solution_json
+    from planopt.planning.holes import BlockedError
     from planopt.planning.solution import exit_code
     from planopt.planning.solve import solve as find_plans
 
@@ -46,13 +47,20 @@ def solve(asked: Asked) -> int:
                 show(asked.json, {}, f"{problem.name}: no plan: {error}")
             with progress("explaining"):
                 helpful = explain_no_plan(problem, seed)
-            data = no_plan_json(problem, seed, str(error), helpful)
+            blocked = error.blocked if isinstance(error, BlockedError) else ()
+            data = no_plan_json(problem, seed, str(error), helpful, blocked)
+            drawn = bool(blocked) and problem.report.figures
             if folder is not None:
-                save_no_plan(data, problem, folder, PLAN_FILE)
+                save_no_plan(data, problem, folder, PLAN_FILE, pictures_follow=drawn)
             words = explained(helpful) or [
                 "  no change of a single key or obstacle that was tried helps"
             ]
             show(asked.json, data, "\n".join(words))
+            with drawing(folder, PLAN_OR_RUN, wanted=drawn) as new:
+                if new is not None and isinstance(error, BlockedError):
+                    from planopt.commands.pictures import picture_no_plan
+
+                    picture_no_plan(problem, seed, error, new)
             return NO_PLAN
         crosses = any(plan.holes for plan in solution.plans)
         if exit_code(solution) != 0 or crosses:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, connection_probability
+from planopt.errors import NoPlanError
 from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
 
@@ -49,6 +50,41 @@ class Hole:
             f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
             f"connected with probability {self.least_connectivity:.2f} at least"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class BlockedWay:
+    """The cheapest way of a robot to its goal, which a hard bound on connectivity forbids.
+
+    Attributes
+    ----------
+    robot
+        Whose way it would be.
+    way_m
+        ``(n, 2)`` places from where the robot is to the goal.
+    holes
+        Where it misses the bound, in its order.
+    """
+
+    robot: str
+    way_m: NDArray[np.float64]
+    holes: tuple[Hole, ...]
+
+
+class BlockedError(NoPlanError):
+    """There is no path to a goal that keeps a hard bound on connectivity.
+
+    Parameters
+    ----------
+    message
+        Where contact would have to be left, in words.
+    blocked
+        The ways on which it would be left least.
+    """
+
+    def __init__(self, message: str, blocked: tuple[BlockedWay, ...]) -> None:
+        super().__init__(message)
+        self.blocked = blocked
 
 
 def holes_along(

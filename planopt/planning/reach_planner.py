@@ -11,11 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.errors import NoPlanError
 from planopt.planning.budget import Budget, budget_from, solve_limit_s
 from planopt.planning.driven_reach import DrivenReach
 from planopt.planning.history import BEGINNING, History
-from planopt.planning.holes import MOST_IN_WORDS, goal_in_words, holes_on
+from planopt.planning.holes import (
+    MOST_IN_WORDS,
+    BlockedError,
+    BlockedWay,
+    goal_in_words,
+    holes_on,
+)
 from planopt.planning.judge import Candidate, Judge, with_effort
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.methods import METHODS
@@ -145,7 +150,7 @@ class ReachPlanner:
         )
         start = self._search.find_start(situation)
         if start is not None and start.is_blocked:
-            raise NoPlanError(self._why_blocked(situation, start))
+            raise self._blocked(situation, start)
         return Outlook(belief, state, situation, start, perf_counter() - begun)
 
     def beside(
@@ -231,8 +236,8 @@ class ReachPlanner:
         holes = holes_on(problem, power, places)
         return replace(plan, pivot=pivot, route_m=route, holes=holes)
 
-    def _why_blocked(self, situation: Situation, start: GlobalStart) -> str:
-        """Return where contact would have to be left, and for how long."""
+    def _blocked(self, situation: Situation, start: GlobalStart) -> BlockedError:
+        """Return the error that says where contact would have to be left, and for how long."""
         constraints = self.problem.constraints
         places = np.vstack([situation.position_m, start.path_m, start.route_m])
         holes = holes_on(self.problem, situation.power(places), places)
@@ -245,7 +250,8 @@ class ReachPlanner:
             f"{constraints.p_min:g} with constraints.slack_max_db "
             f"{constraints.rule.slack_max_db:g}: the cheapest crosses {', '.join(named)}"
         )
-        return "; ".join([blocked, *goal_in_words(self.problem, holes)])
+        words = "; ".join([blocked, *goal_in_words(self.problem, holes)])
+        return BlockedError(words, (BlockedWay(self.problem.robots[0].name, places, holes),))
 
     def _climb(
         self,

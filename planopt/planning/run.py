@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
+from planopt.planning.holes import BlockedWay
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan
@@ -51,6 +52,8 @@ class Run:
         How well the channel was known; None on the way to a goal.
     costs
         On the way to a goal: cost of the run at the outage price, by metric.
+    blocked
+        Where a hard bound on connectivity ended the run: the cheapest ways, which it forbids.
 
     Examples
     --------
@@ -71,6 +74,7 @@ class Run:
     target: TargetLog | None = None
     channel: ChannelLog | None = None
     costs: dict[str, float] = field(default_factory=dict[str, float])
+    blocked: tuple[BlockedWay, ...] = ()
 
     def __repr__(self) -> str:
         """Return what was run, how it ended, and its metrics."""

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.planning.holes import Hole
+from planopt.planning.holes import BlockedWay, Hole
 from planopt.planning.plan import Plan
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
@@ -35,6 +35,8 @@ from planopt.report.style import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
@@ -130,16 +132,38 @@ def _draw_route(panel: Panel, plan: Plan) -> list[Artist]:
     artists: list[Artist] = []
     if len(plan.route_m):
         way = np.vstack([plan.positions_m[-1:], plan.route_m])
-        artists += panel.plot(
-            *way.T,
+        artists += _draw_dotted(panel, way, "the way on to the goal")
+    return artists + draw_holes(panel, np.vstack([plan.positions_m, plan.route_m]), plan.holes)
+
+
+def draw_blocked(panel: Panel, ways: Sequence[BlockedWay]) -> list[Artist]:
+    """Draw the cheapest ways that a hard bound forbids, and the holes that forbid them."""
+    artists: list[Artist] = []
+    for number, one in enumerate(ways):
+        drawn = _draw_dotted(panel, one.way_m, "the cheapest way, forbidden")
+        drawn += draw_holes(panel, one.way_m, one.holes)
+        if number == 0:
+            artists += drawn
+    return artists
+
+
+def _draw_dotted(panel: Panel, way_m: NDArray[np.float64], label: str) -> list[Artist]:
+    return list(
+        panel.plot(
+            *way_m.T,
             color=BLACK,
             linewidth=1.2,
             linestyle=(0, (1, 2)),
             zorder=PATH_Z - 0.2,
-            label="the way on to the goal",
+            label=label,
         )
-    places = np.vstack([plan.positions_m, plan.route_m])
-    for number, hole in enumerate(plan.holes):
+    )
+
+
+def draw_holes(panel: Panel, places: NDArray[np.float64], holes: Sequence[Hole]) -> list[Artist]:
+    """Draw the holes of a path of places (n, 2), with their lengths; the first, for the legend."""
+    artists: list[Artist] = []
+    for number, hole in enumerate(holes):
         x, y = _places_of(places, hole).T
         panel.plot(x, y, color=WHITE, linewidth=7.0, zorder=PATH_Z - 0.4, solid_capstyle="butt")
         (line,) = panel.plot(

@@ -25,7 +25,7 @@ from planopt.problems.problem import Problem
 from planopt.report.apart_panel import draw_apart, has_apart
 from planopt.report.maps import PATH_Z, draw_moving
 from planopt.report.panel import Panel, add_panel, new_figure
-from planopt.report.plan_map import draw_plan_map
+from planopt.report.plan_map import draw_blocked, draw_plan_map
 from planopt.report.run_figure import draw_run
 from planopt.report.style import (
     BAND_WORDS,
@@ -313,6 +313,7 @@ def draw_team_run(run: Run) -> Figure:
             drawn += draw_plans(panel, problem, plans, 1)
         if run.target is not None:
             drawn += draw_target(panel, run.target)
+        drawn += draw_blocked(panel, run.blocked)
         if number == 0:
             entries = [*entries, *drawn]
     for panel, (draw, _) in zip(others, drawers, strict=True):

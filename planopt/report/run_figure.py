@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from planopt.planning.run import Run
 from planopt.problems.base_station import BaseStation
 from planopt.report.maps import LAYER_Z, PATH_Z, draw_ground, draw_layer, draw_moving, draw_places
 from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.plan_map import draw_blocked
 from planopt.report.style import (
     BAND_WORDS,
     BAND_Z,
@@ -186,6 +188,10 @@ def _edges(log: StepLog) -> NDArray[np.float64]:
     return np.concatenate([log.t_s[:1], middle, log.t_s[-1:]])
 
 
+TITLE_WIDTH = 100
+"""Letters in a line of how the run ended."""
+
+
 def draw_run(simulation: Run) -> Figure:
     """Draw a run over the true power [dBm]: first plan, driven path, relaxed steps, measurements.
 
@@ -196,7 +202,8 @@ def draw_run(simulation: Run) -> Figure:
     problem, run = simulation.problem, simulation.run
     figure = new_figure(10.0, 9.6, maps_only=True)
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
-    draw_ground(panel, problem.workspace, f"{spaced(run.outcome)}: {run.reason}")
+    words = wrap(f"{spaced(run.outcome)}: {run.reason}", TITLE_WIDTH)
+    draw_ground(panel, problem.workspace, "\n".join(words))
     draw_layer(
         panel,
         true_power(simulation),
@@ -212,6 +219,7 @@ def draw_run(simulation: Run) -> Figure:
         *_draw_driven(panel, run.log),
         *_draw_first_plan(panel, simulation),
         *_draw_relaxed(panel, run.log),
+        *draw_blocked(panel, simulation.blocked),
     ]
     legend_below(figure, entries, 4)
     head(

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.proof.predictions import KEPT_ERROR_DB
@@ -116,6 +116,11 @@ def disagreements(
         value = cast("object", said)
         one, other = _shown(value), _shown(found)
         yield Disagreement(key, repr(value) if one == other else one, other)
+
+
+def without_searched(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A result without ways that a bound forbade: the search found them, which is not repeated."""
+    return {key: value for key, value in data.items() if key != "blocked"}
 
 
 def in_words(file: str, differences: Iterator[Disagreement], source: str = "found") -> list[str]:

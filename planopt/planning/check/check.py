@@ -21,7 +21,7 @@ from typing import Any
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError, path_of
 from planopt.planning.certificate import Certificate, dearest, worst_result
-from planopt.planning.check.agreement import disagreements, in_words
+from planopt.planning.check.agreement import disagreements, in_words, without_searched
 from planopt.planning.check.check_belief import given_again, learnt_again
 from planopt.planning.check.check_plan import check_plan, no_way_faults, rebuilt_solution
 from planopt.planning.check.check_plan import length_faults as plan_length_faults
@@ -184,9 +184,10 @@ def _no_plan_reasons(saved: Saved) -> list[str]:
         faults = no_way_faults(saved.problem, explanation)
     else:
         found |= {**no_run_json(saved.problem, seed, message), "plans": []}
+    said, meant = without_searched(saved.data), without_searched(found)
     return [
         f"there is no plan to judge: {message}",
-        *in_words(saved.file.name, disagreements(saved.data, found)),
+        *in_words(saved.file.name, disagreements(said, meant)),
         *(f"{saved.file.name}, key {fault}" for fault in faults),
     ]
 

@@ -13,7 +13,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.certificate import Certificate
-from planopt.planning.check.agreement import EXACT, disagreements, in_words
+from planopt.planning.check.agreement import EXACT, disagreements, in_words, without_searched
 from planopt.planning.check.check_belief import (
     Taken,
     belief_again,
@@ -143,7 +143,7 @@ def check_run(
         # Former versions knew fewer metrics.
         found["metrics"] = {key: found["metrics"][key] for key in found["metrics"] if key in said}
     _drop_later_keys(_robots_and_plans(found), _robots_and_plans(saved.data))
-    reasons += in_words(RUN_FILE, disagreements(saved.data, found))
+    reasons += in_words(RUN_FILE, disagreements(without_searched(saved.data), found))
     reasons += _step_time_faults(record.step_s, sum(len(made) for made in run.plans))
     again = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
     reasons += steps_reasons(joined_steps(saved.steps), again)

@@ -23,6 +23,7 @@ from planopt.planning.files.solution_json import (
     PivotRecord,
     RobotRecord,
     aim_json,
+    blocked_json,
     excused_json,
     holes_json,
     pivot_json,
@@ -86,6 +87,7 @@ def run_json(run: Run) -> dict[str, Any]:
         "robots": [
             _robot(run.problem, one, made) for one, made in zip(run.runs, run.plans, strict=True)
         ],
+        **blocked_json(run.blocked),
     }
 
 

@@ -101,7 +101,14 @@ def save_run(run: Run, folder: Path, *, pictures_follow: bool = False) -> None:
         write_result(data, problem, new / RUN_FILE)
 
 
-def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:
+def save_no_plan(
+    data: dict[str, Any],
+    problem: Problem,
+    folder: Path,
+    name: str,
+    *,
+    pictures_follow: bool = False,
+) -> None:
     """Save that there is no plan, as `PLAN_FILE` or `RUN_FILE`, in place of what there was.
 
     Raises
@@ -109,7 +116,7 @@ def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str
     OutputError
         The folder cannot be written.
     """
-    with replaced_results(folder, PLAN_OR_RUN) as new:
+    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
         write_result(data, problem, new / name)
 
 

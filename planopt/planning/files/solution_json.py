@@ -18,7 +18,7 @@ from planopt.planning.certificate import Certificate, Excused
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
-from planopt.planning.holes import Hole
+from planopt.planning.holes import BlockedWay, Hole
 from planopt.planning.plan import Pivot, Plan, Termination, Verdict, share_gained
 from planopt.planning.solution import Solution
 from planopt.planning.team.reservations import worst_of_robots
@@ -176,9 +176,13 @@ def solution_json(solution: Solution) -> dict[str, Any]:
 
 
 def no_plan_json(
-    problem: Problem, seed: int, message: str, explanation: Iterable[Relaxation] = ()
+    problem: Problem,
+    seed: int,
+    message: str,
+    explanation: Iterable[Relaxation] = (),
+    blocked: Iterable[BlockedWay] = (),
 ) -> dict[str, Any]:
-    """The same keys where there provably is no plan; `message` says why."""
+    """The same keys where there provably is no plan; `message` says why, `blocked` where."""
     return {
         **_question(problem, seed),
         "termination": Termination.NO_PATH.value,
@@ -191,7 +195,25 @@ def no_plan_json(
         "message": message,
         "explanation": explanation_json(explanation),
         "crossings": [],
+        **blocked_json(blocked),
     }
+
+
+def blocked_json(ways: Iterable[BlockedWay]) -> dict[str, Any]:
+    """Return the key ``blocked`` where there are ways that a hard bound forbids, else nothing.
+
+    Each has its holes.
+    """
+    found = [
+        {
+            "robot": one.robot,
+            "x_m": one.way_m[:, 0].tolist(),
+            "y_m": one.way_m[:, 1].tolist(),
+            "holes": holes_json(one.holes),
+        }
+        for one in ways
+    ]
+    return {"blocked": found} if found else {}
 
 
 def holes_json(holes: Iterable[Hole]) -> list[dict[str, Any]]:

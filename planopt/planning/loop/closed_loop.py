@@ -21,6 +21,7 @@ from planopt.planning.given import (
     with_drawn_starts,
     with_measurements,
 )
+from planopt.planning.holes import BlockedError, BlockedWay
 from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
 from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
@@ -115,12 +116,13 @@ def simulate(
     # The error over the whole workspace is dear, and tells little of a way to a goal.
     known_at = None if reaches else workspace_region(problem).grid_m
     rows = [] if known_at is None else [channel_row(robots.beliefs[0].posteriors, truths, known_at)]
-    ended = _ending(robots)
+    ended, blocked = _ending(robots), tuple[BlockedWay, ...]()
     while ended is None:
         try:
             step_plans = robots.plan()
         except NoPlanError as error:
             ended = Outcome.NO_PLAN, str(error)
+            blocked = error.blocked if isinstance(error, BlockedError) else ()
             break
         step, watch = len(robots.connected) + 1, robots.watches[-1]
         if step == 1 and on_start is not None:
@@ -158,6 +160,7 @@ def simulate(
         costs=run_costs(
             problem, [scene.road_map for scene in scenes or ()], prepared.truths, tracks, ended[0]
         ),
+        blocked=blocked,
     )
 
 

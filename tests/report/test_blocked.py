@@ -1,0 +1,97 @@
+"""What is seen and saved where a hard bound on connectivity forbids every way to a goal."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from artists import drawn
+
+from planopt import ConnectivityRule, Problem, load, simulate, solve
+from planopt.cli import main
+from planopt.planning.holes import BlockedError
+from planopt.planning.prepare import prepare
+from planopt.problems.library import library_folder
+from planopt.report.no_plan_figure import draw_no_plan
+from planopt.report.run_figure import draw_run
+from planopt.report.saving import save_figure
+
+CHANGES = {
+    "p_min = 0.8": "p_min = 0.8\nslack_max_db = 0.0",
+    "threshold_dbm = -59": "threshold_dbm = -45",
+}
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    """The open field, whose goal is out of contact with a receiver that is worse."""
+    field = load("open_field")
+    rule = ConnectivityRule(slack_max_db=0.0)
+    (station,) = field.stations
+    return replace(
+        field,
+        stations=(replace(station, threshold_dbm=-45.0),),
+        constraints=replace(field.constraints, rule=rule),
+    )
+
+
+@pytest.fixture(scope="module")
+def error(problem: Problem) -> BlockedError:
+    """Why there is no plan."""
+    with pytest.raises(BlockedError) as caught:
+        solve(problem, seed=1)
+    return caught.value
+
+
+def test_the_error_has_the_way_and_its_holes(problem, error) -> None:
+    """From the start to the goal; holes are on the way, and below the bound."""
+    (one,) = error.blocked
+    assert one.robot == problem.robots[0].name and one.holes
+    np.testing.assert_allclose(one.way_m[0], problem.robots[0].start_m)
+    radius = problem.constraints.goal_radius_m
+    assert np.linalg.norm(one.way_m[-1] - problem.goal_m) <= radius + 1e-9
+    for hole in one.holes:
+        assert min(np.linalg.norm(one.way_m - np.array(hole.from_m), axis=1)) == 0.0
+        assert hole.least_connectivity < problem.constraints.p_min
+
+
+def test_the_pictures_show_the_holes(problem, error, tmp_path: Path) -> None:
+    """Of a plan and of a run; the words fit, so that the map keeps its size."""
+    run = simulate(problem, seed=1)
+    assert run.outcome.value == "no_plan" and str(error) == run.reason
+    belief = prepare(problem, 1).belief
+    figures = (draw_no_plan(problem, belief, str(error), error.blocked), draw_run(run))
+    for number, figure in enumerate(figures):
+        axes = drawn(figure).axes[0]
+        labels = [artist.get_label() for artist in axes.get_lines()]
+        assert labels.count("crosses a coverage hole") == len(error.blocked[0].holes)
+        assert max(map(len, axes.get_title("left").splitlines())) <= 110
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            save_figure(figure, tmp_path / f"{number}.png")
+        assert axes.get_position().width > 0.6
+
+
+def test_files_name_the_holes(error, tmp_path: Path, capsys) -> None:
+    """`solve` draws them too; the folder is judged as one without a plan, and nothing else."""
+    text = (library_folder() / "open_field.toml").read_text()
+    for was, now in CHANGES.items():
+        assert was in text
+        text = text.replace(was, now)
+    file = tmp_path / "p.toml"
+    file.write_text(text)
+    assert main(["solve", str(file), "--seed", "1", "--out", str(tmp_path / "plan")]) == 4
+    assert (tmp_path / "plan" / "plan.png").stat().st_size > 1000
+    assert main(["simulate", str(file), "--seed", "1", "--out", str(tmp_path / "run")]) == 4
+    for name in ("plan", "run"):
+        data = json.loads((tmp_path / name / f"{name}.json").read_text())
+        ((way,), one) = data["blocked"], error.blocked[0]
+        assert way["robot"] == one.robot and way["x_m"] == one.way_m[:, 0].tolist()
+        assert [hole["length_m"] for hole in way["holes"]] == [h.length_m for h in one.holes]
+    capsys.readouterr()
+    main(["check", str(tmp_path / "plan")])
+    assert "blocked" not in capsys.readouterr().out

@@ -27,17 +27,34 @@ def removed(received: NDArray[np.float64], settings: FilteredTracking) -> NDArra
     """
     if settings.held is not None:
         return _removed_by_estimates(received, settings)
-    weight = settings.tracking.weight
-    steps = Axis.of(settings)
-    total = np.zeros(received.shape[:-1])
-    variance = np.broadcast_to(steps.start.reshape(3, *[1] * total.ndim), (3, *total.shape))
-    alone, idle = steps.start, 0.0
-    for k in range(len(weight)):
-        variance, alone = steps.predicted(variance), steps.predicted(alone)
-        variance = steps.updated(variance, received[..., k])
-        total += weight[k] * criterion_of(variance[0], settings.criterion)
-        idle += weight[k] * float(criterion_of(alone[0], settings.criterion))
-    return idle - total.mean(axis=-1)
+    nothing = np.zeros(received.shape[-1])
+    return left(nothing, settings) - left(received, settings).mean(axis=-1)
+
+
+def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
+    """sum_k w_k f(P_k) of the position; ``(...)``. Arguments as :func:`removed`, of one draw each.
+
+    In place: searches ask for hundreds of paths over all steps.
+    """
+    weight, steps = settings.tracking.weight, Axis.of(settings)
+    e, (q_a, q_b, q_c) = steps.transition[2, 1], steps.noise
+    shape = received.shape[:-1]
+    a, b, c = (np.full(shape, each) for each in steps.start)
+    total = np.zeros(shape)
+    for k, each in enumerate(np.moveaxis(received, -1, 0)):
+        a += (2.0 * e) * b
+        a += (e * e) * c
+        a += q_a
+        b += e * c
+        b += q_b
+        c += q_c
+        kept = 1.0 / (1.0 + a * each)
+        a *= kept
+        kept *= b
+        c -= b * each * kept
+        b = kept
+        total += weight[k] * criterion_of(a, settings.criterion)
+    return total
 
 
 def _removed_by_estimates(

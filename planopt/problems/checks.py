@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from planopt.errors import InputError
-from planopt.objectives.terms.term import Term, TermSetting
+from planopt.objectives.terms.term import Term
 from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
@@ -337,9 +337,8 @@ def check(problem: Problem) -> None:
 
 def _check_term(problem: Problem, term: Term, key: str) -> None:
     """A term can be planned for in its problem."""
-    setting = TermSetting(problem.planner.horizon, len(problem.stations), bool(problem.targets))
     try:
-        term.check(setting)
+        term.check(problem.term_setting)
     except InputError as error:
         raise InputError(
             error.message,

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from planopt.objectives.terms.term import Term, require_kind
+from planopt.objectives.terms.term import Term, TermSetting, require_kind
 from planopt.parts import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
@@ -236,12 +236,24 @@ class Problem:
         """The terms of the objective as plans take them; none where the task is to reach a goal."""
         if isinstance(self.objective, ReachObjective):
             return ()
-        calibrated = self.channel.calibration != "none"
-        estimates = any(target.packets == "estimates" for target in self.targets)
-        return tuple(
-            term.planned(self.planner.horizon, calibrated=calibrated, estimates=estimates)
-            for term in self.objective.terms
+        return tuple(term.planned(self.term_setting) for term in self.objective.terms)
+
+    @property
+    def term_setting(self) -> TermSetting:
+        """Return the parts that decide how terms are planned for."""
+        return TermSetting(
+            self.planner.horizon,
+            len(self.stations),
+            bool(self.targets),
+            any(robot.dynamics is not None for robot in self.robots),
+            self.channel.calibration != "none",
+            not self.constraints.asks_connection and self._has_one_term,
+            any(target.packets == "estimates" for target in self.targets),
         )
+
+    @property
+    def _has_one_term(self) -> bool:
+        return isinstance(self.objective, TermsObjective) and len(self.objective.terms) == 1
 
     @property
     def task(self) -> Task:

@@ -24,7 +24,13 @@ from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
-TRACKING = {"kind": "tracking", "noise_curvature": 0.008, "noise_floor_m2": 0.08, "sweet_spot_m": 1}
+TRACKING = {
+    "kind": "tracking",
+    "form": "additive",
+    "noise_curvature": 0.008,
+    "noise_floor_m2": 0.08,
+    "sweet_spot_m": 1,
+}
 LEARNING = {"kind": "path_loss_learning", "criterion": "D"}
 ENERGY = {"kind": "motion_energy", "per_metre_j_m": 0.5, "power_w": 0.1}
 CONNECT = {"kind": "until_connected"}

@@ -108,7 +108,8 @@ def test_a_run_with_drawn_starts_is_saved_as_driven(fig4, tmp_path):
     found = check(tmp_path / "run")
     assert found.verdict.value == "verified"
     assert not [words for words in found.remarks if "robots" in words]
-    assert np.isfinite(run.metrics["trace_m_db"]) and np.isfinite(run.metrics["log_det_m"])
+    # Path loss is known: nothing is left of its covariance to take a logarithm of.
+    assert np.isnan(run.metrics["trace_m_db"]) and np.isnan(run.metrics["log_det_m"])
 
 
 def test_parameters_given_are_not_estimated(fig4):

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt import check, solve
 from planopt.errors import InputError
+from planopt.objectives.terms.term import TermSetting
 from planopt.objectives.terms.tracking import LONGEST_ADDITIVE, TrackingTerm
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
@@ -66,27 +67,27 @@ def test_keys_that_do_not_fit_are_refused(keys, words):
 
 def test_the_form_follows_the_horizon(tmp_path):
     """Plans are those of the form that auto is; the problem keeps the word that it was given."""
-    forms = {"auto": TRACKING, "additive": {**TRACKING, "form": "additive"}}
-    forms["sampled"] = {**TRACKING, "form": "sampled"}
+    forms = {form: {**TRACKING, "form": form} for form in ("auto", "additive", "recourse")}
 
     def planned(name, horizon):
         return solve(terms_problem(forms[name], horizon=horizon, name="lattice"), seed=0)
 
-    for horizon, form in ((LONGEST_ADDITIVE, "additive"), (LONGEST_ADDITIVE + 1, "sampled")):
+    for horizon, form in ((1, "additive"), (2, "recourse")):
         found, stated = planned("auto", horizon), planned(form, horizon)
         assert found.plans[0].objective == stated.plans[0].objective
         np.testing.assert_array_equal(found.plans[0].positions_m, stated.plans[0].positions_m)
     assert problem_to_dict(found.problem)["objective"]["terms"][0]["form"] == "auto"
     found.save(tmp_path / "plan")
     assert check(tmp_path / "plan").reasons == ()
-    short = with_overrides(found.problem, horizon=LONGEST_ADDITIVE)
-    assert found.problem.terms[0].form == "sampled" and short.terms[0].form == "additive"
+    short = with_overrides(found.problem, horizon=1)
+    assert found.problem.terms[0].form == "recourse" and short.terms[0].form == "additive"
 
 
 @pytest.mark.parametrize(("horizon", "form"), [(1, "additive"), (2, "sampled"), (40, "sampled")])
 def test_packets_that_have_estimates_are_planned_by_drawing(horizon, form):
-    """From two steps on: a later packet tells of the first step too."""
-    problem = terms_problem(TRACKING, horizon=horizon, name="lattice")
+    """From two steps on, beside another term: a later packet tells of the first step too."""
+    terms = {**TRACKING, "form": "auto"}, ENERGY
+    problem = terms_problem(*terms, horizon=horizon, name="lattice")
     target = replace(problem.targets[0], packets="estimates")
     assert replace(problem, targets=(target,)).terms[0].form == form
 
@@ -94,11 +95,17 @@ def test_packets_that_have_estimates_are_planned_by_drawing(horizon, form):
 def test_the_form_of_other_laws_and_criteria():
     """Where the law of connection is fitted nothing is drawn; a determinant needs drawing."""
     term = TrackingTerm(0.008, 0.08, 1.0)
-    assert term.planned(40, calibrated=True, estimates=True).form == "additive"
+    driven = TermSetting(40, 1, True, has_dynamics=True, is_free=True)
+    assert term.planned(driven).form == "sampled"
+    assert term.planned(replace(driven, horizon=LONGEST_ADDITIVE)).form == "additive"
+    assert term.planned(replace(driven, is_calibrated=True)).form == "additive"
+    bound = TermSetting(40, 1, True)
+    assert term.planned(bound).form == "sampled"
+    assert term.planned(replace(bound, is_free=True)).form == "recourse"
     squares = replace(term, criterion="determinant")
-    assert squares.planned(1, calibrated=False, estimates=False).form == "sampled"
+    assert squares.planned(replace(bound, horizon=1)).form == "sampled"
     stated = replace(term, form="additive")
-    assert stated.planned(40, calibrated=False, estimates=True) is stated
+    assert stated.planned(bound) is stated
 
 
 @pytest.mark.parametrize("criterion", ["determinant", "norm"])

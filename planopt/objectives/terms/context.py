@@ -18,6 +18,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces
 from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.known_links import KnownLinks
 from planopt.objectives.local_channel import LocalChannel, LocalGrid
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import Gates, MeasuringRule
@@ -175,6 +176,11 @@ class StepContext(Protocol):
     @property
     def tries(self) -> MeasuringRule:
         """Return the rule by which places of a path are tried for connection."""
+        ...
+
+    @property
+    def links(self) -> KnownLinks:
+        """Places where the robot knows whether it is connected."""
         ...
 
     @property

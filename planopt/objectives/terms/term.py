@@ -54,11 +54,23 @@ class TermSetting:
         How many there are.
     has_target
         Whether there is a target.
+    has_dynamics
+        Whether a robot has inertia or a heading.
+    is_calibrated
+        Whether the law of connection is fitted.
+    is_free
+        Whether the term is the only one, and nothing is asked of connectivity.
+    has_estimates
+        Whether packets have estimates of a target.
     """
 
     horizon: int
     stations: int
     has_target: bool
+    has_dynamics: bool = False
+    is_calibrated: bool = False
+    is_free: bool = False
+    has_estimates: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,18 +108,8 @@ class Term:
         """Fields that a saved table must not have."""
         return frozenset()
 
-    def planned(self, horizon: int, *, calibrated: bool, estimates: bool) -> Term:
-        """Return the term as plans take it.
-
-        Parameters
-        ----------
-        horizon
-            Steps of a plan.
-        calibrated
-            Whether the law of connection is fitted.
-        estimates
-            Whether packets have estimates of a target.
-        """
+    def planned(self, setting: TermSetting) -> Term:
+        """Return the term as plans take it in a problem."""
         return self
 
     @property
@@ -121,6 +123,16 @@ class Term:
 
         Only of terms that couple all places of a path.
         """
+        return True
+
+    @property
+    def tries_places(self) -> bool:
+        """Return whether the value takes the end of a path for a place that is tried."""
+        return False
+
+    @property
+    def can_be_polished(self) -> bool:
+        """Return whether a solver improves paths by the derivatives of the value."""
         return True
 
     @property
@@ -227,6 +239,15 @@ class Term:
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the values of many paths at once, ``(c,)``: what searches compare."""
         raise self._without("values")
+
+    def tried_values(
+        self, at: StepContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the values of paths (c, N, 2) by guessed chances of connection (c, N); ``(c,)``.
+
+        Of terms that try places: searches rank hundreds of ways by it.
+        """
+        raise self._without("tried_values")
 
     def derivatives(self, path: NearPath) -> Part:
         """Return the value of one path with its derivatives, as a solver asks for it."""

@@ -11,7 +11,7 @@ from pydantic import Field, Strict
 
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
-from planopt.objectives.axis_filter import criterion_of, removed
+from planopt.objectives.axis_filter import criterion_of, left, removed
 from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
     information_gain_derivatives,
@@ -34,6 +34,12 @@ from planopt.objectives.tracking_filter import (
     sensing_of,
     unobserved_covariances,
 )
+from planopt.objectives.tracking_recourse import (
+    RECOURSE_STEPS,
+    Retreats,
+    recourse_costs,
+    retreats_of,
+)
 from planopt.objectives.tracking_scenarios import (
     Stations,
     drawn_errors,
@@ -47,10 +53,11 @@ from planopt.objectives.tracking_scenarios import (
 from planopt.plain_values import make_plain
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
-TrackingForm = Literal["auto", "additive", "information", "covariance", "sampled"]
-
 LONGEST_ADDITIVE = 10
-"""Steps up to which ``auto`` is ``additive``: beyond it gambles on packets beside the target."""
+"""Steps up to which ``auto`` is ``additive`` for robots with dynamics: beyond it gambles on packets
+beside the target."""
+
+TrackingForm = Literal["auto", "additive", "information", "covariance", "sampled", "recourse"]
 
 LONGEST_ADDITIVE_OF_ESTIMATES = 1
 """The same where packets have estimates: only ``sampled`` knows that they tell of earlier steps."""
@@ -70,11 +77,14 @@ class TrackingTerm(Term):
     noise_curvature, noise_floor_m2, sweet_spot_m
         Curvature (a number), least variance in m^2 and best distance in m of the sensor.
     form
-        ``auto``: ``additive`` up to `LONGEST_ADDITIVE` steps, one where packets have estimates, and
-        ``sampled`` beyond and for other criteria than the trace. ``additive``: P(connected) / g(r),
-        summed over the steps. The others follow the station's filter: ``information`` bounds the
-        expected gain of information from above, ``covariance`` removes covariance as if losses were
-        independent in time, ``sampled`` averages over joint losses.
+        ``auto``: ``additive`` one step ahead, ``recourse`` beyond; ``sampled`` for other criteria
+        than the trace; beside other terms or a bound on connectivity, and of robots with inertia
+        or a heading, ``additive`` up to `LONGEST_ADDITIVE` steps, one where packets have
+        estimates, and ``sampled`` beyond. ``additive``: P(connected) / g(r), summed
+        over the steps. The others follow the station's filter: ``information`` bounds the expected
+        gain of information from above, ``covariance`` removes covariance as if losses were
+        independent in time, ``sampled`` averages over joint losses, ``recourse`` takes the end of
+        a path for a place that is tried.
     beyond_steps, criterion
         Of the form ``sampled``: steps beyond the horizon, and what counts of the covariance of the
         target's position.
@@ -104,9 +114,11 @@ class TrackingTerm(Term):
         Field(
             description="additive (P(connected) over the variance, summed over steps), or by the "
             "station's filter: information (an upper bound), covariance (losses as if independent "
-            "in time) or sampled (joint losses); auto: additive up to a horizon of "
-            f"{LONGEST_ADDITIVE}, where packets have estimates of "
-            f"{LONGEST_ADDITIVE_OF_ESTIMATES}, sampled beyond and for other criteria than trace."
+            "in time), sampled (joint losses) or recourse (places are tried); auto: additive one "
+            "step ahead, recourse beyond, sampled for other criteria than trace; beside other "
+            "terms or a bound, and for robots with dynamics, additive up to a horizon of "
+            f"{LONGEST_ADDITIVE}, where packets have estimates of {LONGEST_ADDITIVE_OF_ESTIMATES}, "
+            "and sampled beyond."
         ),
     ] = "auto"
     beyond_steps: Annotated[
@@ -146,15 +158,19 @@ class TrackingTerm(Term):
     def __post_init__(self) -> None:
         make_plain(self)
 
-    def planned(self, horizon: int, *, calibrated: bool, estimates: bool) -> TrackingTerm:
+    def planned(self, setting: TermSetting) -> TrackingTerm:
         """Return the term with the form that ``auto`` is.
 
         Of a law of connection that is fitted nothing can be drawn.
         """
         if self.form != "auto":
             return self
-        longest = LONGEST_ADDITIVE_OF_ESTIMATES if estimates else LONGEST_ADDITIVE
-        drawn = self.criterion != "trace" or (horizon > longest and not calibrated)
+        if self.criterion != "trace":
+            return replace(self, form="sampled")
+        if setting.horizon > 1 and setting.is_free and not setting.has_dynamics:
+            return replace(self, form="recourse")
+        longest = LONGEST_ADDITIVE_OF_ESTIMATES if setting.has_estimates else LONGEST_ADDITIVE
+        drawn = setting.horizon > longest and not setting.is_calibrated
         return replace(self, form="sampled" if drawn else "additive")
 
     @property
@@ -174,8 +190,18 @@ class TrackingTerm(Term):
 
     @property
     def bends_starts(self) -> bool:
-        """The lattice's rewards saturate as the sampled value does."""
-        return self.form != "sampled"
+        """The lattice's rewards saturate as the sampled value does; tries have their own ways."""
+        return self.form not in ("sampled", "recourse")
+
+    @property
+    def tries_places(self) -> bool:
+        """Return whether the end of a path is a try."""
+        return self.form == "recourse"
+
+    @property
+    def can_be_polished(self) -> bool:
+        """A try succeeds or fails where it ends: there is nothing to climb."""
+        return self.form != "recourse"
 
     @property
     def counts_others(self) -> bool:
@@ -206,6 +232,12 @@ class TrackingTerm(Term):
                 f"{self.criterion} is no criterion of the form {self.form}",
                 key="criterion",
                 remedy='use form = "sampled", or criterion = "trace"',
+            )
+        if self.form == "recourse" and setting.has_dynamics:
+            raise InputError(
+                "the form recourse is for robots that turn and stop at will",
+                key="form",
+                remedy='use form = "auto"',
             )
         if self.step_weights and not any(self.step_weights):
             raise InputError(
@@ -247,12 +279,8 @@ class TrackingTerm(Term):
         settings = self.settings(at)
         each: list[NDArray[np.float64]] = []
         for path in at.others_m:
-            power = at.power(path)
-            chance = connection_probability(
-                power.mean_db, power.deviation_db, settings.threshold_dbm
-            )
             sensing = sensing_information(settings.sensor, path, settings.target_m)
-            each.append(np.stack([chance, sensing]))
+            each.append(np.stack([_chance(at, path), sensing]))
         return np.stack(each, axis=-1)
 
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
@@ -265,8 +293,9 @@ class TrackingTerm(Term):
             )
             return scenario_gain(_stations(at), [*others, path_m], settings) - alone
         settings = self.settings(at)
-        power = at.power(path_m)
-        chance = connection_probability(power.mean_db, power.deviation_db, settings.threshold_dbm)
+        chance = _chance(at, path_m)
+        if self.form == "recourse":
+            return float(self.tried_values(at, path_m[None], chance[None])[0])
         sensing = sensing_information(settings.sensor, path_m, settings.target_m)
         if self.form == "information":
             return float(information_gain(chance, sensing, self.filtered(at)))
@@ -294,10 +323,35 @@ class TrackingTerm(Term):
         )
         return found - removed(told, settings)
 
+    def tried_values(
+        self, at: StepContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the values of the form ``recourse`` by chances as predicted."""
+
+        def made() -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
+            own = extended(replace(self.filtered(at), others=None), RECOURSE_STEPS)
+            target_m = own.tracking.target_m
+            beside = at.links.chances(target_m, _chance(at, target_m))
+            retreats = retreats_of(at.links.connected_m, beside, own, at.step_length_m)
+            others = np.zeros(len(target_m))
+            for path in at.others_m:
+                rest = np.repeat(path[-1:], len(target_m) - len(path), axis=0)
+                places = np.vstack([path, rest])
+                arrives = at.links.chances(path, _chance(at, path))
+                arrives = np.append(arrives, np.repeat(arrives[-1:], len(rest)))
+                others += arrives * sensing_information(own.tracking.sensor, places, target_m)
+            return own, retreats, others, float(left(0.5 * others, own))
+
+        settings, retreats, others, idle = at.once((TrackingTerm, "tried", self), made)
+        known = at.links.chances(ways_m, chance)
+        return idle - recourse_costs(ways_m, known, retreats, others, settings)
+
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the same of many paths."""
         if self.form == "sampled":
             return self._ranked(paths)
+        if self.form == "recourse":
+            return self.tried_values(paths.at, paths.ways_m, paths.chance)
         settings, chance = self.settings(paths.at), paths.chance
         if self.follows_filter:
             filtered = first_steps(self.filtered(paths.at), paths.shape[1])
@@ -380,6 +434,12 @@ class TrackingTerm(Term):
         if self.criterion == "determinant":
             most = max(most, 0.25 * most**2)
         return most * max(self.step_weights, default=1.0) * max(self.terminal_weight, 1.0)
+
+
+def _chance(at: StepContext, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Predicted chance of connection at places (n, 2)."""
+    power = at.power(places_m)
+    return connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
 
 
 def _stations(at: StepContext) -> Stations:

@@ -28,6 +28,7 @@ from planopt.planning.search.moving_moves import (
 )
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.reward_lattice import LatticeValues, RewardSearch
+from planopt.planning.search.tried_places import TriedPlaces
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
     MARGIN_PAD_DB,
@@ -323,6 +324,8 @@ class StartSearch:
         self._may_bend = bends_starts(problem, steered=False)
         # Built where it is first needed: its raster of distances is dear.
         self._coupled: CoupledStarts | None = None
+        tries = any(term.tries_places for term in problem.terms)
+        self._tried = TriedPlaces(problem, ground) if tries else None
 
     def find_starts(
         self,
@@ -357,6 +360,8 @@ class StartSearch:
             if self._coupled is None:
                 self._coupled = CoupledStarts(problem, self._ground)
             paths += self._coupled.find_ways(situation, paths, budget)
+        if self._tried is not None:
+            paths += self._tried.find_ways(situation)
         if self._ends > 1 and not budget.searched:
             # Besides what is found otherwise, so that being thorough loses no start.
             paths += self._lattice_paths(situation, self._ends, budget)

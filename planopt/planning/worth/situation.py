@@ -25,6 +25,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import ChannelPosterior, extend
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces, known_places
+from planopt.objectives.known_links import KnownLinks, known_links
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
 from planopt.objectives.terms.term import Structure
@@ -381,6 +382,19 @@ class Situation:
         if not len(unmeasured):
             return rule
         return MeasuringRule(spacing, tuple(np.vstack([places, unmeasured]) for places in known))
+
+    @cached_property
+    def links(self) -> KnownLinks:
+        """Places where the robot knows whether it is connected."""
+        history = self.circumstances.history
+        return known_links(
+            self.stations,
+            self.thresholds_dbm,
+            history.missed_m,
+            self.position_m,
+            history.outage_steps == 0 if history.steps else None,
+            self.problem.channel.measure_spacing_m,
+        )
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
         """Chance of a connection at a place (2,), whatever else is predicted."""

@@ -1,0 +1,101 @@
+"""Places where a robot knows whether its packets arrive, because it has been there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.nearest.place_tree import PlaceTree
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.measuring import SAME_PLACE_M
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLinks:
+    """Places where connection was found, and those where it was missed.
+
+    Multipath stays what it is at a place. A robot that was connected there will be again; nearer
+    than the spacing to a place without connection it has none. That is cautious on both sides: a
+    robot that stands a little beside a connected place is predicted as anywhere else.
+
+    Attributes
+    ----------
+    connected_m
+        ``(n, 2)`` places with connection.
+    lost_m
+        ``(m, 2)`` places without.
+    spacing_m
+        Nearer than this to a place without connection there is none.
+    """
+
+    connected_m: NDArray[np.float64]
+    lost_m: NDArray[np.float64]
+    spacing_m: float
+
+    def chances(
+        self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the chance of connection at places (..., 2), where nothing is known `predicted`.
+
+        Parameters
+        ----------
+        places_m
+            ``(..., 2)``.
+        predicted
+            ``(...)`` the chance there by the belief of the channel.
+        """
+        flat, found = places_m.reshape(-1, 2), predicted.reshape(-1).copy()
+        for tree, within_m, chance in self._trees:
+            _, away = tree.nearest(flat, 1, within_m)
+            found[np.isfinite(away[:, 0])] = chance
+        return found.reshape(predicted.shape)
+
+    @cached_property
+    def _trees(self) -> list[tuple[PlaceTree, float, float]]:
+        """Places with how far they reach and the chance there; what comes later counts."""
+        known = (self.lost_m, self.spacing_m, 0.0), (self.connected_m, SAME_PLACE_M, 1.0)
+        return [
+            (PlaceTree(places), reach, chance) for places, reach, chance in known if len(places)
+        ]
+
+
+def known_links(
+    stations: Sequence[ChannelPosterior],
+    thresholds_dbm: Sequence[float],
+    missed_m: NDArray[np.float64],
+    here_m: NDArray[np.float64],
+    is_connected: bool | None,
+    spacing_m: float,
+) -> KnownLinks:
+    """Return what measurements and the run so far tell of connection.
+
+    Parameters
+    ----------
+    stations, thresholds_dbm
+        Belief of each station's channel, with all measurements, and from which power on it is
+        connected.
+    missed_m
+        ``(k, 2)`` where steps ended without connection.
+    here_m
+        ``(2,)`` where the robot is.
+    is_connected
+        Whether it is connected there; None where no packet was sent yet.
+    spacing_m
+        As far as a place without connection reaches.
+    """
+    up: list[NDArray[np.float64]] = []
+    down = [missed_m]
+    for station, threshold in zip(stations, thresholds_dbm, strict=True):
+        places = station.measurements.positions_m
+        arrives = station.measurements.power_dbm >= threshold
+        up.append(places[arrives])
+        if len(stations) == 1:
+            # Of several stations another one may serve the place.
+            down.append(places[~arrives])
+    if is_connected is not None:
+        (up if is_connected else down).append(here_m[None])
+    return KnownLinks(np.vstack(up), np.vstack(down), max(spacing_m, SAME_PLACE_M))

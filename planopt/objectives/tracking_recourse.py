@@ -1,0 +1,140 @@
+"""Tracking with recourse: a robot tries a place, and goes elsewhere if it has no connection there.
+
+A path is taken for a try of the place where it ends. If a packet arrives from there, later ones do
+too, for multipath stays what it is; if not, the robot goes to another place. Either way it is not
+bound to the place while the target moves on: at every later step it may be at any *retreat* that
+it comes to in time, a place that is known to be connected, or one that the target is expected at,
+with the chance of connection there (equation 4.27).
+
+So a step out of what is known to be covered costs little where the way back is short, and may bring
+a place that is connected from then on. Forms that take a path for driven to its end whatever comes
+of it see the loss alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.objectives.axis_filter import left
+from planopt.objectives.measuring import SAME_PLACE_M
+from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.targets.sensor import sensing_information
+
+RECOURSE_STEPS = 20
+"""Steps beyond the horizon that a try is valued over."""
+
+MOST_CONNECTED = 80
+"""Of the places known to be connected so many are retreats, those that sense the target best."""
+
+
+@dataclass(frozen=True, eq=False)
+class Retreats:
+    """Places where a robot may be instead of where its path ends (equation 4.26).
+
+    Attributes
+    ----------
+    places_m
+        ``(m, 2)``.
+    information
+        ``(m, k)`` expected information of a packet from there at every step, per m^2.
+    longest_m
+        Length of the longest step.
+    """
+
+    places_m: NDArray[np.float64]
+    information: NDArray[np.float64]
+    longest_m: float
+
+    def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the largest information that can be had at every step, ``(c, k)``.
+
+        Parameters
+        ----------
+        stops_m
+            ``(c, 2)`` where the robot sets out.
+        arrivals
+            ``(c,)`` at the end of which step, from 0 on.
+        """
+        found = np.zeros((len(stops_m), self.information.shape[1]))
+        away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
+        away[away <= SAME_PLACE_M] = np.inf
+        steps = arrivals[:, None] + np.ceil(away / self.longest_m - 1e-9)
+        for k in range(found.shape[1]):
+            reached = np.where(steps <= k, self.information[:, k], 0.0)
+            found[:, k] = reached.max(axis=1, initial=0.0)
+        return found
+
+
+def retreats_of(
+    connected_m: NDArray[np.float64],
+    target_chance: NDArray[np.float64],
+    settings: FilteredTracking,
+    longest_m: float,
+) -> Retreats:
+    """Return the places known to be connected, and those where the target is expected.
+
+    Parameters
+    ----------
+    connected_m
+        ``(n, 2)``.
+    target_chance
+        ``(k,)`` chance of connection where the target is expected after every step.
+    settings
+        The target for k steps.
+    longest_m
+        Length of the longest step.
+    """
+    tracking = settings.tracking
+    target = tracking.target_m
+    told = sensing_information(tracking.sensor, connected_m[:, None], target)
+    if len(told) > MOST_CONNECTED:
+        kept = np.sort(np.argsort(-told.sum(axis=1), kind="stable")[:MOST_CONNECTED])
+        connected_m, told = connected_m[kept], told[kept]
+    beside = target_chance[:, None] * sensing_information(tracking.sensor, target[:, None], target)
+    return Retreats(np.vstack([connected_m, target]), np.vstack([told, beside]), longest_m)
+
+
+def recourse_costs(
+    ways_m: NDArray[np.float64],
+    chance: NDArray[np.float64],
+    retreats: Retreats,
+    others: NDArray[np.float64],
+    settings: FilteredTracking,
+) -> NDArray[np.float64]:
+    """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
+
+    Equation 4.27 has what they remove: this is less than what is left without them.
+
+    Parameters
+    ----------
+    ways_m
+        ``(c, N, 2)``.
+    chance
+        ``(c, N)`` chance of connection after every step.
+    retreats
+        Where robots may be later on.
+    others
+        ``(k,)`` expected information of the other robots' packets, per m^2.
+    settings
+        The target and what is known of it, for k >= N steps.
+    """
+    (count, steps), tracking = chance.shape, settings.tracking
+    stops = ways_m[:, -1]
+    moving = np.linalg.norm(ways_m - stops[:, None], axis=2) > SAME_PLACE_M
+    arrivals = steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
+    at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
+    told = np.zeros(at_stop.shape)
+    told[:, :steps] = chance * sensing_information(
+        tracking.sensor, ways_m, tracking.target_m[:steps]
+    )
+    elsewhere = retreats.best(stops, arrivals)
+    staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
+    up = np.where(at_stop, np.maximum(staying, elsewhere), told)
+    down = np.where(at_stop, elsewhere, told)
+    # The filter of a coordinate is told half of the information of a packet.
+    costs = left(0.5 * (np.stack([up, down]) + others), settings)
+    tried = chance[:, -1]
+    return tried * costs[0] + (1.0 - tried) * costs[1]

@@ -1,0 +1,110 @@
+"""Tries with recourse: against the covariance recursion, and what retreats may change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planopt.objectives.axis_filter import left
+from planopt.objectives.known_links import KnownLinks
+from planopt.objectives.tracking import Tracking
+from planopt.objectives.tracking_filter import FilteredTracking, riccati_covariances
+from planopt.objectives.tracking_recourse import Retreats, recourse_costs, retreats_of
+from planopt.targets.information_filter import TargetModel
+from planopt.targets.sensor import Sensor, sensing_information
+
+STEPS, BEYOND, LONGEST_M = 4, 5, 2.0
+SENSOR = Sensor(0.008, 0.08, 1.0)
+TARGET = np.array([10.0, 3.0]) + np.arange(1, STEPS + BEYOND + 1)[:, None] * (0.6, 0.1)
+MODEL = TargetModel(0.5, 0.01 * np.eye(2))
+SETTINGS = FilteredTracking(Tracking(-40.0, SENSOR, TARGET), MODEL, np.diag([4.0, 4.0, 10.0, 10.0]))
+NOWHERE = Retreats(np.zeros((0, 2)), np.zeros((0, STEPS + BEYOND)), LONGEST_M)
+ALONE = np.zeros(STEPS + BEYOND)
+WAYS = np.array(
+    [
+        [[2.0, 0.0], [4.0, 0.0], [6.0, 1.0], [6.0, 1.0]],
+        [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0], [1.0, 1.0]],
+        [[2.0, 0.0], [4.0, 0.0], [6.0, 0.0], [8.0, 0.0]],
+    ]
+)
+
+
+def traced(places_m, arrives):
+    """Sum of tr P of the position by the recursion of 4 by 4 matrices, for certain losses."""
+    sensing = sensing_information(SENSOR, places_m, TARGET)
+    spread = riccati_covariances(arrives[:, None], sensing[:, None], SETTINGS)
+    return np.trace(spread[:, :2, :2], axis1=1, axis2=2).sum()
+
+
+@pytest.mark.parametrize("chance", [0.0, 1.0])
+def test_certain_ends_are_those_of_the_recursion(chance):
+    """Who surely is connected stays at the end of its path; who surely is not tells nothing."""
+    sent = np.array([[1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0], [0.0, 1.0, 1.0, 0.0]])
+    for way, arrives in zip(WAYS, sent, strict=True):
+        stays = np.linalg.norm(way - way[-1], axis=1) == 0.0
+        stays[: int(np.flatnonzero(~stays).max(initial=-1)) + 1] = False
+        chances = np.where(stays, chance, arrives)
+        found = recourse_costs(way[None], chances[None], NOWHERE, ALONE, SETTINGS)
+        places = np.vstack([way, np.repeat(way[-1:], BEYOND, axis=0)])
+        expected = np.append(chances, np.full(BEYOND, chance))
+        np.testing.assert_allclose(found, [traced(places, expected)], rtol=1e-12)
+
+
+def test_a_try_is_the_mixture_of_both_ends():
+    """The cost is linear in the chance at the end."""
+    chances = np.array([[0.9, 0.5, 0.4, 0.4], [0.4] * 4, [0.9, 0.8, 0.7, 0.4]])
+    ends = [
+        recourse_costs(
+            WAYS, np.where([*[[False] * 3 + [True]] * 3], p, chances), NOWHERE, ALONE, SETTINGS
+        )
+        for p in (0.0, 0.4, 1.0)
+    ]
+    np.testing.assert_allclose(ends[1], 0.6 * ends[0] + 0.4 * ends[2], rtol=1e-12)
+
+
+def test_retreats_never_cost_and_are_reached_in_time():
+    """A place that is too far for all steps changes nothing; a near one lessens what is left."""
+    chances = np.full((3, STEPS), 0.5)
+    alone = recourse_costs(WAYS, chances, NOWHERE, ALONE, SETTINGS)
+    far = retreats_of(np.array([[60.0, 60.0]]), np.zeros(len(TARGET)), SETTINGS, LONGEST_M)
+    np.testing.assert_array_equal(recourse_costs(WAYS, chances, far, ALONE, SETTINGS), alone)
+    near = retreats_of(np.array([[9.0, 3.0]]), np.zeros(len(TARGET)), SETTINGS, LONGEST_M)
+    assert np.all(recourse_costs(WAYS, chances, near, ALONE, SETTINGS) < alone)
+
+
+def test_the_best_retreat_within_reach_is_taken_at_every_step():
+    """Against a loop over places and steps."""
+    generator = np.random.default_rng(3)
+    places, told = generator.uniform(0.0, 12.0, (7, 2)), generator.uniform(0.0, 5.0, (7, 9))
+    retreats = Retreats(places, told, LONGEST_M)
+    stops, arrivals = WAYS[:, -1], np.array([2, 0, 3])
+    expected = np.zeros((3, 9))
+    for number, (stop, arrival) in enumerate(zip(stops, arrivals, strict=True)):
+        for k in range(9):
+            for place, each in zip(places, told, strict=True):
+                if np.linalg.norm(place - stop) <= LONGEST_M * (k - arrival):
+                    expected[number, k] = max(expected[number, k], each[k])
+    np.testing.assert_array_equal(retreats.best(stops, arrivals), expected)
+
+
+def test_packets_of_others_saturate():
+    """A try brings less beside others, who tell the same station."""
+    chances = np.full((3, STEPS), 0.5)
+    beside = np.full(STEPS + BEYOND, 3.0)
+    alone = left(ALONE, SETTINGS) - recourse_costs(WAYS, chances, NOWHERE, ALONE, SETTINGS)
+    told = left(0.5 * beside, SETTINGS) - recourse_costs(WAYS, chances, NOWHERE, beside, SETTINGS)
+    assert np.all((told > 0.0) & (told < alone))
+
+
+def test_links_are_known_where_the_robot_has_been():
+    """Connected at the place itself; lost within the spacing; else as predicted."""
+    links = KnownLinks(np.array([[1.0, 1.0]]), np.array([[1.3, 1.0], [5.0, 5.0]]), 0.6)
+    places = np.array([[[1.0, 1.0], [1.0, 1.01]], [[5.5, 5.0], [5.7, 5.0]]])
+    found = links.chances(places, np.full((2, 2), 0.3))
+    np.testing.assert_array_equal(found, [[1.0, 0.0], [0.0, 0.3]])
+    nothing = replace(links, connected_m=np.zeros((0, 2)), lost_m=np.zeros((0, 2)))
+    np.testing.assert_array_equal(
+        nothing.chances(places, np.full((2, 2), 0.3)), np.full((2, 2), 0.3)
+    )

@@ -18,9 +18,9 @@ from planopt.objectives.measuring import SAME_PLACE_M
 class KnownLinks:
     """Places where connection was found, and those where it was missed.
 
-    Multipath stays what it is at a place. A robot that was connected there will be again; nearer
-    than the spacing to a place without connection it has none. That is cautious on both sides: a
-    robot that stands a little beside a connected place is predicted as anywhere else.
+    Multipath stays what it is at a place. A robot that was connected there will be again; a little
+    beside it is predicted as anywhere else. Nearer than the spacing of measurements to a place
+    without connection there is none: a robot does not try what it would not measure either.
 
     Attributes
     ----------
@@ -90,12 +90,14 @@ def known_links(
     up: list[NDArray[np.float64]] = []
     down = [missed_m]
     for station, threshold in zip(stations, thresholds_dbm, strict=True):
-        places = station.measurements.positions_m
-        arrives = station.measurements.power_dbm >= threshold
+        measured = station.measurements
+        places = measured.positions_m
+        # Of a censored power only an upper limit is known.
+        arrives = (measured.power_dbm >= threshold) & ~measured.censored
         up.append(places[arrives])
         if len(stations) == 1:
             # Of several stations another one may serve the place.
-            down.append(places[~arrives])
+            down.append(places[measured.power_dbm < threshold])
     if is_connected is not None:
         (up if is_connected else down).append(here_m[None])
     return KnownLinks(np.vstack(up), np.vstack(down), max(spacing_m, SAME_PLACE_M))

@@ -6,9 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from terms_scene import TRACKING, situation_of, terms_problem
 
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import condition
 from planopt.objectives.axis_filter import left
-from planopt.objectives.known_links import KnownLinks
+from planopt.objectives.known_links import KnownLinks, known_links
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking, riccati_covariances
 from planopt.objectives.tracking_recourse import Retreats, recourse_costs, retreats_of
@@ -108,3 +112,29 @@ def test_links_are_known_where_the_robot_has_been():
     np.testing.assert_array_equal(
         nothing.chances(places, np.full((2, 2), 0.3)), np.full((2, 2), 0.3)
     )
+
+
+def test_censored_powers_are_no_connection():
+    """A power below the receiver's sensitivity may be anything below."""
+    places = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]])
+    measured = Measurements(places, np.array([-50.0, -70.0, -95.0]), np.array([False, True, True]))
+    parameters = ChannelParameters(-30.0, 2.0, 4.0, 10.0, 1.0, Station((0.0, 0.0)))
+    station = condition(parameters, measured, theta="known")
+    found = known_links([station], [-80.0], np.zeros((0, 2)), np.array([9.0, 9.0]), None, 0.6)
+    np.testing.assert_array_equal(found.connected_m, places[:1])
+    np.testing.assert_array_equal(found.lost_m, places[2:])
+    here = known_links([station], [-80.0], np.zeros((0, 2)), np.array([9.0, 9.0]), False, 0.6)
+    np.testing.assert_array_equal(here.lost_m, [places[2], [9.0, 9.0]])
+
+
+def test_the_terminal_weight_is_of_one_step():
+    """Steps beyond the horizon have the weight of the others."""
+    problem = terms_problem({**TRACKING, "form": "recourse", "terminal_weight": 5.0}, horizon=3)
+    situation, _ = situation_of(problem)
+    (term,) = problem.terms
+    alone = replace(term, terminal_weight=1.0)
+    way = np.tile(situation.position_m, (1, 3, 1))
+    chance = np.full((1, 3), 0.5)
+    heavy, light = (each.tried_values(situation, way, chance)[0] for each in (term, alone))
+    far = replace(term, terminal_weight=1.0, step_weights=(1.0, 1.0, 5.0, 1.0))
+    assert light < heavy == pytest.approx(far.tried_values(situation, way, chance)[0], rel=1e-12)

@@ -258,10 +258,14 @@ class TrackingTerm(Term):
 
     def weights_of(self, steps: int) -> NDArray[np.float64]:
         """Return the weights of a plan of so many steps; ``(steps,)``."""
-        given = np.array(self.step_weights or (1.0,))
-        found = given[np.minimum(np.arange(steps), len(given) - 1)]
+        found = self._step_weights_of(steps)
         found[-1] *= self.terminal_weight
         return found
+
+    def _step_weights_of(self, steps: int) -> NDArray[np.float64]:
+        """Return the weights of so many steps without that of the last one as such."""
+        given = np.array(self.step_weights or (1.0,))
+        return given[np.minimum(np.arange(steps), len(given) - 1)]
 
     def filtered(self, at: StepContext) -> FilteredTracking:
         """Return the same with the station's filter, for the forms that follow it."""
@@ -308,7 +312,14 @@ class TrackingTerm(Term):
         filtered = replace(self.filtered(at), others=None)
         if steps is not None:
             filtered = first_steps(filtered, steps)
-        return extended(filtered, self.beyond_steps)
+        return self._longer(filtered, self.beyond_steps)
+
+    def _longer(self, settings: FilteredTracking, beyond: int) -> FilteredTracking:
+        """Return the same for more steps, weighted as further ones of a plan."""
+        found, steps = extended(settings, beyond), len(settings.tracking.weight)
+        weight = found.tracking.weight.copy()
+        weight[steps:] = self._step_weights_of(len(weight))[steps:]
+        return replace(found, tracking=replace(found.tracking, weight=weight))
 
     def _ranked(self, paths: Paths) -> NDArray[np.float64]:
         """Values of many paths of the form ``sampled``."""
@@ -329,7 +340,7 @@ class TrackingTerm(Term):
         """Return the values of the form ``recourse`` by chances as predicted."""
 
         def made() -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
-            own = extended(replace(self.filtered(at), others=None), RECOURSE_STEPS)
+            own = self._longer(replace(self.filtered(at), others=None), RECOURSE_STEPS)
             target_m = own.tracking.target_m
             beside = at.links.chances(target_m, _chance(at, target_m))
             retreats = retreats_of(at.links.connected_m, beside, own, at.step_length_m)

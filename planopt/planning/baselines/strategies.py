@@ -23,6 +23,7 @@ from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.measuring import SAME_PLACE_M
 from planopt.planning.baselines.baseline import released
+from planopt.planning.history import BEGINNING
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
@@ -125,7 +126,8 @@ class StrategyPlanner:
         channel = condition(self._assumed(parameters), nothing, theta="known")
         path = self._home(situation) if self._assumed is informed_disk else None
         if path is None:
-            circumstances = replace(situation.circumstances, broad=None)
+            # Whoever assumes a channel has learned nothing of it on the run either.
+            circumstances = replace(situation.circumstances, broad=None, history=BEGINNING)
             seen = replace(situation, posterior=channel, circumstances=circumstances)
             assuming = replace(
                 judge,

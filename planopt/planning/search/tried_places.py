@@ -34,7 +34,7 @@ MOST_KNOWN = 60
 target is expected."""
 
 MOST_HIDDEN = 12
-"""Of the places that are not in sight so many are compared, by what their packets would tell."""
+"""Of the places that are not in sight so many are compared, those nearest to the target."""
 
 TRIED = 4
 """Paths that are handed on, the best first."""

@@ -95,3 +95,17 @@ def test_files_name_the_holes(error, tmp_path: Path, capsys) -> None:
     capsys.readouterr()
     main(["check", str(tmp_path / "plan")])
     assert "blocked" not in capsys.readouterr().out
+
+
+def test_a_team_that_drives_no_step_has_no_separation(problem) -> None:
+    """Its metric is missing, as others of steps are."""
+    (robot,) = problem.robots
+    x, y = robot.start_m
+    goal_x, goal_y = problem.goal_m
+    other = replace(
+        robot, name="other", start_m=(x + 10.0, y), goal_m=(float(goal_x), float(goal_y) + 10.0)
+    )
+    apart = replace(problem.constraints, separation_m=2.0)
+    run = simulate(replace(problem, robots=(robot, other), constraints=apart), seed=1)
+    assert run.outcome.value == "no_plan" and len(run.runs[0].log.t_s) == 1
+    assert np.isnan(run.metrics["min_separation_m"])

@@ -149,7 +149,9 @@ def run_metrics(
     step_s = problem.planner.step_s
     motions = [driven_motion(run.log.positions_m, run.drive, step_s) for run in runs]
     if len(motions) > 1 and problem.constraints.separation_m > 0.0:
-        found["min_separation_m"] = float(least_separations_m(motions).min())
+        # One that drove no step has no distance during a step.
+        apart_m = least_separations_m(motions)
+        found["min_separation_m"] = float(np.min(apart_m)) if apart_m.size else float("nan")
     if problem.workspace.moving and len(runs[0].log.t_s) > 1:
         clearances = least_moving_clearances_m(problem, motions)
         found["min_moving_clearance_m"] = float(clearances.min())

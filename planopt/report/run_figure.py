@@ -196,6 +196,7 @@ def draw_run(simulation: Run) -> Figure:
     """Draw a run over the true power [dBm]: first plan, driven path, relaxed steps, measurements.
 
     A step of the driven path looks as the place that it leads to is: connected in truth or not.
+    Without its ground truth, such as one from Python that no file holds, there is no power.
     """
     from matplotlib.gridspec import GridSpec
 
@@ -204,14 +205,15 @@ def draw_run(simulation: Run) -> Figure:
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
     words = wrap(f"{spaced(run.outcome)}: {run.reason}", TITLE_WIDTH)
     draw_ground(panel, problem.workspace, "\n".join(words))
-    draw_layer(
-        panel,
-        true_power(simulation),
-        POWER_MAP,
-        figure,
-        "true power [dBm] (line: threshold)",
-        mark=problem.stations[0].true_threshold_dbm,
-    )
+    if simulation.truths:
+        draw_layer(
+            panel,
+            true_power(simulation),
+            POWER_MAP,
+            figure,
+            "true power [dBm] (line: threshold)",
+            mark=problem.stations[0].true_threshold_dbm,
+        )
     entries = [
         *draw_places(panel, problem),
         *_draw_measurements(panel, simulation),

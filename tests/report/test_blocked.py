@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from artists import drawn
 
-from planopt import ConnectivityRule, Problem, load, simulate, solve
+from planopt import ConnectivityRule, InputError, Problem, load, load_result, simulate, solve
 from planopt.cli import main
 from planopt.planning.holes import BlockedError
 from planopt.planning.prepare import prepare
@@ -95,6 +95,50 @@ def test_files_name_the_holes(error, tmp_path: Path, capsys) -> None:
     capsys.readouterr()
     main(["check", str(tmp_path / "plan")])
     assert "blocked" not in capsys.readouterr().out
+
+
+def test_a_saved_run_keeps_its_refusal(problem, tmp_path: Path, capsys) -> None:
+    """Read again it ended as it did, for the same reason; `check` does not call this violated."""
+    run = simulate(problem, seed=1)
+    run.save(tmp_path)
+    assert main(["check", str(tmp_path)]) == 0, capsys.readouterr().out
+    again = load_result(tmp_path)
+    assert (again.outcome, again.reason) == (run.outcome, run.reason)
+    (way,), (other,) = run.blocked, again.blocked
+    assert (way.robot, way.holes) == (other.robot, other.holes)
+    np.testing.assert_array_equal(way.way_m, other.way_m)
+
+
+@pytest.mark.parametrize("key", ["robot", "x_m"])
+def test_a_damaged_refusal_is_an_error(problem, tmp_path: Path, key: str) -> None:
+    """Ways of robots that there are, with as many x as y."""
+    simulate(problem, seed=1).save(tmp_path)
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text())
+    data["blocked"][0][key] = "nobody" if key == "robot" else [1.0]
+    file.write_text(json.dumps(data))
+    with pytest.raises(InputError, match="blocked"):
+        load_result(tmp_path)
+
+
+def test_no_plan_without_a_refusal_is_violated(problem, tmp_path: Path, capsys) -> None:
+    """What is taken as it stands must be there."""
+    simulate(problem, seed=1).save(tmp_path)
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text())
+    del data["blocked"]
+    file.write_text(json.dumps(data))
+    assert main(["check", str(tmp_path)]) != 0
+    assert "outcome" in capsys.readouterr().out
+
+
+def test_a_run_is_drawn_without_its_truth(problem) -> None:
+    """A truth from Python is in no file."""
+    run = replace(simulate(problem, seed=1), truths=())
+    axes = drawn(run.plot()).axes
+    assert len(axes) == 1
+    labels = [artist.get_label() for artist in axes[0].get_lines()]
+    assert "crosses a coverage hole" in labels
 
 
 def test_a_team_that_drives_no_step_has_no_separation(problem) -> None:

@@ -42,7 +42,7 @@ from planopt.planning.files.run_json import (
     run_json,
 )
 from planopt.planning.files.saved import FORMAT, RUN_FILE
-from planopt.planning.files.solution_json import aim_again
+from planopt.planning.files.solution_json import aim_again, blocked_again
 from planopt.planning.files.steps_file import (
     FORMER_KNOWLEDGE_COLUMNS,
     KNOWLEDGE_COLUMNS,
@@ -55,6 +55,7 @@ from planopt.planning.files.steps_file import (
 from planopt.planning.free_space import is_joined, obstacles_met
 from planopt.planning.given import Given, team_seeds
 from planopt.planning.history import history_of
+from planopt.planning.holes import BlockedWay
 from planopt.planning.loop.clairvoyant import COSTS, run_costs
 from planopt.planning.loop.ending import Progress, run_ending
 from planopt.planning.loop.log import (
@@ -143,7 +144,9 @@ def check_run(
         # Former versions knew fewer metrics.
         found["metrics"] = {key: found["metrics"][key] for key in found["metrics"] if key in said}
     _drop_later_keys(_robots_and_plans(found), _robots_and_plans(saved.data))
-    reasons += in_words(RUN_FILE, disagreements(without_searched(saved.data), found))
+    reasons += in_words(
+        RUN_FILE, disagreements(without_searched(saved.data), without_searched(found))
+    )
     reasons += _step_time_faults(record.step_s, sum(len(made) for made in run.plans))
     again = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
     reasons += steps_reasons(joined_steps(saved.steps), again)
@@ -206,7 +209,9 @@ def rebuilt_run(
         taken_on_the_way(problem, belief, tracks[those], true[those])
         for belief, those in zip(saved.beliefs, measuring, strict=True)
     ]
-    ended, reasons = _ended(saved, connected, driven, [one.learnt for one in taken])
+    names = [robot.name for robot in problem.robots]
+    blocked = blocked_again(record.blocked, names, saved.file)
+    ended, reasons = _ended(saved, connected, driven, [one.learnt for one in taken], blocked)
     for step, aims in enumerate(zip(*(one.aims for one in driven), strict=True)):
         faults = order_faults(problem, aims)
         reasons += [f"{RUN_FILE}, key plans[].released[{step}]: {fault}" for fault in faults]
@@ -235,6 +240,7 @@ def rebuilt_run(
         target=target_log(watches, connected),
         channel=_channel(saved, places[0], truths, driven[0].posteriors),
         costs=_costs(saved, truths, list(tracks), ended[0]),
+        blocked=blocked,
     )
     reasons += [reason for one in driven for reason in one.reasons]
     return _Rebuilt(run, taken, reasons)
@@ -415,8 +421,12 @@ def _ended(
     connected: NDArray[np.bool_],
     driven: Sequence[_Driven],
     learnt: Sequence[list[bool]],
+    blocked: Sequence[BlockedWay],
 ) -> tuple[tuple[Outcome, str], list[str]]:
-    """Return how the run ended, why in words, and what is wrong with where it did."""
+    """Return how the run ended, why in words, and what is wrong with where it did.
+
+    That a hard bound left no way at the start is taken as it stands: the search is not repeated.
+    """
     problem, steps = saved.problem, len(connected)
     now = problem
     for step in range(steps + 1):
@@ -437,7 +447,9 @@ def _ended(
             late = f"{STEPS_FILE}: the run goes on after step {step}, {ended[1]}"
             return ended, [late] if step < steps else []
     no_plan = saved.data.get("outcome") == Outcome.NO_PLAN.value
-    if no_plan and _is_cut_off(problem_at(now, steps), driven):
+    hard = problem.constraints.rule.slack_max_db is not None
+    refused = steps == 0 and hard and len(blocked) > 0
+    if no_plan and (refused or _is_cut_off(problem_at(now, steps), driven)):
         return (Outcome.NO_PLAN, str(saved.data.get("message"))), []
     short = (
         f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "

@@ -20,6 +20,7 @@ from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
 from planopt.planning.files.solution_json import (
     AimRecord,
+    BlockedRecord,
     PivotRecord,
     RobotRecord,
     aim_json,
@@ -75,6 +76,7 @@ class RunRecord(Record):
     step_s: StepTimesRecord
     robots: list[RobotRecord] = Field(min_length=1)
     plans: list[RobotPlansRecord]
+    blocked: list[BlockedRecord] = Field(default=[])
     problem_file: dict[str, Any]
 
 

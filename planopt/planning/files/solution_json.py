@@ -6,18 +6,27 @@ besides. What is read back for judging is described beside what is written.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, replace
 from enum import Enum
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from planopt.errors import InputError
 from planopt.planning.certificate import Certificate, Excused
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.drive_table import drive_json
-from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
+from planopt.planning.files.record import (
+    REMEDY,
+    NotNegative,
+    Number,
+    Record,
+    finite,
+    finite_list,
+)
 from planopt.planning.holes import BlockedWay, Hole
 from planopt.planning.plan import Pivot, Plan, Termination, Verdict, share_gained
 from planopt.planning.solution import Solution
@@ -99,6 +108,25 @@ class CrossingRecord(Record):
     cost_m: NotNegative
     kept_m: NotNegative
     outside_m: NotNegative
+
+
+class HoleRecord(Record):
+    """A stretch of a way that misses the bound on connectivity, by its two ends."""
+
+    x_m: Place
+    y_m: Place
+    length_m: NotNegative
+    min_connectivity: float = Field(ge=0, le=1)
+    to_end: bool
+
+
+class BlockedRecord(Record):
+    """The cheapest way of a robot to its goal, which a hard bound on connectivity forbids."""
+
+    robot: str
+    x_m: list[Number] = Field(min_length=1, max_length=10**6)
+    y_m: list[Number] = Field(min_length=1, max_length=10**6)
+    holes: list[HoleRecord]
 
 
 class RobotPlanRecord(RobotRecord):
@@ -214,6 +242,50 @@ def blocked_json(ways: Iterable[BlockedWay]) -> dict[str, Any]:
         for one in ways
     ]
     return {"blocked": found} if found else {}
+
+
+def blocked_again(
+    said: Iterable[BlockedRecord], names: Collection[str], file: Path
+) -> tuple[BlockedWay, ...]:
+    """Return the ways of the key ``blocked``, of which nothing is judged.
+
+    Raises
+    ------
+    InputError
+        A way is of no robot in `names`, or has not as many x as y.
+    """
+    for number, one in enumerate(said):
+        if one.robot not in names:
+            raise InputError(
+                f"{one.robot!r} is no robot of it",
+                file=file,
+                key=f"blocked[{number}].robot",
+                remedy=REMEDY,
+            )
+        if len(one.x_m) != len(one.y_m):
+            raise InputError(
+                f"has {len(one.x_m)} x_m and {len(one.y_m)} y_m",
+                file=file,
+                key=f"blocked[{number}]",
+                remedy=REMEDY,
+            )
+    return tuple(
+        BlockedWay(
+            one.robot,
+            np.stack([one.x_m, one.y_m], axis=1),
+            tuple(
+                Hole(
+                    (hole.x_m[0], hole.y_m[0]),
+                    (hole.x_m[1], hole.y_m[1]),
+                    hole.length_m,
+                    hole.min_connectivity,
+                    hole.to_end,
+                )
+                for hole in one.holes
+            ),
+        )
+        for one in said
+    )
 
 
 def holes_json(holes: Iterable[Hole]) -> list[dict[str, Any]]:

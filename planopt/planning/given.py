@@ -123,11 +123,14 @@ def draw(problem: Problem, seed: int, measurements: Sequence[Measurements] | Non
     Raises
     ------
     InputError
-        The seed is negative, a file cannot be used, or there is nothing to measure.
+        The seed is negative or no whole number, a file cannot be used, or there is nothing to
+        measure.
     """
     if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
         raise InputError(
-            f"is {seed!r}, should be at least 0", key="seed", remedy="give a whole number, e.g. 0"
+            f"is {seed!r}, should be a whole number, at least 0",
+            key="seed",
+            remedy="give 0, 1, ...",
         )
     fading_seed, places_seed = np.random.SeedSequence(seed).spawn(2)
     fading_seeds = [fading_seed] + [

@@ -66,11 +66,11 @@ class _Variant:
 
 def compare(
     problems: AnyProblem | Sequence[AnyProblem],
-    horizons: Sequence[int] | None = None,
+    horizons: int | Sequence[int] | None = None,
     *,
-    planners: Sequence[str] | None = None,
-    costs_to_go: Sequence[str] | None = None,
-    sweep: Mapping[str, Sequence[Any]] | None = None,
+    planners: str | Sequence[str] | None = None,
+    costs_to_go: str | Sequence[str] | None = None,
+    sweep: Mapping[str, Any] | None = None,
     seeds: int | Iterable[int] | None = None,
     workers: int = 1,
     backend: str = "loky",
@@ -115,9 +115,9 @@ def compare(
     Raises
     ------
     InputError
-        There is nothing to compare, a seed is negative or twice there, there is no worker or no
-        such backend, a value is not allowed, or runs of a problem with parts from Python are to be
-        kept.
+        There is nothing to compare, a seed is no whole number, negative or twice there, there is
+        no worker or no such backend, a value is not allowed, or runs of a problem with parts from
+        Python are to be kept.
     NoPlanError
         No run has a plan, since obstacles cut every goal off.
 
@@ -134,11 +134,11 @@ def compare(
     begun = perf_counter()
     kind = cast("type[AnyProblem]", Problem | SystemProblem)
     given = parts_of("problems", problems, kind, "load or make a Problem")
-    variants = _variants(given, horizons, planners, costs_to_go, sweep)
+    asked = _several(horizons), _several(planners), _several(costs_to_go), _swept(sweep)
+    variants = _variants(given, *asked)
     if seeds is None:
-        seeds = default_seeds(own_settings(given, horizons, planners, costs_to_go, sweep))
-    chosen = list(range(seeds)) if isinstance(seeds, int) else list(seeds)
-    _check_seeds(chosen)
+        seeds = default_seeds(own_settings(given, *asked))
+    chosen = _chosen_seeds(seeds)
     kept = None if finished is None else FinishedRuns(Path(finished))
     study: Study[_Asked, Shared, RunSummary] = Study(
         kind=RunSummary,
@@ -210,13 +210,66 @@ def default_seeds(own: ComparisonSettings | None) -> range:
     return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")
 
 
-def _check_seeds(seeds: Sequence[int]) -> None:
-    if not seeds:
-        raise InputError("there is none, so nothing to compare", key="seeds")
-    if min(seeds) < 0 or len(set(seeds)) < len(seeds):
+def _several(values: object) -> Sequence[Any] | None:
+    """Return several values; a single one, such as a name, as a list of it."""
+    if values is None:
+        return None
+    if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
+        return [cast("object", values)]
+    return list(cast("Iterable[object]", values))
+
+
+def _swept(sweep: object) -> Mapping[str, Sequence[Any]] | None:
+    """Return the swept values of each key.
+
+    Raises
+    ------
+    InputError
+        It is no mapping.
+    """
+    if sweep is None:
+        return None
+    if not isinstance(sweep, Mapping):
         raise InputError(
-            f"{list(seeds)} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
+            f"is a {type(sweep).__name__}",
+            key="sweep",
+            remedy='give the values of each key, {"constraints.p_min": [0.5, 0.9]}',
         )
+    swept = cast("Mapping[str, object]", sweep)
+    return {key: _several(values) or [] for key, values in swept.items()}
+
+
+def _chosen_seeds(seeds: object) -> list[int]:
+    """Return the seeds that are asked for, or as many of them.
+
+    Raises
+    ------
+    InputError
+        They are no whole numbers, negative or repeated, or there is none.
+    """
+    remedy = "a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)"
+    if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
+        seeds = range(int(cast("int", seeds)))
+    if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
+        raise InputError(
+            f"is {seeds!r}, should be whole numbers, at least 0", key="seeds", remedy=remedy
+        )
+    chosen: list[int] = []
+    for number, seed in enumerate(cast("Iterable[object]", seeds)):
+        if not isinstance(seed, int | np.integer) or isinstance(seed, bool):
+            raise InputError(
+                f"is {seed!r}, should be a whole number, at least 0",
+                key=f"seeds[{number}]",
+                remedy=remedy,
+            )
+        chosen.append(int(cast("int", seed)))
+    if not chosen:
+        raise InputError("there is none, so nothing to compare", key="seeds")
+    if min(chosen) < 0 or len(set(chosen)) < len(chosen):
+        raise InputError(
+            f"{chosen} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
+        )
+    return chosen
 
 
 def _variants(

@@ -214,6 +214,11 @@ def test_one_seed_has_no_interval(problem):
         ({"seeds": []}, "seeds"),
         ({"seeds": [1, -1]}, "seeds"),
         ({"seeds": [1, 2, 1]}, "seeds"),
+        ({"seeds": "1:3"}, "seeds"),
+        ({"seeds": 1.5}, "seeds"),
+        ({"seeds": [0, 1.5]}, "seeds[1]"),
+        ({"seeds": True}, "seeds"),
+        ({"sweep": [0.5]}, "sweep"),
         ({"workers": 0}, "workers"),
         ({"workers": -1}, "workers"),
         ({"backend": "carrier pigeon"}, "backend"),
@@ -231,6 +236,36 @@ def test_bad_arguments(problem, options, key):
             problem, arguments.pop("horizons"), on_run=lambda _: pytest.fail("ran"), **arguments
         )
     assert caught.value.key == key
+
+
+def test_a_single_value_is_a_list_of_one(problem):
+    """Of horizons, planners, costs-to-go and swept values."""
+    several = compare(
+        problem,
+        [2],
+        planners=["auto"],
+        costs_to_go=["geodesic"],
+        sweep={"constraints.p_min": [0.5]},
+        seeds=[0],
+    )
+    alone = compare(
+        problem,
+        2,
+        planners="auto",
+        costs_to_go="geodesic",
+        sweep={"constraints.p_min": 0.5},
+        seeds=np.int64(1),
+    )
+    (run,), (same,) = several.runs, alone.runs
+    assert run.sweep == same.sweep == {"constraints.p_min": 0.5}
+    assert_same_run(run, same)
+
+
+@pytest.mark.parametrize("seed", [1.5, None, -1])
+def test_a_seed_is_a_whole_number(problem, seed):
+    """The error says so of all that is none."""
+    with pytest.raises(InputError, match="should be a whole number, at least 0"):
+        simulate(problem, seed=seed)
 
 
 def test_interval_of_few_values():

@@ -51,6 +51,13 @@ def test_one_plan_by_public_names() -> None:
     assert isinstance(solution.belief.posterior, planopt.channel.ChannelPosterior)
 
 
+def test_a_refusal_is_an_error_of_no_plan() -> None:
+    """It is caught as that one, and has the ways that are forbidden."""
+    assert issubclass(planopt.extend.BlockedError, planopt.NoPlanError)
+    error = planopt.extend.BlockedError("no path", ())
+    assert error.blocked == ()
+
+
 def test_former_names_warn_and_give_their_successors() -> None:
     """Code that was written for an earlier version goes on, and says what to change."""
     with pytest.warns(DeprecationWarning, match="planopt.TeamSolution is now planopt.Solution"):

@@ -4,6 +4,8 @@ from planopt.objectives.terms.expression import OwnTerm as OwnTerm
 from planopt.objectives.terms.term import Term as Term
 from planopt.planning.baselines.baseline import free_ends as free_ends
 from planopt.planning.baselines.baseline import released as released
+from planopt.planning.holes import BlockedError as BlockedError
+from planopt.planning.holes import BlockedWay as BlockedWay
 from planopt.planning.plan import Rung as Rung
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.proof.rules.own import OwnRule as OwnRule

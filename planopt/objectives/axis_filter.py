@@ -37,23 +37,13 @@ def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[n
     In place: searches ask for hundreds of paths over all steps.
     """
     weight, steps = settings.tracking.weight, Axis.of(settings)
-    e, (q_a, q_b, q_c) = steps.transition[2, 1], steps.noise
-    shape = received.shape[:-1]
-    a, b, c = (np.full(shape, each) for each in steps.start)
-    total = np.zeros(shape)
+    total = np.zeros(received.shape[:-1])
+    variance = np.empty((3, *total.shape))
+    variance[:] = steps.start.reshape(3, *[1] * total.ndim)
     for k, each in enumerate(np.moveaxis(received, -1, 0)):
-        a += (2.0 * e) * b
-        a += (e * e) * c
-        a += q_a
-        b += e * c
-        b += q_b
-        c += q_c
-        kept = 1.0 / (1.0 + a * each)
-        a *= kept
-        kept *= b
-        c -= b * each * kept
-        b = kept
-        total += weight[k] * criterion_of(a, settings.criterion)
+        steps.predict(variance)
+        steps.update(variance, each)
+        total += weight[k] * criterion_of(variance[0], settings.criterion)
     return total
 
 
@@ -224,22 +214,31 @@ class Axis:
 
     def predicted(self, now: NDArray[np.float64]) -> NDArray[np.float64]:
         """(a, b, c) ``(3, ...)`` a step later, without packets."""
-        e, (a, b, c) = self.transition[2, 1], now
-        found = np.empty_like(now)
-        found[0] = a + (2.0 * e) * b + (e * e) * c + self.noise[0]
-        found[1] = b + e * c + self.noise[1]
-        found[2] = c + self.noise[2]
+        found = now.copy()
+        self.predict(found)
         return found
+
+    def predict(self, now: NDArray[np.float64]) -> None:
+        """Predict (a, b, c) ``(3, ...)`` by one step, in place."""
+        e = self.transition[2, 1]
+        now[0] += (2.0 * e) * now[1] + (e * e) * now[2] + self.noise[0]
+        now[1] += e * now[2] + self.noise[1]
+        now[2] += self.noise[2]
 
     def updated(
         self, now: NDArray[np.float64], information: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """(a, b, c) after packets with `information` (...)."""
-        a, b, c = now[0], now[1], now[2]
-        divisor = 1.0 + a * information
-        found = np.empty((3, *divisor.shape))
-        found[0], found[1], found[2] = a / divisor, b / divisor, c - b * b * information / divisor
+        found = np.empty((3, *np.broadcast_shapes(now.shape[1:], information.shape)))
+        found[:] = now.reshape(3, *[1] * (found.ndim - now.ndim), *now.shape[1:])
+        self.update(found, information)
         return found
+
+    def update(self, now: NDArray[np.float64], information: NDArray[np.float64]) -> None:
+        """Update (a, b, c) ``(3, ...)`` by packets with `information` (...), in place."""
+        divisor = 1.0 + now[0] * information
+        now[2] -= now[1] * now[1] * information / divisor
+        now[:2] /= divisor
 
 
 def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

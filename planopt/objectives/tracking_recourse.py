@@ -29,6 +29,9 @@ RECOURSE_STEPS = 20
 MOST_CONNECTED = 80
 """Of the places known to be connected so many are retreats, those that sense the target best."""
 
+WHOLE_STEPS = 1e-9
+"""A distance that is longer than whole steps by less than this share of one takes no further."""
+
 
 @dataclass(frozen=True, eq=False)
 class Retreats:
@@ -61,7 +64,7 @@ class Retreats:
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
         away[away <= SAME_PLACE_M] = np.inf
-        steps = arrivals[:, None] + np.ceil(away / self.longest_m - 1e-9)
+        steps = arrivals[:, None] + np.ceil(away / self.longest_m - WHOLE_STEPS)
         for k in range(found.shape[1]):
             reached = np.where(steps <= k, self.information[:, k], 0.0)
             found[:, k] = reached.max(axis=1, initial=0.0)

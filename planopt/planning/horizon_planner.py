@@ -92,8 +92,7 @@ class FallbackCascade:
         # To a goal, what one more round gains is lost again where the next pivot is seen.
         again = self._driven and problem.task != "reach"
         self._rounds = DRIVEN_ROUNDS if again else int(thorough)
-        climbs = all(term.can_be_polished for term in problem.terms)
-        polishes = problem.planner.name in METHODS and climbs
+        polishes = problem.planner.name in METHODS and problem.can_be_polished
         self.polish = StartPolish(problem, ground) if polishes else None
 
     def first_verified(

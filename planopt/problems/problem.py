@@ -239,6 +239,11 @@ class Problem:
         return tuple(term.planned(self.term_setting) for term in self.objective.terms)
 
     @property
+    def can_be_polished(self) -> bool:
+        """Return whether a solver improves plans by the derivatives of all terms."""
+        return all(term.can_be_polished for term in self.terms)
+
+    @property
     def term_setting(self) -> TermSetting:
         """Return the parts that decide how terms are planned for."""
         return TermSetting(

@@ -184,8 +184,7 @@ def _widest(problem: Problem) -> float:
 
 
 def _is_unpolished(problem: Problem) -> bool:
-    climbs = all(term.can_be_polished for term in problem.terms)
-    return not (climbs and planner_kind(problem.planner.name).solves)
+    return not (problem.can_be_polished and planner_kind(problem.planner.name).solves)
 
 
 def _objective_faults(problem: Problem, plan: Plan) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.prediction import connection_probability
-from planopt.planning.baselines.baseline import free_ends
+from planopt.planning.baselines.baseline import free_ends, held
 from planopt.planning.scene import Ground
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M
@@ -26,8 +26,9 @@ from planopt.world.clearance import inside_bounds
 CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
 """Radii of circles of places, in longest steps."""
 
-FEWEST_ON_CIRCLE, APART_SHARE = 8, 1.0 / 6.0
-"""Places on a circle: as many as are this share of its radius apart, but no fewer."""
+FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
+"""Places on a circle: as many as are this share of its radius apart, and so many longest steps at
+least, but no fewer."""
 
 MOST_KNOWN = 60
 """Of the places known to be connected within reach so many are compared, the nearest to where the
@@ -56,9 +57,8 @@ class TriedPlaces:
         self._longest_m = problem.step_length_m - STEP_PAD_M
         places = [np.zeros((1, 2))]
         for number, radius in enumerate(CIRCLES):
-            count = max(
-                FEWEST_ON_CIRCLE, math.ceil(2.0 * math.pi * radius / max(0.5, radius * APART_SHARE))
-            )
+            apart = max(LEAST_APART, radius * APART_SHARE)
+            count = max(FEWEST_ON_CIRCLE, math.ceil(2.0 * math.pi * radius / apart))
             angle = 2.0 * math.pi * (np.arange(count) + 0.5 * (number % 2)) / count
             places.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
         offsets = self._longest_m * np.vstack(places)
@@ -131,6 +131,5 @@ class TriedPlaces:
             turns = ways.turns_m(int(node), nodes[node])
             stops = stops_along(turns, self._longest_m)[1:]
             if 0 < len(stops) <= horizon:
-                rest = np.repeat(stops[-1:], horizon - len(stops), axis=0)
-                found.append(np.vstack([stops, rest]))
+                found.append(held(situation, list(stops)))
         return found

@@ -459,7 +459,7 @@ def test_doors_that_take_something_else(door, given) -> None:
 def test_a_seed_is_a_whole_number(base) -> None:
     """And none that is negative."""
     for seed in ("a", -1, 0.5):
-        with pytest.raises(InputError, match=r"key seed: .*e\.g\. 0"):
+        with pytest.raises(InputError, match=r"key seed: .*whole number.*give 0, 1"):
             solve(base, seed=seed)
 
 

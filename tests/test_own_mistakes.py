@@ -29,6 +29,7 @@ from planopt.extend import (
 from planopt.objectives import LearningTerm
 from planopt.objectives.terms import term as terms
 from planopt.problems import FunctionTruth, constraints
+from planopt.robots.drive import rolled_out
 
 
 @pytest.fixture(autouse=True)
@@ -292,6 +293,17 @@ def test_a_place_that_has_no_planner(make) -> None:
         ({"achieved": lambda self, p, history: history.x}, r"line \d+.*achieved failed: Attr"),
         ({"asked": lambda self, p_min: "much"}, "asked returned a str"),
         ({"asked": lambda self, p_min: self.nowhere}, "asked failed: AttributeError"),
+        (
+            {"achieved": lambda self, p, history: p.sum(axis=-1)},
+            r"returned 1\..*no probability.*uni",
+        ),
+        ({"achieved": lambda self, p, history: -p.mean(axis=-1)}, r"returned -0\..*no probability"),
+        ({"achieved": lambda self, p, history: p.mean(axis=-1) * np.nan}, "not finite"),
+        (
+            {"achieved": lambda self, p, history: 1.0 - p.mean(axis=-1)},
+            r"falls by 0\.5 .*of step 1",
+        ),
+        ({"asked": lambda self, p_min: 1.0 + p_min}, r"asked returned 1\.5, which is no probab"),
     ],
 )
 def test_wrong_methods_of_a_rule(base, methods, words) -> None:
@@ -301,6 +313,20 @@ def test_wrong_methods_of_a_rule(base, methods, words) -> None:
     problem = replace(base, constraints=replace(base.constraints, p_min=0.5, rule=rule))
     with pytest.raises(InputError, match=rf"constraints\.connectivity.*{words}|{words}"):
         solve(problem, seed=0)
+
+
+def test_a_rule_may_count_something_else(base) -> None:
+    """With a unit of its own, what is achieved may be any number."""
+    own_class(
+        OwnRule,
+        achieved=lambda self, p, history: p.sum(axis=-1),
+        asked=lambda self, p_min: 1.5,
+        unit="steps",
+        asks_p_min=False,
+    )
+    rule = planopt.ConnectivityRule("wrong")
+    plan = solve(replace(base, constraints=replace(base.constraints, rule=rule)), seed=0).plan
+    assert plan.certificate.rule.achieved == pytest.approx(plan.connectivity[1:].sum(), abs=1e-6)
 
 
 def test_rules_with_a_missing_half() -> None:
@@ -376,6 +402,49 @@ def test_maps_of_lists_and_arrays() -> None:
     assert CasadiMap(**{**MAP, **arrays}).rest_input == (0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("after", "words"),
+    [
+        (X + U / 0, r"robots\[0\]\.dynamics: .*CasadiMap\.step led from .*\(return finite"),
+        (X + U * ca.sqrt(U[0]), r"with the input \[-2\.0, -2\.0\] to \[nan, nan\]"),
+        (X + U + 0.5, r"dynamics\.rest_input: \[0.*\] does not let it rest.* 0\.5 m a step"),
+    ],
+)
+def test_maps_that_cannot_be_driven(base, after, words) -> None:
+    """NaN and a rest input that moves the robot are found when the problem is made."""
+    car = CasadiMap(**{**MAP, "function": ca.Function("f", [X, U], [after])})
+    with pytest.raises(InputError, match=words):
+        made(base, robots=replace(base.robots[0], dynamics=car))
+
+
+def test_maps_that_fail_on_the_way(base) -> None:
+    """NaN two metres from the start is a fault of the map, not of a term."""
+    far = X[0] > base.robots[0].start_m[0] + 0.1
+    after = ca.if_else(far, X / 0, X + ca.vertcat(1.0, 0.0) * (0.2 + ca.fabs(U[0])))
+    car = CasadiMap(**{**MAP, "function": ca.Function("f", [X, U], [after])})
+    state = np.array(base.robots[0].start_m)
+    with pytest.raises(InputError, match=r"CasadiMap\.step led from the state .* to \[inf, inf\]"):
+        rolled_out(car, state, np.zeros((3, 2)), 1.0)
+
+
+def test_a_map_may_rest_elsewhere(base) -> None:
+    """A robot that starts moving, and whose rest needs another component than zero."""
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 1)
+    after = ca.vertcat(x[0] + x[2] - 0.5, x[1], 0.5 * x[2] + 0.25 + u)
+    car = CasadiMap(
+        function=ca.Function("f", [x, u], [after]),
+        state_names=("x_m", "y_m", "belt_m_s"),
+        input_names=("a",),
+        speed_max_m_s=2.0,
+        state_bounds=((-999.0, 999.0),) * 3,
+        input_bounds=((-2.0, 2.0),),
+        rest_input=(0.0,),
+    )
+    robot = replace(base.robots[0], dynamics=car, start_rest=(0.8,))
+    assert made(base, robots=robot).robots[0].start_rest == (0.8,)
+    assert np.abs(car.change_at_rest(robot.start_state, 1.0)).max() < 1e-9
+
+
 class Half:
     """Has some of what dynamics need."""
 
@@ -428,6 +497,10 @@ def test_wrong_robots(base, part, words) -> None:
         (lambda x, y: x, "failed: TypeError"),
         (-50.0, "is a float, nothing that can be called"),
         (np.zeros((4, 4)), "ArrayTruth for arrays"),
+        (lambda places_m: np.full(len(places_m), 500.0), "powers from 500 to 500, .*-300 to 100"),
+        (lambda places_m: np.full(len(places_m), -1e9), "is no power|powers from -1e"),
+        (lambda places_m: np.full(len(places_m), -60.0 + 1j), "is numbers of type complex128"),
+        (lambda places_m: np.full(len(places_m), "-60"), "is text, no array of real numbers"),
     ],
 )
 def test_wrong_truths(base, function, words) -> None:

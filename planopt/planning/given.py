@@ -22,7 +22,13 @@ from planopt.channel.fields.truth import (
 )
 from planopt.channel.logs.log_file import read_log
 from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.measurements import Measurements, Table, as_received
+from planopt.channel.measurements import (
+    LARGEST_POWER_DBM,
+    LEAST_POWER_DBM,
+    Measurements,
+    Table,
+    as_received,
+)
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
 from planopt.parts import calling
@@ -253,17 +259,33 @@ def _given_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: i
             remedy="give the powers of all stations, (stations, ny, nx) as an array or "
             "(stations, n) by a function",
         )
-    return power_truth(x, y, values[station] if several else values, setup.floor_dbm)
+    truth = power_truth(x, y, values[station] if several else values, setup.floor_dbm)
+    least, largest = float(truth.raster.values.min()), float(truth.raster.values.max())
+    if least < LEAST_POWER_DBM or largest > LARGEST_POWER_DBM:
+        raise InputError(
+            f"has powers from {least:g} to {largest:g}, which no receiver measures in dBm",
+            key="channel.truth.power_dbm",
+            remedy=f"give dBm from {LEAST_POWER_DBM:g} to {LARGEST_POWER_DBM:g}, or NaN and a "
+            "floor_dbm where nothing arrives",
+        )
+    return truth
 
 
 def _numbers(key: str, values: object) -> NDArray[np.float64]:
     """Return an array of numbers, or say under which key there is none."""
     try:
-        return np.asarray(values, dtype=np.float64)
+        found = np.asarray(values)
+        # NumPy would read numbers from text, and leave out imaginary parts.
+        if found.dtype.kind in "iufO":
+            return found.astype(np.float64)
+        kind = "text" if found.dtype.kind in "US" else f"numbers of type {found.dtype}"
     except (TypeError, ValueError):
-        raise InputError(
-            "is no array of numbers", key=f"channel.truth.{key}", remedy="give numbers"
-        ) from None
+        kind = type(values).__name__
+    raise InputError(
+        f"is {kind}, no array of real numbers",
+        key=f"channel.truth.{key}",
+        remedy="give real numbers, e.g. numpy.full(len(places_m), -60.0)",
+    )
 
 
 def with_measurements(

@@ -6,13 +6,23 @@ If it is moving at the start it must be able to stop: then there is always a cle
 from __future__ import annotations
 
 import math
+from itertools import islice, product
 from typing import cast
 
 import numpy as np
 
 from planopt.errors import InputError, listed
+from planopt.parts import calling
 from planopt.problems.problem import Problem
+from planopt.robots.drive import state_after
+from planopt.robots.dynamics import RestsByInput
 from planopt.world.clearance import ObstacleIndex
+
+REST_TOLERANCE_M = 1e-6
+"""A robot that rests changes its state by no more than this in a step."""
+
+MOST_CORNERS = 64
+"""So many corners of the input set are tried at the start."""
 
 
 def check_dynamics(problem: Problem) -> None:
@@ -37,6 +47,43 @@ def check_dynamics(problem: Problem) -> None:
                 file=problem.file,
                 key=f"robots[{number}]",
                 remedy=f"start_rest is the state of a {dynamics.kind} beyond its place",
+            )
+
+
+def check_own_map(problem: Problem, number: int) -> None:
+    """Raise an error if the dynamics of robot number `number` cannot be driven.
+
+    Raises
+    ------
+    InputError
+        A step from its start is not finite, or no state rests with the rest input.
+    """
+    robot, step_s = problem.robots[number], problem.planner.step_s
+    dynamics, start = robot.dynamics, robot.start_state
+    if dynamics is None:
+        return
+    key = f"robots[{number}].dynamics"
+    with calling(dynamics, "braking", key=key):
+        braking = dynamics.braking(start, step_s, 1)[0]
+    inputs = [braking]
+    if isinstance(dynamics, RestsByInput):
+        bounds = [(low, high) for low, high in dynamics.input_bounds]
+        finite = [tuple(filter(math.isfinite, pair)) or (0.0,) for pair in bounds]
+        inputs += [np.array(one) for one in islice(product(*finite), MOST_CORNERS)]
+    for control in inputs:
+        try:
+            state_after(dynamics, start, control, step_s)
+        except InputError as error:
+            raise InputError(error.message, key=key, remedy=error.remedy) from error
+    if isinstance(dynamics, RestsByInput):
+        change = np.abs(dynamics.change_at_rest(start, step_s) * dynamics.unit_m(step_s))
+        if not float(change.max()) <= REST_TOLERANCE_M:
+            raise InputError(
+                f"{list(dynamics.rest_input)} does not let it rest: its state goes on changing, by "
+                f"{float(change.max()):.3g} m a step at least",
+                file=problem.file,
+                key=f"{key}.rest_input",
+                remedy="give the input with which it stays where it is, or a function that has one",
             )
 
 

@@ -25,7 +25,7 @@ from planopt.problems.channel_setup import (
     RasterTruth,
     SampledMeasurements,
 )
-from planopt.problems.check_motion import check_stopping
+from planopt.problems.check_motion import check_own_map, check_stopping
 from planopt.problems.problem import Problem
 from planopt.problems.rule_checks import MOST_PROBABLE_DRAWN, check_rule
 from planopt.robots.drive import standing_motion
@@ -322,6 +322,7 @@ def check(problem: Problem) -> None:
         check_place(problem, index, robot.start_m, f"robots[{number}].start_m")
         if robot.goal_m is not None:
             check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
+        check_own_map(problem, number)
         check_stopping(problem, index, number)
         _check_step(problem, number)
         _check_spread(problem, number)

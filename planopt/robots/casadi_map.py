@@ -21,6 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from planopt.errors import InputError
 from planopt.plain_values import make_plain
@@ -209,6 +210,25 @@ class CasadiMap:
         after = self.step(state, self.rest_input, step_s)
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
+    def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+        """Return how the rest input changes a state ``(s,)`` of this place that it changes least.
+
+        The place is that of `state`, whose other components and zeros are where the search begins.
+        """
+
+        def change(rest: NDArray[np.float64]) -> NDArray[np.float64]:
+            rows = self.stop_rows((*state[:2], *rest), step_s)
+            return np.nan_to_num(np.array(rows, dtype=np.float64), nan=np.inf)
+
+        low, high = np.array(self.state_bounds)[2:].T
+        found = []
+        for begun in (state[2:], np.zeros(len(state) - 2)):
+            rest = np.clip(begun, low, high)
+            found.append(change(rest))
+            if len(rest) and np.isfinite(found[-1]).all() and found[-1].any():
+                found.append(change(np.clip(least_squares(change, rest).x, low, high)))
+        return min(found, key=lambda rows: float(np.abs(rows).max()))
+
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
         """Return 0: a plan ends at rest."""
         return 0
@@ -250,6 +270,8 @@ class CasadiMap:
             for _ in range(HELD_STEPS):
                 after = self.step(after, tuple(tried.T), step_s)
             away = np.hypot(after[0] - target[0], after[1] - target[1])
+            # Beyond the bounds of the state the map need not be defined.
+            away = np.where(np.isnan(away), np.inf, away)
             inputs[k] = tried[int(np.argmin(away))]
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs

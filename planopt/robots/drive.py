@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.errors import InputError, listed
+from planopt.parts import calling, class_name
 from planopt.robots.dynamics import Dynamics
 from planopt.world.timed_motion import TimedMotion
 
@@ -45,12 +47,41 @@ def rolled_out(
     inputs: NDArray[np.float64],
     step_s: float,
 ) -> Drive:
-    """Return where `inputs` (N, m) lead from `state` (s,)."""
+    """Return where `inputs` (N, m) lead from `state` (s,).
+
+    Raises
+    ------
+    InputError
+        The dynamics have no finite state after a step.
+    """
     states = [np.asarray(state, dtype=np.float64)]
     for control in inputs:
-        after = dynamics.step(tuple(states[-1]), tuple(control), step_s)
-        states.append(np.array(after, dtype=np.float64))
+        states.append(state_after(dynamics, states[-1], control, step_s))
     return Drive(dynamics, np.array(states), np.asarray(inputs, dtype=np.float64))
+
+
+def state_after(
+    dynamics: Dynamics, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float
+) -> NDArray[np.float64]:
+    """Return the state (s,) after a step from a state (s,) with an input (m,).
+
+    Raises
+    ------
+    InputError
+        It has another size, or is not finite though state and input are.
+    """
+    with calling(dynamics, "step"):
+        after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)
+    given = np.concatenate([state, control])
+    if after.shape != state.shape or (np.isfinite(given).all() and not np.isfinite(after).all()):
+        raise InputError(
+            f"{class_name(dynamics)}.step led from the state {state.tolist()} with the input "
+            f"{np.asarray(control).tolist()} to {after.tolist()}",
+            key="robots[].dynamics",
+            remedy=f"return finite numbers for {listed(dynamics.state_names)}: divisions, roots "
+            "and logarithms must be defined for all states and inputs within their bounds",
+        )
+    return after
 
 
 def dynamics_defect_m(

@@ -8,7 +8,7 @@ The single integrator needs none of this: its steps are the differences of its p
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,4 +168,19 @@ class Dynamics(Protocol):
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
         """Return how many metres a unit of each component of the state makes, in about a step."""
+        ...
+
+
+@runtime_checkable
+class RestsByInput(Protocol):
+    """Dynamics that tell what their inputs may be, and with which the robot rests."""
+
+    rest_input: tuple[float, ...]
+    input_bounds: tuple[tuple[float, float], ...]
+
+    def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+        """Return how the rest input changes the state ``(s,)`` of this place that it changes least.
+
+        ``(s,)``, in the units of the state; zeros where the robot can rest.
+        """
         ...

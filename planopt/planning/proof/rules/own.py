@@ -17,6 +17,12 @@ from planopt.problems.constraints import register_rule
 
 KEY = "constraints.connectivity"
 
+PROBE = 1e-4
+"""Of a probability: by so much it is changed to find how what is achieved changes."""
+
+ROUNDING = 1e-9
+"""A value may leave its range, or fall where a probability rises, by this much."""
+
 
 class OwnRule(ProvenRule):
     """Base class of a rule of one's own: a frozen dataclass with a ``kind`` and what it counts.
@@ -30,7 +36,7 @@ class OwnRule(ProvenRule):
     kind
         Value of the key ``constraints.connectivity``.
     unit
-        Of what is achieved.
+        Of what is achieved; a ``"probability"``, the default, is from 0 to 1.
     asks_p_min
         Whether p_min is what is asked; a rule that asks for something else returns that by
         :meth:`asked`.
@@ -94,12 +100,41 @@ class OwnRule(ProvenRule):
         Raises
         ------
         InputError
-            It has another shape, or is not finite.
+            It has another shape, is not finite, or is a probability below 0 or above 1.
         """
-        words = "one finite number for each plan of probabilities (..., N)"
+        words = f"{self._number} for each plan of probabilities (..., N)"
         with calling(self, "achieved", key=KEY, remedy=f"return {words}"):
             found = self.achieved(probability, history)
-        return returned(self, "achieved", found, probability.shape[:-1], words=words, key=KEY)
+        shape = probability.shape[:-1]
+        return self._within(
+            "achieved", returned(self, "achieved", found, shape, words=words, key=KEY), words
+        )
+
+    def slopes(
+        self, probability: NDArray[np.float64], history: History
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Return what one plan achieves, and its slopes ``(N,)`` in the probabilities ``(N,)``.
+
+        Raises
+        ------
+        InputError
+            As :meth:`valued`; or it falls where a probability rises.
+        """
+        # Towards the middle, so that probabilities stay such.
+        probe = np.where(probability > 0.5, -PROBE, PROBE)
+        values = self.valued(np.vstack([probability, probability + np.diag(probe)]), history)
+        slope = (values[1:] - values[0]) / probe
+        size = max(1.0, float(np.abs(values).max()))
+        if (slope * PROBE < -ROUNDING * size).any():
+            step = int(np.argmin(slope))
+            raise InputError(
+                f"{class_name(self)}.achieved falls by {-slope[step]:.3g} for each 1 by which "
+                f"the probability of step {step + 1} rises, at {probability[step]:.3g}",
+                key=KEY,
+                remedy="return what does not fall where a probability of connection rises, such "
+                "as 1 less a probability of outage",
+            )
+        return float(values[0]), np.maximum(slope, 0.0)
 
     def asked_value(self, p_min: float) -> float:
         """Return :meth:`asked` as a number.
@@ -107,16 +142,42 @@ class OwnRule(ProvenRule):
         Raises
         ------
         InputError
-            It is none.
+            It is none, or a probability below 0 or above 1.
         """
-        words = "one finite number"
+        words = self._number
         with calling(self, "asked", key=KEY, remedy=f"return {words}"):
             found = self.asked(p_min)
-        return float(returned(self, "asked", found, (), words=words, key=KEY))
+        number = returned(self, "asked", found, (), words=words, key=KEY)
+        return float(self._within("asked", number, words))
+
+    @property
+    def _is_probability(self) -> bool:
+        return self.unit == OwnRule.unit
+
+    @property
+    def _number(self) -> str:
+        """Return what a value must be, for messages."""
+        return "one number from 0 to 1" if self._is_probability else "one finite number"
+
+    def _within(self, method: str, values: NDArray[np.float64], words: str) -> NDArray[np.float64]:
+        """Return the values of a method, which are from 0 to 1 where they are probabilities."""
+        if not self._is_probability:
+            return values
+        inside = np.clip(values, 0.0, 1.0)
+        if (np.abs(values - inside) > ROUNDING).any():
+            worst = values.flat[int(np.argmax(np.abs(values - inside)))]
+            raise InputError(
+                f"{class_name(self)}.{method} returned {worst:.6g}, which is no {self.unit}",
+                key=KEY,
+                remedy=f'return {words}, or set the attribute unit, e.g. unit = "steps"',
+            )
+        return inside
 
     def by_slack(self, case: PathCase) -> BySlack:
         """Return what the path's probabilities achieve."""
         asked = self.asked_value(case.problem.constraints.p_min)
+        # The proof asks for the least loss of power that breaks the rule: it must not fall.
+        self.slopes(case.probability(0.0), case.history)
 
         def result(slack_db: float) -> RuleResult:
             achieved = float(self.valued(case.probability(slack_db), case.history))

@@ -38,9 +38,6 @@ HALVINGS = 5
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
 """Of every step, tried for rules of one's own until one is enough."""
 
-PROBE = 1e-4
-"""Of a probability: by so much it is changed to find how what is achieved changes."""
-
 
 class _PlannedSum(PlannedRule):
     """A bound on a sum over the steps."""
@@ -164,12 +161,9 @@ class PlannedOwn(_PlannedSum):
         self, problem: Problem, history: History, chance: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], float]:
         """Return the tangent of what is achieved."""
-        # Towards the middle, so that probabilities stay such.
-        probe = np.where(chance > 0.5, -PROBE, PROBE)
-        values = self._own.valued(np.vstack([chance, chance + np.diag(probe)]), history)
-        slope = np.maximum((values[1:] - values[0]) / probe, 0.0)
+        achieved, slope = self._own.slopes(chance, history)
         asked = self._own.asked_value(problem.constraints.p_min)
-        return slope, asked - float(values[0]) + float(slope @ chance)
+        return slope, asked - achieved + float(slope @ chance)
 
     def find_guided(
         self, situation: Situation, search: GuidedSearch, is_kept: IsKept

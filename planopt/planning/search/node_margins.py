@@ -239,6 +239,15 @@ class NodeField:
         """Positions of `nodes` (n, 2), given as (iy, ix)."""
         return self.grid_m[nodes[:, 0], nodes[:, 1]]
 
+    def nearest(self, places_m: NDArray[np.float64]) -> Prediction:
+        """Return the power at the node of the window nearest to each place (n, 2); NaN as there."""
+        lattice, (rows, columns) = self._lattice, self.window
+        first = np.array([columns.start, rows.start])
+        last = np.array([columns.stop, rows.stop]) - 1
+        nodes = np.rint((places_m - lattice.origin_m) / lattice.spacing_m).astype(np.intp)
+        column, row = np.clip(nodes, first, np.minimum(last, np.array(lattice.shape[::-1]) - 1)).T
+        return Prediction(self.mean_db[row, column], self.deviation_db[row, column])
+
     def correct(self, nodes: NDArray[np.intp]) -> bool:
         """Put better values at `nodes` (n, 2); true if any of them had not been corrected."""
         if self._situation is None:

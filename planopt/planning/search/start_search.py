@@ -361,13 +361,15 @@ class StartSearch:
                 self._coupled = CoupledStarts(problem, self._ground)
             paths += self._coupled.find_ways(situation, paths, budget)
         if self._tried is not None:
-            paths += self._tried.find_ways(situation)
+            paths += self._tried.find_ways(situation, self._field)
         if self._ends > 1 and not budget.searched:
             # Besides what is found otherwise, so that being thorough loses no start.
             paths += self._lattice_paths(situation, self._ends, budget)
-        paths = self._apart(situation, paths)
-        worth = PathWorth(situation)
-        starts = [Start(path, worth(path), rule_missing(situation, path)) for path in paths]
+        paths = list({path.tobytes(): path for path in self._apart(situation, paths)}.values())
+        starts = [
+            Start(path, worth, rule_missing(situation, path))
+            for path, worth in zip(paths, PathWorth(situation).of_each(paths), strict=True)
+        ]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
         count = max(self._starts, COUPLED_STARTS) if bends else self._starts
         kept: list[Start] = []

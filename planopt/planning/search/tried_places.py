@@ -2,21 +2,26 @@
 
 Terms that take the end of a path for a try compare many places, near ones on circles about the
 robot and those known to be connected. Their ways are straight where that is clear; to the best of
-the others they follow the shortest way on the lattice. On the way a packet is taken to arrive as at
-the nearest of the places: only paths that are handed on are predicted themselves.
+the others they follow the shortest way on the lattice.
+
+Power is that of the nearest node of the lattice at first, which costs the same whatever was
+measured. Only the ends of the best ways are predicted themselves; on the way, a packet is taken to
+arrive as at the node. What is handed on is valued again by all measurements.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.nearest.place_tree import PlaceTree
-from planopt.channel.prediction import connection_probability
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.baselines.baseline import free_ends, held
 from planopt.planning.scene import Ground
+from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.situation import Situation
@@ -36,6 +41,9 @@ target is expected."""
 
 MOST_HIDDEN = 12
 """Of the places that are not in sight so many are compared, those nearest to the target."""
+
+COMPARED = 12
+"""The ends of so many ways are predicted themselves, those that are best by the lattice."""
 
 TRIED = 4
 """Paths that are handed on, the best first."""
@@ -65,27 +73,65 @@ class TriedPlaces:
         reach_m = problem.planner.horizon * self._longest_m
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
-    def find_ways(self, situation: Situation) -> list[NDArray[np.float64]]:
-        """Return the best paths (N, 2), best first."""
+    def find_ways(self, situation: Situation, field: NodeField) -> list[NDArray[np.float64]]:
+        """Return the best paths (N, 2), best first.
+
+        Parameters
+        ----------
+        situation
+            What is known.
+        field
+            Predictions at the nodes, refreshed for the situation.
+        """
         places = self._places(situation)
-        power = situation.power(places)
-        predicted = connection_probability(
-            power.mean_db, power.deviation_db, situation.thresholds_dbm[0]
-        )
         seen = free_ends(self._problem, self._ground, situation.position_m, places)
         seen[0] = True
         ways = [*self._straight(situation.position_m, places[seen])]
         ways += self._round(situation, places[~seen])
         paths = np.array(ways)
-        _, steps, _ = paths.shape
-        beside = PlaceTree(places).nearest(paths.reshape(-1, 2), 1)[0][:, 0]
-        guessed = predicted[beside].reshape(-1, steps)
+        guessed = self._chance(situation, self._beside(field, paths.reshape(-1, 2)))
+        guessed = np.nan_to_num(guessed).reshape(paths.shape[:2])
+        kept = self._best(situation, paths, guessed, COMPARED)
+        paths, guessed = paths[kept], guessed[kept]
+        stops = paths[:, -1]
+        at_stop = (paths == stops[:, None]).all(axis=2)
+        ends = self._chance(situation, situation.power(stops))
+        guessed = np.where(at_stop, ends[:, None], guessed)
+        return [paths[i] for i in self._best(situation, paths, guessed, TRIED)]
+
+    def _best(
+        self,
+        situation: Situation,
+        paths: NDArray[np.float64],
+        chance: NDArray[np.float64],
+        count: int,
+    ) -> NDArray[np.intp]:
+        """Return which of the paths (c, N, 2) are best if packets arrive by `chance` (c, N)."""
         value = np.zeros(len(paths))
         for term in self._problem.terms:
             if term.tries_places:
-                value += term.weight * term.tried_values(situation, paths, guessed)
-        best = np.argsort(-value, kind="stable")[:TRIED]
-        return [paths[i] for i in best]
+                value += term.weight * term.tried_values(situation, paths, chance)
+        return np.argsort(-value, kind="stable")[:count]
+
+    def _beside(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:
+        """Return the power at the free node nearest to each place (n, 2)."""
+        power = field.nearest(places_m)
+        blocked = np.flatnonzero(np.isnan(power.mean_db))
+        if len(blocked):
+            nodes = self._nodes.nearest(places_m[blocked], 1)[0][:, 0]
+            free = field.nearest(self._ground.road_map.nodes_m[nodes])
+            power.mean_db[blocked], power.deviation_db[blocked] = free.mean_db, free.deviation_db
+        return power
+
+    @cached_property
+    def _nodes(self) -> PlaceTree:
+        """The free nodes of the lattice."""
+        return PlaceTree(self._ground.road_map.nodes_m)
+
+    def _chance(self, situation: Situation, power: Prediction) -> NDArray[np.float64]:
+        return connection_probability(
+            power.mean_db, power.deviation_db, situation.thresholds_dbm[0]
+        )
 
     def _places(self, situation: Situation) -> NDArray[np.float64]:
         """Return the place of the robot, the others on circles, and known ones within reach."""
@@ -125,7 +171,7 @@ class TriedPlaces:
         reach_m = horizon * self._longest_m
         ways = WaysFrom(self._problem, self._ground, situation.position_m, reach_m)
         nodes = self._ground.road_map.nodes_m
-        beside = PlaceTree(nodes).nearest(hidden_m, 1)[0][:, 0]
+        beside = self._nodes.nearest(hidden_m, 1)[0][:, 0]
         found: list[NDArray[np.float64]] = []
         for node in np.unique(beside[np.isfinite(ways.length_m[beside])]):
             turns = ways.turns_m(int(node), nodes[node])

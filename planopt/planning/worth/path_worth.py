@@ -7,11 +7,13 @@ connectivity costs is by how much it misses the rule, and the price of its slack
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
@@ -42,6 +44,28 @@ class PathWorth:
             A term has no finite value.
         """
         return tuple(self._contributed(number, path_m) for number in range(len(self._terms)))
+
+    def of_each(self, paths_m: Sequence[NDArray[np.float64]]) -> list[float]:
+        """Return the same of several paths, which are predicted together."""
+        for path in paths_m:
+            self.situation.soon(path)
+        total = np.zeros(len(paths_m))
+        for number in range(len(self._terms)):
+            total += self._of_term(number, paths_m)
+        return [
+            worth - slack_cost(self.situation, path)
+            for worth, path in zip(total.tolist(), paths_m, strict=True)
+        ]
+
+    def _of_term(self, number: int, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return the contribution of a term to several paths; ``(c,)``."""
+        term, at = self._terms[number], self.situation
+        if not term.tries_places or not paths_m:
+            return np.array([self._contributed(number, path) for path in paths_m])
+        ways = np.array(paths_m)
+        power = at.power(ways.reshape(-1, 2))
+        chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
+        return term.weight * term.tried_values(at, ways, chance.reshape(ways.shape[:2]))
 
     @property
     def _terms(self) -> tuple[Term, ...]:

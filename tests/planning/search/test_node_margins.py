@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import shapely
 from scenes import small_road_map
+from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition, extend
-from planopt.planning.search.node_margins import NodeMargins
+from planopt.planning.search.node_margins import NodeField, NodeMargins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 4.0, 2.0, Station((3.0, -4.0), 6.0))
 THRESHOLD, P_MIN = -70.0, 0.9
@@ -98,3 +99,22 @@ def test_without_a_belief_there_is_no_margin(margins):
         margins.at(np.zeros((1, 2)))
     with pytest.raises(AssertionError, match="refresh first"):
         margins.correct(np.array([0]))
+
+
+def test_places_have_the_power_of_the_nearest_node_of_the_window():
+    """Also beyond the window, and at the border of the lattice; none where nodes are not free."""
+    situation, belief = situation_of(terms_problem(TRACKING))
+    lattice = judge_of(situation, belief)[1].road_map.lattice
+    field = NodeField(lattice)
+    field.refresh(situation, 12.0)
+    rows, columns = np.mgrid[field.window].reshape(2, -1)
+    inside = (rows < lattice.shape[0]) & (columns < lattice.shape[1])
+    nodes = np.column_stack([rows, columns])[inside]
+    places = situation.position_m + np.random.default_rng(0).uniform(-14.0, 14.0, (300, 2))
+    away = np.linalg.norm(places[:, None] - field.places_m(nodes), axis=2)
+    beside = nodes[away.argmin(axis=1)]
+    found = field.nearest(places)
+    np.testing.assert_array_equal(found.mean_db, field.mean_db[*beside.T])
+    np.testing.assert_array_equal(found.deviation_db, field.deviation_db[*beside.T])
+    free = lattice.free[*beside.T]
+    assert 0 < np.isnan(found.mean_db).sum() == np.sum(~free)

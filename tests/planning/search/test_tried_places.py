@@ -10,9 +10,14 @@ from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
 from planopt import solve
 from planopt.errors import InputError
+from planopt.objectives.tracking_recourse import RECOURSE_STEPS
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
-from planopt.planning.search.tried_places import TRIED, TriedPlaces
+from planopt.planning.search import tried_places
+from planopt.planning.search.node_margins import NodeField
+from planopt.planning.search.tried_places import COMPARED, TRIED, TriedPlaces
+from planopt.planning.worth import situation as situation_module
+from planopt.planning.worth.path_worth import PathWorth
 from planopt.robots.double_integrator import DoubleIntegrator
 
 RECOURSE = {**TRACKING, "form": "recourse"}
@@ -27,10 +32,17 @@ def step():
     return problem, situation, judge, ground
 
 
+def found_ways(problem, situation, ground):
+    """The ways of a search whose field knows what the situation does."""
+    field = NodeField(ground.road_map.lattice)
+    field.refresh(situation, problem.planner.horizon * problem.step_length_m)
+    return TriedPlaces(problem, ground).find_ways(situation, field)
+
+
 def test_ways_keep_the_step_length_and_end_at_rest(step):
     """All of them start where the robot is; the best come first by the value of the term."""
     problem, situation, _, ground = step
-    ways = TriedPlaces(problem, ground).find_ways(situation)
+    ways = found_ways(problem, situation, ground)
     assert len(ways) == TRIED
     for way in ways:
         legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, way]), axis=0), axis=1)
@@ -42,7 +54,7 @@ def test_plans_try_what_is_worth_it(step):
     problem, situation, judge, ground = step
     plan = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, judge)
     assert plan.verdict is Verdict.VERIFIED
-    for way in TriedPlaces(problem, ground).find_ways(situation):
+    for way in found_ways(problem, situation, ground):
         assert plan.objective >= judge.objective(way) - 1e-12
 
 
@@ -54,8 +66,36 @@ def test_known_connection_draws_the_robot(step):
     links = replace(situation.links, connected_m=beside[None], lost_m=np.zeros((0, 2)))
     known = replace(situation, target_m=np.tile(beside + (1.0, 0.0), (6, 1)))
     object.__setattr__(known, "links", links)
-    ends = [way[-1] for way in TriedPlaces(problem, ground).find_ways(known)]
+    ends = [way[-1] for way in found_ways(problem, known, ground)]
     np.testing.assert_array_equal(ends[0], beside)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_best_of_all_places_is_among_the_compared(seed, monkeypatch):
+    """Predicting the ends of all ways instead finds nothing that is worth a hundredth more."""
+    problem = terms_problem(RECOURSE, horizon=6)
+    situation, belief = situation_of(problem, seed)
+    _, ground = judge_of(situation, belief)
+    worth = PathWorth(situation)
+    best = max(worth(way) for way in found_ways(problem, situation, ground))
+    monkeypatch.setattr(tried_places, "COMPARED", 10**6)
+    assert best >= 0.99 * max(worth(way) for way in found_ways(problem, situation, ground))
+
+
+def test_few_places_are_predicted(step, monkeypatch):
+    """Besides those of the target only the ends that are compared, whatever is within reach."""
+    problem, situation, _, ground = step
+    asked: list[int] = []
+    predict = situation_module.search_prediction
+
+    def counted(posterior, places, broad=None):
+        asked.append(len(places))
+        return predict(posterior, places, broad)
+
+    monkeypatch.setattr(situation_module, "search_prediction", counted)
+    found_ways(problem, replace(situation), ground)
+    beyond = problem.planner.horizon + RECOURSE_STEPS
+    assert sum(asked) <= COMPARED + beyond
 
 
 def test_robots_with_inertia_do_not_turn_back_at_will():

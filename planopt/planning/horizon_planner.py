@@ -281,12 +281,6 @@ class HorizonPlanner:
         if self.problem.robots[0].dynamics is not None:
             starts = driven_starts(judge, situation, starts, warm)
         chosen = self.cascade.first_verified(situation, judge, starts, warm, budget)
-        if chosen.kkt_residual is None:
-            # The search predicted its places with others; whoever judges the plan will not.
-            alone = PathWorth(replace(situation))(chosen.path_m)
-            same = chosen.lattice_objective == chosen.objective
-            found = alone if same else chosen.lattice_objective
-            chosen = replace(chosen, objective=alone, lattice_objective=found)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _way_out(self, situation: Situation, starts: list[Start]) -> NDArray[np.float64] | None:

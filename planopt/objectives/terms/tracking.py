@@ -269,13 +269,17 @@ class TrackingTerm(Term):
 
     def filtered(self, at: StepContext) -> FilteredTracking:
         """Return the same with the station's filter, for the forms that follow it."""
+        if not at.others_m:
+            return self._alone(at)
+        others = at.once((TrackingTerm, "others", self), lambda: self._others(at))
+        return replace(self._alone(at), others=others)
+
+    def _alone(self, at: StepContext) -> FilteredTracking:
+        """Return the same without the packets of others."""
         if at.information is None:
             raise AssertionError("this form of tracking needs what the station knows")
-        others = None
-        if at.others_m:
-            others = at.once((TrackingTerm, "others", self), lambda: self._others(at))
         return FilteredTracking(
-            self.settings(at), at.target_motion, at.information, others, self.criterion, at.held
+            self.settings(at), at.target_motion, at.information, None, self.criterion, at.held
         )
 
     def _others(self, at: StepContext) -> NDArray[np.float64]:
@@ -309,7 +313,7 @@ class TrackingTerm(Term):
 
     def beyond(self, at: StepContext, steps: int | None = None) -> FilteredTracking:
         """Return the station's filter for all steps, or the first ones, and those beyond."""
-        filtered = replace(self.filtered(at), others=None)
+        filtered = self._alone(at)
         if steps is not None:
             filtered = first_steps(filtered, steps)
         return self._longer(filtered, self.beyond_steps)
@@ -340,17 +344,18 @@ class TrackingTerm(Term):
         """Return the values of the form ``recourse`` by chances as predicted."""
 
         def made() -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
-            own = self._longer(replace(self.filtered(at), others=None), RECOURSE_STEPS)
+            own = self._longer(self._alone(at), RECOURSE_STEPS)
             target_m = own.tracking.target_m
-            beside = at.links.chances(target_m, _chance(at, target_m))
+            places = np.vstack([target_m, *at.others_m])
+            arrives = at.links.chances(places, _chance(at, places))
+            ends = np.cumsum([len(target_m), *map(len, at.others_m)])
+            beside, *told = np.split(arrives, ends[:-1])
             retreats = retreats_of(at.links.connected_m, beside, own, at.step_length_m)
             others = np.zeros(len(target_m))
-            for path in at.others_m:
-                rest = np.repeat(path[-1:], len(target_m) - len(path), axis=0)
-                places = np.vstack([path, rest])
-                arrives = at.links.chances(path, _chance(at, path))
-                arrives = np.append(arrives, np.repeat(arrives[-1:], len(rest)))
-                others += arrives * sensing_information(own.tracking.sensor, places, target_m)
+            for path, chance in zip(at.others_m, told, strict=True):
+                at_last = np.minimum(np.arange(len(target_m)), len(path) - 1)
+                sensing = sensing_information(own.tracking.sensor, path[at_last], target_m)
+                others += chance[at_last] * sensing
             return own, retreats, others, float(left(0.5 * others, own))
 
         settings, retreats, others, idle = at.once((TrackingTerm, "tried", self), made)

@@ -2,18 +2,63 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, cast
 
-from pydantic import Field, Strict
+from pydantic import BeforeValidator, Field, Strict
+from pydantic_core import PydanticCustomError
 
 from planopt.errors import InputError
+from planopt.parts import parts_of
 from planopt.plain_values import make_plain
 from planopt.problems.tables import TableOf
 
 DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
 """Where neither the command nor the problem says anything else, and at most."""
+
+OF_NO_RUN = ("compare", "problem", "report")
+"""Tables of a problem file that change no run."""
+
+
+def known_seeds(given: object) -> object:
+    """Refuse what is no number of seeds and no range of them, in words of the schema."""
+    is_text = isinstance(given, str) and ":" in given
+    if is_text or (isinstance(given, int) and not isinstance(given, bool)):
+        with contextlib.suppress(InputError):
+            if len(seeds_of(cast("str | int", given))) <= MOST_SEEDS:
+                return given
+    raise PydanticCustomError(
+        "seeds",
+        "should be a number of seeds from 1 to {most} or a range with a colon",
+        {"most": f"{MOST_SEEDS:_}".replace("_", ",")},
+    )
+
+
+def require_swept(key: str, at: str | None = None) -> None:
+    """Raise an error for a key of a problem file that cannot be swept.
+
+    Parameters
+    ----------
+    key
+        The dotted key.
+    at
+        The key that names it, for messages; by default itself.
+
+    Raises
+    ------
+    InputError
+        It changes no run.
+    """
+    table = key.partition(".")[0].partition("[")[0]
+    if table in OF_NO_RUN:
+        raise InputError(
+            f"{key} changes no run, so that it cannot be swept",
+            key=key if at is None else at,
+            remedy="sweep a key that plans depend on, such as constraints.p_min; seeds have a key "
+            "of their own",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +116,7 @@ class ComparisonSettings:
     seeds: Annotated[
         Annotated[int, Field(ge=1, le=MOST_SEEDS)]
         | Annotated[str, Field(pattern=r"^\d{1,9}:\d{1,9}$")],
+        BeforeValidator(known_seeds),
         Field(description='How many random seeds (30: 0 to 29), or "100:120" (100 to 119).'),
     ] = DEFAULT_SEEDS
     settings: Annotated[
@@ -86,6 +132,16 @@ class ComparisonSettings:
 
     def __post_init__(self) -> None:
         make_plain(self)
+        remedy = "give groups, [SettingGroup(horizons=[1, 10])]"
+        groups = parts_of("compare.settings", cast("object", self.settings), SettingGroup, remedy)
+        for number, group in enumerate(groups):
+            at = f"compare.settings[{number}].sweep"
+            if group.sweep is not None and not isinstance(cast("object", group.sweep), Mapping):
+                raise InputError(
+                    f"is {group.sweep!r}", key=at, remedy='write {"constraints.p_min": [0.5, 0.8]}'
+                )
+            for key in group.sweep or {}:
+                require_swept(key, at)
 
     def table(self) -> dict[str, Any]:
         """Return the table of a problem file."""

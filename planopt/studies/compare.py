@@ -22,7 +22,12 @@ from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
-from planopt.problems.comparison_settings import DEFAULT_SEEDS, ComparisonSettings, seeds_of
+from planopt.problems.comparison_settings import (
+    DEFAULT_SEEDS,
+    ComparisonSettings,
+    require_swept,
+    seeds_of,
+)
 from planopt.problems.overrides import with_changes, with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
@@ -236,6 +241,8 @@ def _swept(sweep: object) -> Mapping[str, Sequence[Any]] | None:
             remedy='give the values of each key, {"constraints.p_min": [0.5, 0.9]}',
         )
     swept = cast("Mapping[str, object]", sweep)
+    for key in swept:
+        require_swept(str(key))
     return {key: _several(values) or [] for key, values in swept.items()}
 
 
@@ -295,13 +302,16 @@ def _variants(
         return _variants_of(problems, horizons, planners, costs_to_go, sweep)
     found: list[_Variant] = []
     for number, group in enumerate(table.settings):
-        found += _variants_of(
-            problems,
-            group.horizons or None,
-            group.planners or None,
-            group.costs_to_go or None,
-            group.sweep,
-        )
+        lists = group.horizons or None, group.planners or None, group.costs_to_go or None
+        try:
+            found += _variants_of(problems, *lists, group.sweep)
+        except InputError as error:
+            raise InputError(
+                error.message if error.key is None else f"{error.key} {error.message}",
+                file=problems[0].file,
+                key=f"compare.settings[{number}]",
+                remedy=error.remedy,
+            ) from error
         settings = [(each.sweep, *_labels(asked)) for each in found for asked in each.asked]
         if any(setting in settings[:n] for n, setting in enumerate(settings)):
             raise InputError(

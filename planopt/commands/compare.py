@@ -109,7 +109,11 @@ def compare(
     if calibration is not None:
         for number, problem in enumerate(asked):
             if not isinstance(problem, Problem):
-                raise InputError(f"is not for the task {problem.task}", key="--calibration")
+                raise InputError(
+                    f"is not for the task {problem.task}",
+                    key="--calibration",
+                    remedy="leave it out",
+                )
             asked[number] = with_overrides(problem, calibration=calibration)
     given: dict[str, Any] = {
         "horizons": None if horizons is None else listed(horizons, "--horizons", int),

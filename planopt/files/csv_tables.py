@@ -43,7 +43,12 @@ def read_rows(path: Path, columns: tuple[str, ...]) -> list[dict[str, str]]:
         )
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(columns):
-            raise InputError(f"has {len(row)} of {len(columns)} columns", file=path, row=number)
+            raise InputError(
+                f"has {len(row)} of {len(columns)} columns",
+                file=path,
+                row=number,
+                remedy="save the result again",
+            )
     return [dict(zip(columns, row, strict=True)) for row in rows[1:]]
 
 
@@ -82,7 +87,11 @@ def finite_numbers(
                 found[number, place] = math.nan
             if not math.isfinite(found[number, place]):
                 raise InputError(
-                    f"{text!r} is no finite number", file=path, key=column, row=number + 2
+                    f"{text!r} is no finite number",
+                    file=path,
+                    key=column,
+                    row=number + 2,
+                    remedy="save the result again",
                 )
     return found
 
@@ -97,5 +106,7 @@ def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
     """
     value = cast("object", data.get(key))
     if not isinstance(value, int) or isinstance(value, bool):
-        raise InputError("is missing or no whole number", file=file, key=key)
+        raise InputError(
+            "is missing or no whole number", file=file, key=key, remedy="save the result again"
+        )
     return value

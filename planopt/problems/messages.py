@@ -98,8 +98,9 @@ def input_error(
             count, words = len(fault["input"]), _allowed(fault, field)
             message = f"has {count} entries, {words.partition(', not ')[0]}"
         case "one_of" | "task":
-            # Of several keys: what stands there is no single value.
-            message = fault["msg"]
+            # Of several keys: what stands there is no single value. What to do follows a colon.
+            message, _, words = fault["msg"].partition(": ")
+            remedy = words or remedy
         case _:
             message = f"is {shown(fault['input'])}, {_allowed(fault, field)}"
     if fault["type"] in _RANGE_TYPES and field is not None:
@@ -224,8 +225,9 @@ def _resolve(
         else:
             path.append(part)
             if isinstance(part, str):
+                # Keys of an open table are told of where the table is.
                 fields = _fields(tables[0]) if tables else {}
-                field = fields.get(part)
+                field = fields.get(part) if tables else field
                 hints = () if field is None else (field.annotation, *field.metadata)
                 tables = [table for hint in hints for table in _tables(hint)]
     return tuple(path), fields, field

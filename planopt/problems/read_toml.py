@@ -34,11 +34,20 @@ def read_toml(path: Path) -> dict[str, Any]:
     deep = DEEP_KEY.search(text)
     if deep is not None:
         row = text.count("\n", 0, deep.start()) + 1
-        raise InputError("is not TOML of tables: a key is nested too deeply", file=path, row=row)
+        raise InputError(
+            "is not TOML of tables: a key is nested too deeply",
+            file=path,
+            row=row,
+            remedy="write tables as [table] or [[table]]",
+        )
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise InputError("is not TOML: nested too deeply", file=path) from None
+        raise InputError(
+            "is not TOML: nested too deeply",
+            file=path,
+            remedy="write tables as [table] or [[table]]",
+        ) from None
     except ValueError as error:  # TOMLDecodeError, and integers too long for Python
         raise _parse_error(str(error), text, path) from None
 

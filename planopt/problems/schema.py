@@ -50,16 +50,25 @@ def _reach_fault(tables: ProblemFile) -> str | None:
     """Return why tables are no problem that is to reach a goal."""
     for number, robot in enumerate(tables.robots):
         if robot.goal_m is None:
-            return f"task reach needs robots[{number}].goal_m"
+            return (
+                f"task reach needs robots[{number}].goal_m: write goal_m = [x, y] in metres, or "
+                "say another problem.task, such as learn"
+            )
         if robot.weights is not None:
-            return f"task reach has no terms, and no robots[{number}].weights of any"
+            return (
+                f"task reach has no terms, and no robots[{number}].weights of any: leave weights "
+                "out, or say another problem.task and a term of kind goal"
+            )
     if tables.objective.terms:
-        return "task reach has no objective.terms"
+        return (
+            "task reach has no objective.terms: leave them out, or say the problem.task of the "
+            "first of them, and add a term of kind goal"
+        )
     if tables.targets:
-        return "task reach has no targets"
+        return "task reach has no targets: leave them out, or say problem.task track"
     rule = rule_kind(tables.constraints.connectivity)
     if tables.constraints.p_min == 0.0 and not rule.asks_without_p_min:
-        return "task reach needs constraints.p_min above 0"
+        return "task reach needs constraints.p_min above 0: write p_min = 0.9, for instance"
     if not planner_kind(tables.planner.name).reaches_goals:
         return (
             f"planner.name {tables.planner.name} is not for task reach: use "
@@ -73,22 +82,40 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     task, terms = tables.problem.task, tables.objective.terms
     if not terms or terms[0].task != task:
         kinds = [each.kind for each in registered_terms() if each.task == task]
-        return f"task {task} needs objective.terms that begin with one of kind {' or '.join(kinds)}"
+        given = (
+            f"; one of kind {terms[0].kind} is for task {terms[0].task or 'custom'}"
+            if terms
+            else ""
+        )
+        return (
+            f"task {task} needs objective.terms that begin with one of kind "
+            f"{' or '.join(kinds) or 'your own'}: add it first, or change problem.task{given}"
+        )
     leads = any(term.steers == "goal" for term in terms)
     for number, robot in enumerate(tables.robots):
         fault = _fault_of_robot(terms, robot, number)
         if fault is not None:
             return fault
         if not leads and robot.goal_m is not None:
-            return f"task {task} has no robots.goal_m without a term of kind goal"
+            return (
+                f"task {task} has no robots.goal_m without a term of kind goal: leave "
+                f"robots[{number}].goal_m out, or add an objective.terms of kind goal"
+            )
     for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price", "outage_charge"):
         if key in tables.objective.model_fields_set:
-            return f"objective.{key} is for task reach, not for {task}"
+            return (
+                f"objective.{key} is for task reach, not for {task}: leave it out, or change "
+                "problem.task"
+            )
     if not leads and "goal_radius_m" in tables.constraints.model_fields_set:
-        return f"constraints.goal_radius_m is for task reach and terms of kind goal, not for {task}"
+        return (
+            f"constraints.goal_radius_m is for task reach and terms of kind goal, not for {task}: "
+            "leave it out, or add an objective.terms of kind goal"
+        )
     tracked = any(term.sensor is not None for term in terms)
     if tracked != bool(tables.targets):
-        return "a term of kind tracking and an entry of targets go together"
+        lacks = "add a [[targets]]" if tracked else "add an objective.terms of kind tracking"
+        return f"a term of kind tracking and an entry of targets go together: {lacks}"
     return _same_name("robots", tables.robots) or _dynamics_fault(tables)
 
 
@@ -96,18 +123,25 @@ def _fault_of_robot(terms: Sequence[Term], robot: RobotTable, number: int) -> st
     """Return why the terms of one robot cannot be planned for."""
     key, weights = f"robots[{number}]", robot.weights
     if weights is not None and len(weights) != len(terms):
-        return f"{key}.weights has {len(weights)} numbers for {len(terms)} objective.terms"
+        return (
+            f"{key}.weights has {len(weights)} numbers for {len(terms)} objective.terms: give one "
+            "for each, 0 for a term that is none of this robot's"
+        )
     own = [t for t, w in zip(terms, weights, strict=True) if w > 0.0] if weights else list(terms)
     if not own:
         return f"{key}.weights are all 0: a robot needs a term of its own"
     if any(term.steers == "goal" for term in own) and robot.goal_m is None:
-        return f"a term of kind goal needs {key}.goal_m"
+        return f"a term of kind goal needs {key}.goal_m: write goal_m = [x, y] in metres"
     if weights and robot.goal_m is not None and not any(term.steers == "goal" for term in own):
-        return f"{key}.goal_m needs a weight above 0 of the term of kind goal"
+        return (
+            f"{key}.goal_m needs a weight above 0 of the term of kind goal: give it one in "
+            f"{key}.weights, or leave goal_m out"
+        )
     if sum(term.steers is not None for term in own) > 1:
         return (
-            f"two of objective.terms steer {key}: only one may have the form two_layer or one of "
-            "the kinds until_connected and goal, or a weight above 0 in its weights"
+            f"two of objective.terms steer {key}: leave one out, since only one may have the form "
+            "two_layer or one of the kinds until_connected and goal, or a weight above 0 in its "
+            "weights"
         )
     return None
 

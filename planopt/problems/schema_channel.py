@@ -45,12 +45,14 @@ class MultipathTable(Table):
         try:
             deviation = self.law.std_db
         except InputError as error:
-            words = error.message if error.remedy is None else f"{error.message} ({error.remedy})"
+            words = error.message if error.remedy is None else f"{error.message}: {error.remedy}"
             raise PydanticCustomError("one_of", "{words}", {"words": words}) from error
         # Whatever number it was given by, its own one can then be saved.
         if deviation < MIN_DEVIATION_DB and self.kind != "lognormal":
             raise PydanticCustomError(
-                "one_of", "is fading of less than {least} dB", {"least": MIN_DEVIATION_DB}
+                "one_of",
+                "is fading of less than {least} dB: leave multipath out, or give more",
+                {"least": MIN_DEVIATION_DB},
             )
         return self
 
@@ -83,7 +85,9 @@ class RasterTruthTable(Table):
     @model_validator(mode="after")
     def _one_fading(self) -> RasterTruthTable:
         if self.rician_k is not None and self.multipath is not None:
-            raise PydanticCustomError("one_of", "has rician_k and multipath, one is enough")
+            raise PydanticCustomError(
+                "one_of", "has rician_k and multipath, one is enough: leave rician_k out"
+            )
         return self
 
 
@@ -119,7 +123,8 @@ class ModelTruthTable(Table):
         if (self.multipath_std_db is None) == (self.multipath is None):
             raise PydanticCustomError(
                 "one_of",
-                "needs exactly one of multipath_std_db and multipath, has {given}",
+                "needs exactly one of multipath_std_db and multipath, has {given}: write "
+                "multipath_std_db = 3.0, for instance",
                 {"given": "none" if self.multipath is None else "both"},
             )
         return self
@@ -182,13 +187,16 @@ class MeasurementsTable(Table):
         if (self.count is None) == (self.file is None):
             raise PydanticCustomError(
                 "one_of",
-                "needs exactly one of count and file, has {given}",
+                "needs exactly one of count and file, has {given}: write count = 100, or "
+                'file = "log.csv"',
                 {"given": "none" if self.count is None else "count and file"},
             )
         for key in ("columns", "censored_column", "floor_dbm"):
             if self.file is None and getattr(self, key) is not None:
                 raise PydanticCustomError(
-                    "one_of", "has {given}, which goes only with file", {"given": key}
+                    "one_of",
+                    "has {given}, which goes only with file: leave it out",
+                    {"given": key},
                 )
         return self
 

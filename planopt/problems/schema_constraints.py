@@ -127,29 +127,50 @@ class ConstraintsTable(Table):
         for other in OWN.values():
             for key in other.keys:
                 if other.name != form and key in given:
-                    return f'has {key}, which goes only with connectivity = "{other.name}"'
+                    return (
+                        f'has {key}, which goes only with connectivity = "{other.name}": leave it '
+                        "out, or write that connectivity"
+                    )
         kind = rule_kind(form)
         if form != "each_step" and self.p_min == 0.0 and not kind.asks_without_p_min:
-            return f'needs p_min above 0 for connectivity = "{form}"'
+            return (
+                f'needs p_min above 0 for connectivity = "{form}": write p_min = 0.9, for instance'
+            )
         if form == "outage" and (self.outage_max_m is None) == (self.outage_max_s is None):
-            return 'needs one of outage_max_m and outage_max_s for connectivity = "outage"'
+            return (
+                'needs one of outage_max_m and outage_max_s for connectivity = "outage": write '
+                "outage_max_s = 10.0, for instance"
+            )
         if form in ("stated_times", "data"):
             for key in kind.keys:
                 if not getattr(self, key):
-                    return f'needs {key} for connectivity = "{form}"'
+                    return (
+                        f'needs {key} for connectivity = "{form}": write '
+                        f"{key} = {'[10.0, 20.0]' if form == 'stated_times' else '100.0'}, for "
+                        "instance"
+                    )
         if self.slack_max_db is not None and self.p_min == 0.0 and not kind.asks_without_p_min:
-            return "has slack_max_db, but nothing is asked of the connection: p_min is 0"
+            return (
+                "has slack_max_db, but nothing is asked of the connection, since p_min is 0: write "
+                "a p_min above 0, or leave slack_max_db out"
+            )
         if self.parameter_uncertainty == "all":
             if not kind.by_step:
-                return f'has parameter_uncertainty = "all", not for connectivity = "{form}"'
+                return (
+                    f'has parameter_uncertainty = "all", not for connectivity = "{form}": leave it '
+                    "out, or write each_step or stated_times"
+                )
             if self.p_min == 0.0:
-                return 'has parameter_uncertainty = "all", but p_min is 0'
+                return (
+                    'has parameter_uncertainty = "all", but p_min is 0: write a p_min above 0, or '
+                    "leave parameter_uncertainty out"
+                )
         if self.slack_price > 0.0 and not self.slack_max_db:
-            return "has slack_price, which needs slack_max_db above 0"
+            return "has slack_price, which needs slack_max_db above 0: write slack_max_db = 3.0"
         try:
             ConnectivityRule(form, settings=self.settings)
         except InputError as error:
-            return f"has settings that {error.message}"
+            return f"has settings that {error.message}: {error.remedy}"
         return None
 
     @property

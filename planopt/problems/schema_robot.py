@@ -88,16 +88,27 @@ class RobotTable(Table):
         for dynamics, keys in KEYS.items():
             given = [key for key in keys if getattr(self, key) is not None]
             if given and dynamics != self.dynamics:
-                raise _fault(f"has {given[0]}, which goes only with dynamics {dynamics}")
+                raise _fault(
+                    f"has {given[0]}, which goes only with dynamics {dynamics}: leave it out, or "
+                    f'write dynamics = "{dynamics}"'
+                )
         needed = NEEDED[self.dynamics]
         if needed is not None and getattr(self, needed) is None:
-            raise _fault(f"has dynamics {self.dynamics}, which needs {needed}")
+            raise _fault(
+                f"has dynamics {self.dynamics}, which needs {needed}: write {needed} = 1.0"
+            )
         if needed is not None and getattr(self, needed) < LEAST_LIMIT:
-            raise _fault(f"has {needed} below {LEAST_LIMIT:g}, with which it hardly moves")
+            raise _fault(
+                f"has {needed} below {LEAST_LIMIT:g}, with which it hardly moves: give a larger "
+                "one, such as 1.0"
+            )
         if self.start_velocity_m_s is not None:
             vx, vy = self.start_velocity_m_s
             if vx * vx + vy * vy > self.speed_max_m_s**2:
-                raise _fault("has a start_velocity_m_s that is faster than speed_max_m_s")
+                raise _fault(
+                    "has a start_velocity_m_s that is faster than speed_max_m_s: lessen it, or "
+                    "raise speed_max_m_s"
+                )
         return self
 
     @property

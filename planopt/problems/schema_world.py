@@ -69,21 +69,25 @@ class MovingTable(Table):
         given = sum(each is not None for each in (self.start_m, self.times_s, self.positions_m))
         if not (straight and given == 1) and not (timed and given == 2):
             raise PydanticCustomError(
-                "one_of", "needs either start_m and velocity_m_s, or times_s and positions_m"
+                "one_of",
+                "needs either start_m and velocity_m_s, or times_s and positions_m: leave the "
+                "others out",
             )
         if "probability" in self.model_fields_set and not self.obstacle.is_uncertain:
             raise PydanticCustomError(
-                "one_of", "has probability, which needs position_std_m or acceleration_std_m_s2"
+                "one_of",
+                "has probability, which needs position_std_m or acceleration_std_m_s2: write "
+                "position_std_m = 0.5, or leave probability out",
             )
         if self.times_s is not None and self.positions_m is not None:
             if len(self.times_s) != len(self.positions_m):
                 raise PydanticCustomError(
                     "one_of",
-                    "has {times} times_s and {places} positions_m, should have as many of both",
+                    "has {times} times_s and {places} positions_m: give a place for each time",
                     {"times": len(self.times_s), "places": len(self.positions_m)},
                 )
             if any(later <= earlier for earlier, later in pairwise(self.times_s)):
-                raise PydanticCustomError("one_of", "has times_s that do not increase")
+                raise PydanticCustomError("one_of", "has times_s that do not increase: sort them")
         return self
 
     @property
@@ -146,20 +150,28 @@ class ObstacleTable(Table):
         if len(given) != 1:
             raise PydanticCustomError(
                 "one_of",
-                "needs exactly one of file, polygon and wkt, has {given}",
+                "needs exactly one of file, polygon and wkt, has {given}: write "
+                "polygon = [[x, y], ...] in metres, for instance",
                 {"given": " and ".join(given) or "none"},
             )
         if self.holes and self.polygon is None:
-            raise PydanticCustomError("one_of", "has holes, which go only with polygon")
+            raise PydanticCustomError(
+                "one_of", "has holes, which go only with polygon: a file and wkt have their own"
+            )
         if "unknown" in self.model_fields_set and not is_grid(self.file):
             raise PydanticCustomError(
-                "one_of", "has unknown, which goes only with the file of an occupancy grid"
+                "one_of",
+                "has unknown, which goes only with the file of an occupancy grid: leave it out",
             )
         if self.until_s is not None and self.until_s <= self.known_from_s:
-            raise PydanticCustomError("one_of", "has until_s that is not after known_from_s")
+            raise PydanticCustomError(
+                "one_of", "has until_s that is not after known_from_s: give a later one, or none"
+            )
         if self.name is not None and self.file is not None:
             raise PydanticCustomError(
-                "one_of", "has a name, which goes only with polygon and wkt, beside file"
+                "one_of",
+                "has a name, which goes only with polygon and wkt, beside file: leave it out, "
+                "since a file has names of its own",
             )
         return self
 

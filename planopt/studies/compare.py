@@ -271,7 +271,11 @@ def _chosen_seeds(seeds: object) -> list[int]:
             )
         chosen.append(int(cast("int", seed)))
     if not chosen:
-        raise InputError("there is none, so nothing to compare", key="seeds")
+        raise InputError(
+            "there is none, so nothing to compare",
+            key="seeds",
+            remedy="give a number of seeds, such as 30",
+        )
     if min(chosen) < 0 or len(set(chosen)) < len(chosen):
         raise InputError(
             f"{chosen} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
@@ -290,7 +294,11 @@ def _variants(
     own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
     for key, values in {"problems": problems, **own, **(sweep or {})}.items():
         if values is not None and len(values) == 0:
-            raise InputError("there is none, so nothing to compare", key=key)
+            raise InputError(
+                "there is none, so nothing to compare",
+                key=key,
+                remedy="give one value at least, or leave it out",
+            )
     names = [problem.name for problem in problems]
     for name in names:
         if names.count(name) > 1:
@@ -399,6 +407,7 @@ def _system_runs(
             f"{problem.name} asks for {problem.task}, which has no runs to compare",
             file=problem.file,
             key="problem.task",
+            remedy="compare problems of motion planning, or pursuits",
         )
     request = Request(horizons=horizons or (), planners=planners or ())
     tables = problem.tables()

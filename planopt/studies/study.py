@@ -238,7 +238,11 @@ def run_study(
         The record cannot be written.
     """
     if workers < 1:
-        raise InputError(f"{workers} is less than 1", key="workers")
+        raise InputError(
+            f"{workers} is less than 1",
+            key="workers",
+            remedy="give the number of processes, from 1 on",
+        )
     require_backend(backend)
     outside = registered_planners(), outside_terms(), registered_rules()
     jobs = [(study, group, record, *outside, os.getpid()) for group in groups]

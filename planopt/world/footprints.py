@@ -114,11 +114,17 @@ def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
 def _ring(name: str, ring: object) -> _Ring:
     """Corners of `ring`, without heights."""
     if isinstance(ring, (str, bytes)) or not isinstance(ring, Iterable):
-        raise InputError(f"{name}: a ring must be a list of (x, y) corners, not {ring!r}")
+        raise InputError(
+            f"{name}: a ring must be a list of (x, y) corners, not {ring!r}",
+            remedy="give [[x, y], [x, y], [x, y]] in metres",
+        )
     corners = [_corner(name, corner) for corner in cast("Iterable[object]", ring)]
     different = len(set(corners))
     if different < 3:
-        raise InputError(f"{name}: a ring with {different} different corners; three are needed")
+        raise InputError(
+            f"{name}: a ring with {different} different corners; three are needed",
+            remedy="list the corners in order along the outline",
+        )
     return corners
 
 
@@ -132,7 +138,9 @@ def _corner(name: str, corner: object) -> tuple[float, float]:
     if len(values) < 2 or not all(
         not isinstance(value, bool) and isinstance(value, Real) for value in values[:2]
     ):
-        raise InputError(f"{name}: corner {corner!r} is not a pair of numbers")
+        raise InputError(
+            f"{name}: corner {corner!r} is not a pair of numbers", remedy="give [x, y] in metres"
+        )
     x, y = (cast("float", value) for value in values[:2])
     # Compared before they are made floats: a JSON integer may be too large for one.
     if not (abs(x) <= LARGEST_COORDINATE_M and abs(y) <= LARGEST_COORDINATE_M):

@@ -91,6 +91,7 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
             f"{free_to:g} and occupied_thresh {occupied_from:g} are not 0 <= free <= occupied <= 1",
             file=path,
             key="free_thresh",
+            remedy="give free_thresh: 0.196 and occupied_thresh: 0.65, for instance",
         )
     image = table.get("image")
     if not isinstance(image, str) or not image:
@@ -132,6 +133,7 @@ def _read_csv_grid(path: Path) -> OccupancyGrid:
                     f"{len(row)} cells where the first row has {len(cells[0])}",
                     file=path,
                     row=rows.line_num,
+                    remedy="give each row as many cells",
                 )
             _require_cells(path, (len(cells) + 1) * len(row))
             cells.append(
@@ -141,7 +143,12 @@ def _read_csv_grid(path: Path) -> OccupancyGrid:
                 ]
             )
     except csv.Error as error:
-        raise InputError(f"not a CSV row: {error}", file=path, row=rows.line_num) from error
+        raise InputError(
+            f"not a CSV row: {error}",
+            file=path,
+            row=rows.line_num,
+            remedy="save the grid as CSV with commas",
+        ) from error
     if not cells:
         raise InputError("there are no cells", file=path, remedy="rows of cells follow the values")
     resolution, origin = _placed(path, numbers[0], numbers[1], numbers[2])
@@ -168,7 +175,12 @@ def _yaml_table(path: Path) -> dict[str, object]:
             table: object = yaml.safe_load(text)
         except yaml.MarkedYAMLError as error:
             row = None if error.problem_mark is None else error.problem_mark.line + 1
-            raise InputError(f"is not YAML: {error.problem}", file=path, row=row) from error
+            raise InputError(
+                f"is not YAML: {error.problem}",
+                file=path,
+                row=row,
+                remedy="give the YAML file of a ROS map, or a CSV file of a grid",
+            ) from error
     if not isinstance(table, dict):
         raise InputError(
             "has no keys", file=path, remedy="a map of ROS has image, resolution, origin, ..."
@@ -184,7 +196,9 @@ def _number(path: Path, table: dict[str, object], key: str) -> float:
         with contextlib.suppress(ValueError):
             value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float) or not _sane(value):
-        raise InputError(f"is {_shown(value)}, should be a number", file=path, key=key)
+        raise InputError(
+            f"is {_shown(value)}, should be a number", file=path, key=key, remedy="write a number"
+        )
     return float(value)
 
 
@@ -206,7 +220,12 @@ def _one_of(
     value: Any = table.get(key, default)
     if not any(value == one for one in allowed):
         words = ", ".join(map(str, allowed))
-        raise InputError(f"is {_shown(value)}, should be one of {words}", file=path, key=key)
+        raise InputError(
+            f"is {_shown(value)}, should be one of {words}",
+            file=path,
+            key=key,
+            remedy="write one of these",
+        )
     return value
 
 
@@ -216,7 +235,10 @@ def _origin(path: Path, table: dict[str, object]) -> tuple[float, float]:
     values = cast("list[object]", origin if isinstance(origin, list) else [])
     if len(values) not in (2, 3):
         raise InputError(
-            f"is {_shown(table.get('origin'))}, should be [x, y, yaw]", file=path, key="origin"
+            f"is {_shown(table.get('origin'))}, should be [x, y, yaw]",
+            file=path,
+            key="origin",
+            remedy="give metres and radians, such as [0.0, 0.0, 0.0]",
         )
     x, y, yaw = (_number(path, {"origin": value}, "origin") for value in (*values, 0.0)[:3])
     if abs(yaw) > NO_TURN_RAD:
@@ -238,7 +260,12 @@ def _placed(
             f"cells of {resolution_m:g} m", file=path, key="resolution", remedy="metres above 0"
         )
     if not max(abs(x_m), abs(y_m)) <= LARGEST_COORDINATE_M:
-        raise InputError(f"({x_m:g}, {y_m:g}) is no place in metres", file=path, key="origin")
+        raise InputError(
+            f"({x_m:g}, {y_m:g}) is no place in metres",
+            file=path,
+            key="origin",
+            remedy="give metres near those of world.bounds_m",
+        )
     return resolution_m, (x_m, y_m)
 
 
@@ -289,5 +316,11 @@ def _cell(path: Path, text: str, row: int, key: str) -> float:
     except ValueError:
         value = math.inf
     if math.isinf(value) or (row == 2 and math.isnan(value)):
-        raise InputError(f"{_shown(text)} is not a number", file=path, key=key, row=row)
+        raise InputError(
+            f"{_shown(text)} is not a number",
+            file=path,
+            key=key,
+            row=row,
+            remedy="write numbers from 0 (free) to 100 (occupied), -1 where it is not known",
+        )
     return value

@@ -95,22 +95,32 @@ def checked_raster(
     """
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:
-            raise InputError(f"shape {axis.shape} is not an axis of cells", file=path, key=name)
+            raise InputError(
+                f"shape {axis.shape} is not an axis of cells",
+                file=path,
+                key=name,
+                remedy="give the coordinates of cell centres in metres",
+            )
         if not (np.abs(axis) <= LARGEST_COORDINATE_M).all():
             raise InputError(
                 f"cell centres must be finite and within {LARGEST_COORDINATE_M:g} m of the origin",
                 file=path,
                 key=name,
+                remedy="give metres, with an origin near the map",
             )
         if not _is_even(axis):
             raise InputError(
-                "cell centres must be ascending and evenly spaced", file=path, key=name
+                "cell centres must be ascending and evenly spaced",
+                file=path,
+                key=name,
+                remedy="sort them and resample to one spacing, flip the values alike",
             )
     if values.shape != (y.size, x.size):
         raise InputError(
             f"shape {values.shape} does not fit the axes, (y, x) = {(y.size, x.size)}",
             file=path,
             key=variable,
+            remedy="give one value for each y (rows) and x (columns), perhaps transposed",
         )
     if np.isposinf(values).any():
         iy, ix = np.argwhere(np.isposinf(values))[0].tolist()
@@ -159,7 +169,8 @@ def nearest_cells(
         x, y = positions_m[outside.argmax()]
         raise InputError(
             f"position ({x:g}, {y:g}) is outside the map, which covers x from {raster.x_m[0]:g} "
-            f"to {raster.x_m[-1]:g} and y from {raster.y_m[0]:g} to {raster.y_m[-1]:g} m"
+            f"to {raster.x_m[-1]:g} and y from {raster.y_m[0]:g} to {raster.y_m[-1]:g} m",
+            remedy="give a larger map, or keep starts, goals and bounds within it",
         )
     ix, iy = np.clip(cells, 0, last_cell).astype(np.int64).T
     return iy, ix
@@ -197,7 +208,9 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
                 remedy=f"it holds {listed(npz_names(path))}",
             )
         if arrays[name].dtype.kind not in "biuf":
-            raise InputError(f"{arrays[name].dtype} is not numeric", file=path, key=name)
+            raise InputError(
+                f"{arrays[name].dtype} is not numeric", file=path, key=name, remedy="give numbers"
+            )
         with np.errstate(all="ignore"):  # from longer floats
             found.append(arrays[name].astype(np.float64))
     return found

@@ -66,14 +66,21 @@ def read_csv(path: Path, variable: str) -> Raster:
             if cells:
                 numbers.extend(_number(cells, at, path, rows.line_num, header[at]) for at in where)
     except csv.Error as error:
-        raise InputError(f"not a CSV row: {error}", file=path, row=rows.line_num) from error
+        raise InputError(
+            f"not a CSV row: {error}",
+            file=path,
+            row=rows.line_num,
+            remedy="save the map as CSV with commas",
+        ) from error
     return _on_grid(np.array(numbers).reshape(-1, 3), path, variable)
 
 
 def _on_grid(table: NDArray[np.float64], path: Path, variable: str) -> Raster:
     """The raster whose cells are the rows x, y, value."""
     if not np.isfinite(table[:, :2]).all():
-        raise InputError("a cell centre is not finite", file=path)
+        raise InputError(
+            "a cell centre is not finite", file=path, remedy="leave rows without a place out"
+        )
     x, ix = np.unique(table[:, 0], return_inverse=True)
     y, iy = np.unique(table[:, 1], return_inverse=True)
     if len(np.unique(iy * x.size + ix)) != len(table) or len(table) != x.size * y.size:
@@ -100,12 +107,24 @@ def _column(header: list[str], name: str, path: Path) -> int:
 
 def _number(cells: list[str], at: int, path: Path, row: int, name: str) -> float:
     if at >= len(cells):
-        raise InputError("the row is too short", file=path, key=name, row=row)
+        raise InputError(
+            "the row is too short",
+            file=path,
+            key=name,
+            row=row,
+            remedy="give each row as many cells as the header",
+        )
     cell = cells[at].strip()
     try:
         return float(cell) if cell else math.nan
     except ValueError:
-        raise InputError(f"{cell!r} is not a number", file=path, key=name, row=row) from None
+        raise InputError(
+            f"{cell!r} is not a number",
+            file=path,
+            key=name,
+            row=row,
+            remedy="write a number, or leave the cell empty where nothing is known",
+        ) from None
 
 
 CENTRES = "cell_centers"
@@ -144,6 +163,7 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
                 f"there is no transmitter {index}, only {len(gain)}, counted from 0",
                 file=path,
                 key=name,
+                remedy="name one that is there",
             )
         gain = gain[index or 0]
     if gain.ndim != 2 or centres.shape != (*gain.shape, 3):
@@ -158,10 +178,18 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
     # Written so that a centre that is NaN counts as off.
     if not (off <= TURNED_M).all():
         raise InputError(
-            "the map's plane is turned: rows do not run along x", file=path, key=CENTRES
+            "the map's plane is turned: rows do not run along x",
+            file=path,
+            key=CENTRES,
+            remedy="make the map of a plane whose rows run along x",
         )
     if (gain < 0.0).any():
-        raise InputError("a linear gain is negative", file=path, key=name)
+        raise InputError(
+            "a linear gain is negative",
+            file=path,
+            key=name,
+            remedy="give path gains, not decibels, or name the variable that has decibels",
+        )
     decibels = np.full(gain.shape, np.nan)
     np.log10(gain, out=decibels, where=gain > 0.0)
     return checked_raster(x, y, 10.0 * decibels, path, variable)

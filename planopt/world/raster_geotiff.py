@@ -73,7 +73,9 @@ def read_geotiff(path: Path, variable: str) -> Raster:
     rasterio = import_rasterio(path)
     content = read_bytes(path)
     if content[:4] not in SIGNATURES:
-        raise InputError("is not a TIFF file", file=path)
+        raise InputError(
+            "is not a TIFF file", file=path, remedy="save it as GeoTIFF, NetCDF, NPZ or CSV"
+        )
     with (
         foreign_reader(path, "a GeoTIFF"),
         rasterio.Env(GDAL_NUM_THREADS=1),
@@ -85,12 +87,18 @@ def read_geotiff(path: Path, variable: str) -> Raster:
             require_array_size(path, variable, *shape)
         band = _band(file.descriptions, variable, path)
         if np.dtype(file.dtypes[band - 1]).kind not in "iuf":
-            raise InputError("is not numeric", file=path, key=variable)
+            raise InputError(
+                "is not numeric", file=path, key=variable, remedy="give a band of numbers"
+            )
         values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
         transform, system = file.transform, file.crs
         in_degrees = system is not None and system.is_geographic
     if transform.b or transform.d or transform.is_identity:
-        raise InputError("the map is rotated or has no coordinates", file=path)
+        raise InputError(
+            "the map is rotated or has no coordinates",
+            file=path,
+            remedy="resample it to axes x and y in metres",
+        )
     if in_degrees:
         raise InputError(
             "the coordinates are degrees", file=path, remedy="project the map to metres"

@@ -116,7 +116,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
         return
     lines = [(row, line) for row, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if not lines:
-        raise InputError("the file is empty")
+        raise InputError("the file is empty", remedy="give a GeoJSON or WKT file of areas")
     for row, line in lines:
         name = stem if len(lines) == 1 else f"{stem} line {row}"
         try:
@@ -180,15 +180,25 @@ def _from_json(stem: str, text: str) -> Iterator[Obstacle]:
     try:
         data: object = json.loads(text)
     except json.JSONDecodeError as error:
-        raise InputError(f"not JSON: {error.msg}", row=error.lineno) from error
+        raise InputError(
+            f"not JSON: {error.msg}",
+            row=error.lineno,
+            remedy="mend the JSON, or name a WKT file .wkt",
+        ) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON that can be read: {error}") from error
+        raise InputError(
+            f"not JSON that can be read: {error}",
+            remedy="give GeoJSON of Polygon or MultiPolygon features",
+        ) from error
     table = _table(stem, data)
     if "buildings" not in table:
         try:
             obstacles = list(_from_geojson(stem, table))
         except RecursionError:
-            raise InputError("not GeoJSON of areas: nested too deeply") from None
+            raise InputError(
+                "not GeoJSON of areas: nested too deeply",
+                remedy="give GeoJSON of Polygon or MultiPolygon features",
+            ) from None
         _require_metres(table, obstacles)
         yield from obstacles
         return
@@ -263,7 +273,10 @@ def _named_parts(name: str, parts: list[_Part]) -> Iterator[tuple[str, _Part]]:
 def _table(name: str, value: object) -> dict[str, object]:
     """`value` if it is a JSON object."""
     if not isinstance(value, dict):
-        raise InputError(f"{name}: an object {{...}} must stand here, not {_short(value)}")
+        raise InputError(
+            f"{name}: an object {{...}} must stand here, not {_short(value)}",
+            remedy="write GeoJSON of Polygon or MultiPolygon features",
+        )
     return cast("dict[str, object]", value)
 
 
@@ -271,7 +284,10 @@ def _list(name: str, table: dict[str, object], key: str) -> list[object]:
     """``table[key]`` if it is a list."""
     value = table.get(key)
     if not isinstance(value, list):
-        raise InputError(f"{name}: {key!r} must be a list, not {_short(value)}")
+        raise InputError(
+            f"{name}: {key!r} must be a list, not {_short(value)}",
+            remedy="write GeoJSON of Polygon or MultiPolygon features",
+        )
     return cast("list[object]", value)
 
 

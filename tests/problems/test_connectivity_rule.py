@@ -84,6 +84,7 @@ def test_keys_that_do_not_fit_are_refused(form, keys, words, learning, built):
     """With the table or key, and what is wrong."""
     with pytest.raises(InputError, match="constraints") as caught:
         built(with_rule(learning, form, keys))
+    assert caught.value.remedy
     assert words in str(caught.value)
 
 

@@ -232,6 +232,13 @@ def test_no_obstacle(source) -> None:
         obstacles_from(source)
 
 
+def test_a_grid_without_a_place() -> None:
+    """Cells of true and false are no corners."""
+    for shape in ((3, 2), (4, 5)):
+        with pytest.raises(InputError, match=r"array of bool .*OccupancyGrid\("):
+            obstacles_from(np.ones(shape, dtype=np.bool_))
+
+
 def test_ground_truth_of_arrays_and_functions() -> None:
     """Every cell has the power of its centre, whichever way it was given."""
     by_function = FunctionTruth(power_dbm=power_dbm, cell_m=0.5, floor_dbm=-90.0)

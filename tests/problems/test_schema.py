@@ -187,6 +187,7 @@ def test_measurements_need_exactly_one_source(
     tables["channel"]["measurements"] = table
     with pytest.raises(InputError, match=message) as caught:
         built(tables)
+    assert caught.value.remedy
     assert caught.value.key == "channel.measurements"
 
 
@@ -293,6 +294,7 @@ def test_multipath_that_is_not_one(tables: Tables, built: Build, truth: Tables, 
     with pytest.raises(InputError) as caught:
         built(tables)
     assert says in str(caught.value) and "channel.truth" in str(caught.value)
+    assert caught.value.remedy
 
 
 def tracking(tables: Tables) -> Tables:
@@ -457,8 +459,9 @@ def test_tables_that_do_not_fit_the_task(
     """What belongs to another task, or is missing for this one, is named."""
     tracking(tables)
     spoil(tables)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=words) as caught:
         built(tables)
+    assert caught.value.remedy
 
 
 @pytest.mark.parametrize(
@@ -474,5 +477,6 @@ def test_reach_refuses_what_is_for_other_tasks(
 ) -> None:
     """A problem that is to reach a goal keeps a bound and has no terms."""
     tables.setdefault(table, {})[key] = value
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=words) as caught:
         built(tables)
+    assert caught.value.remedy

@@ -81,6 +81,7 @@ def test_what_does_not_fit_is_refused(learn, built, keys, words: str) -> None:
     learn["robots"][0] |= keys
     with pytest.raises(InputError, match=words) as error:
         built(learn)
+    assert error.value.remedy
     assert "robots[0]" in str(error.value)
 
 

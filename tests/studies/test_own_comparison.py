@@ -117,6 +117,43 @@ def test_only_problems_with_settings_compare_without(capsys, tmp_path: Path) -> 
     assert "compare.seeds" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"seeds": "x"}, r"key compare\.seeds: is 'x', should be a number of seeds from 1"),
+        ({"seeds": 0}, r"key compare\.seeds: is 0, should be .*\(How many random seeds"),
+        ({"seeds": "5:5"}, r"key compare\.seeds: is '5:5', should be"),
+        ({"sweep": {"compare.seeds": [1]}}, r"settings\[0\]\.sweep: compare\.seeds changes no run"),
+        ({"sweep": {"problem.name": ["a"]}}, r"problem\.name changes no run.*\(sweep a key"),
+        ({"sweep": {"constraints.p_min": 0.5}}, r"p_min: is 0\.5, should be an array \(Values of"),
+    ],
+)
+def test_wrong_tables_of_a_comparison(problem, table, words) -> None:
+    """The key of the table, in words of ours."""
+    sweep, seeds = table.get("sweep", {"constraints.p_min": [0.5]}), table.get("seeds", 3)
+    tables = problem_to_dict(replace(problem, compare=None))
+    with pytest.raises(InputError, match=words):
+        problem_from_dict({**tables, "compare": {"seeds": seeds, "settings": [{"sweep": sweep}]}})
+
+
+@pytest.mark.parametrize("group", [{"horizons": (0,)}, {"planners": ("nowhere",)}])
+def test_errors_of_settings_name_their_group(problem, group) -> None:
+    """The table and the key within the problem that a setting breaks."""
+    own = ComparisonSettings(settings=(SettingGroup(), SettingGroup(**group)))
+    with pytest.raises(
+        InputError, match=r"^key compare\.settings\[1\]: planner\.(horizon|name) is"
+    ):
+        settings_of([replace(problem, compare=own, file=None)])
+
+
+def test_what_changes_no_run_is_not_swept(problem) -> None:
+    """By an argument, too; and groups of settings are of their class."""
+    with pytest.raises(InputError, match=r"^key problem\.name: .* changes no run"):
+        compare(problem, sweep={"problem.name": ["a", "b"]}, seeds=1)
+    with pytest.raises(InputError, match=r"compare\.settings\[0\]: is a dict \(give groups"):
+        ComparisonSettings(settings=({"horizons": [1]},))
+
+
 def test_known_path_loss_has_no_uncertainty_to_show(comparison) -> None:
     """Its logarithms are no numbers: nowhere is the floor of a logarithm shown as a value."""
     for metric in ("trace_m_db", "log_det_m"):

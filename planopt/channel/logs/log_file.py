@@ -42,7 +42,13 @@ def read_number(text: str, file: Path, line: int, name: str) -> float:
         # Python would read 1_0 as 10.
         number = math.nan if "_" in cell else float(cell)
     except ValueError:
-        raise InputError(f"{cell!r} is not a number", file=file, key=name, row=line) from None
+        raise InputError(
+            f"{cell!r} is not a number",
+            file=file,
+            key=name,
+            row=line,
+            remedy="write a number with a decimal point, such as -61.5",
+        ) from None
     if not math.isfinite(number):
         raise InputError(
             f"{cell!r} is not a finite number",
@@ -68,10 +74,20 @@ def read_label(text: str, file: Path, line: int, name: str) -> str:
     """Return the text in a cell, as :func:`read_number`; it is not empty and can be printed."""
     cell = text.strip()
     if not cell:
-        raise InputError("the cell is empty", file=file, key=name, row=line)
+        raise InputError(
+            "the cell is empty",
+            file=file,
+            key=name,
+            row=line,
+            remedy="fill it, or leave the row out",
+        )
     if not cell.isprintable():
         raise InputError(
-            f"{cell!a} has a character that cannot be printed", file=file, key=name, row=line
+            f"{cell!a} has a character that cannot be printed",
+            file=file,
+            key=name,
+            row=line,
+            remedy="write letters, digits and signs",
         )
     return cell
 
@@ -367,7 +383,10 @@ def _chosen(
     for line, cells in rows:
         if len(cells) != len(names):
             raise InputError(
-                f"{len(cells)} cells where the header has {len(names)}", file=file, row=line
+                f"{len(cells)} cells where the header has {len(names)}",
+                file=file,
+                row=line,
+                remedy="give each row as many cells as the header",
             )
         if all(cells[at].strip() == text for at, text in asked):
             yield line, cells
@@ -376,7 +395,11 @@ def _chosen(
 def _no_rows(file: Path, log_format: LogFormat) -> InputError:
     """Return the error of a log without rows that count."""
     if not log_format.rows:
-        return InputError("the file has a header but no rows", file=file)
+        return InputError(
+            "the file has a header but no rows",
+            file=file,
+            remedy="give a log with at least one measurement",
+        )
     columns = [name for name, _ in log_format.rows]
     found = read_columns(file, columns)
     texts = [
@@ -398,7 +421,12 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
             try:
                 yield number, next(csv.reader([stripped], strict=True))
             except csv.Error as error:
-                raise InputError(f"not a CSV row: {error}", file=file, row=number) from error
+                raise InputError(
+                    f"not a CSV row: {error}",
+                    file=file,
+                    row=number,
+                    remedy="save the log as CSV with commas",
+                ) from error
 
 
 def _column(names: list[str], name: str, file: Path, line: int) -> int:

@@ -58,7 +58,11 @@ class Radio:
                 f"{self.bit_error_rate!r} is out of range", key="bit_error_rate", remedy="0 to 0.2"
             )
         if not self.bits_per_symbol > 0.0:
-            raise InputError(f"{self.bits_per_symbol!r} is not positive", key="bits_per_symbol")
+            raise InputError(
+                f"{self.bits_per_symbol!r} is not positive",
+                key="bits_per_symbol",
+                remedy="give bits for each symbol, such as 2",
+            )
 
     @property
     def k_b(self) -> float:

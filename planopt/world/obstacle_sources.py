@@ -55,9 +55,9 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
         names = _column_of_names(source, name, len(geometries))
         for own, geometry in zip(names, geometries, strict=True):
             yield from _obstacles(geometry, own)
-    elif isinstance(source, np.ndarray) and source.dtype.kind == "b":
+    elif getattr(source, "dtype", None) == np.bool_:
         raise InputError(
-            f"{name}: an array of bool {source.shape} is no list of corners",
+            f"{name}: an array of bool {np.shape(source)} is no list of corners",
             key="world.obstacles",
             remedy="give its cells a place: planopt.problems.OccupancyGrid(occupied, unknown, "
             "resolution_m=0.5, origin_m=(0.0, 0.0)) with two arrays of bool",

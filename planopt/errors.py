@@ -10,6 +10,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+A_FOLDER = 'give the name of a folder, such as "run"'
+"""What to do where a result cannot be saved for want of a folder's name."""
+
 LONGEST_WORD = 300
 """Names in messages are cut beyond this; the paths of files are rarely longer."""
 

@@ -13,6 +13,7 @@ from terms_scene import LEARNING, terms_problem
 
 import planopt
 from planopt import Constraints, InputError, Problem, Robot, solve
+from planopt.channel import posterior_map
 from planopt.extend import (
     CasadiMap,
     Dynamics,
@@ -527,6 +528,28 @@ def test_doors_that_take_something_else(door, given) -> None:
     """A path, a problem or a solution, in words."""
     with pytest.raises(InputError, match=r"^key \w+: is a \w+ \(.+\)$"):
         door(given)
+
+
+def test_results_are_saved_in_folders(base) -> None:
+    """By name."""
+    for result in (solve(base, seed=0), planopt.simulate(base, seed=0)):
+        for given in (None, 3):
+            with pytest.raises(InputError, match=r"^key folder: is a \w+ \(give the name of"):
+                result.save(given)
+
+
+def test_a_map_is_that_of_a_posterior(base) -> None:
+    """The key of the argument that is wrong, and where the right one is."""
+    run = planopt.simulate(base, seed=0)
+    posterior, bounds = run.belief.posterior, base.workspace.bounds_m
+    for arguments, words in (
+        ((run.belief, bounds, 1.0, -80.0), r"posterior: is a Belief .*run\.belief\.posterior"),
+        ((posterior, 3, 1.0, -80.0), r"bounds_m: is 3 .*problem\.workspace\.bounds_m"),
+        ((posterior, bounds, "1", -80.0), r"cell_m: is '1' \(give a number"),
+        ((posterior, bounds, 1.0, None), r"threshold_dbm: is None \(give a number"),
+    ):
+        with pytest.raises(InputError, match=words):
+            posterior_map(*arguments)
 
 
 def test_a_seed_is_a_whole_number(base) -> None:

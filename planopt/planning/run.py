@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
+from planopt.errors import A_FOLDER, path_of
 from planopt.planning.holes import BlockedWay
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
@@ -158,7 +159,7 @@ class Run:
         """
         from planopt.planning.files.saved import save_run
 
-        save_run(self, Path(folder))
+        save_run(self, path_of("folder", folder, A_FOLDER))
 
     def to_dataframe(self) -> Any:
         """Return the run as a pandas DataFrame: a row for each robot and step, the start first.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planopt.channel.belief import Belief
+from planopt.errors import A_FOLDER, path_of
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.short_results import only, short_solution
@@ -99,7 +100,7 @@ class Solution:
         """
         from planopt.planning.files.saved import save_solution
 
-        save_solution(self, Path(folder))
+        save_solution(self, path_of("folder", folder, A_FOLDER))
 
     def to_dataframe(self) -> Any:
         """Return the plans as a pandas DataFrame: a row for each place of each robot.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from planopt.channel.validation.calibration import ReliabilityBin, reliability
+from planopt.errors import A_FOLDER, path_of
 from planopt.planning.run import RunSummary
 from planopt.problems.planner_kinds import OWN
 from planopt.problems.problem import Problem
@@ -124,7 +125,7 @@ class Comparison:
         """
         from planopt.studies.comparison_files import save_comparison
 
-        save_comparison(self, Path(folder), parquet=parquet)
+        save_comparison(self, path_of("folder", folder, A_FOLDER), parquet=parquet)
 
     def to_dataframe(self) -> Any:
         """Return the runs as a pandas DataFrame: a row a run, a column a setting and metric.

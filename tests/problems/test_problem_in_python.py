@@ -331,7 +331,20 @@ def test_a_run_in_a_truth_of_ones_own(tmp_path) -> None:
     for plan, other in zip(run.plans[0], again.plans[0], strict=True):
         assert np.array_equal(plan.positions_m, other.positions_m)
     for name in ("run", "again"):
-        assert planopt.check(tmp_path / name).verdict is planopt.Verdict.VERIFIED
+        judged = planopt.check(tmp_path / name)
+        assert judged.verdict is planopt.Verdict.VERIFIED
+        assert any("the file has no ground truth" in remark for remark in judged.remarks)
+        assert not any("cannot be drawn" in remark for remark in judged.remarks)
+
+
+def test_remarks_of_a_library_problem_with_another_truth(tmp_path) -> None:
+    """The library's truth and measurements are not said to be missing key by key."""
+    field = planopt.load("open_field")
+    truth = FunctionTruth(power_dbm=power_dbm)
+    channel = ChannelSetup(truth=truth, measurements=SampledMeasurements(40))
+    planopt.solve(replace(field, channel=channel), horizon=2).save(tmp_path)
+    remarks = [one for one in planopt.check(tmp_path).remarks if "in the library's" in one]
+    assert not any("truth" in one or "count" in one for one in remarks)
 
 
 def test_terms_have_the_defaults_of_files() -> None:

@@ -9,9 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from artists import drawn
 
-from planopt import ConnectivityRule, InputError, Problem, load, load_result, simulate, solve
+from planopt import (
+    ConnectivityRule,
+    InputError,
+    Obstacle,
+    Problem,
+    check,
+    load,
+    load_result,
+    simulate,
+    solve,
+)
 from planopt.cli import main
 from planopt.planning.holes import BlockedError
 from planopt.planning.prepare import prepare
@@ -107,6 +118,28 @@ def test_a_saved_run_keeps_its_refusal(problem, tmp_path: Path, capsys) -> None:
     (way,), (other,) = run.blocked, again.blocked
     assert (way.robot, way.holes) == (other.robot, other.holes)
     np.testing.assert_array_equal(way.way_m, other.way_m)
+
+
+def test_a_refusal_on_the_way_is_not_violated(problem, tmp_path: Path, capsys) -> None:
+    """A gate that becomes known closes the way in contact; a way from elsewhere refuses nothing."""
+    gate = Obstacle("gate", shapely.box(58.0, 0.0, 62.0, 16.5), known_from_s=4.0)
+    closed = replace(
+        problem,
+        workspace=replace(problem.workspace, timed=(gate,)),
+        stations=(replace(problem.stations[0], threshold_dbm=-52.0),),
+        constraints=replace(problem.constraints, p_min=0.5),
+        planner=replace(problem.planner, horizon=3, max_steps=6),
+    )
+    run = simulate(closed, seed=1)
+    assert run.outcome.value == "no_plan" and len(run.plans[0]) == 2 and run.blocked
+    run.save(tmp_path)
+    judged = check(tmp_path)
+    assert (judged.verdict, judged.reasons) == ("verified", ())
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text())
+    data["blocked"][0]["y_m"][0] += 0.1
+    file.write_text(json.dumps(data))
+    assert any("neither its task nor a standstill" in reason for reason in check(tmp_path).reasons)
 
 
 @pytest.mark.parametrize("key", ["robot", "x_m"])

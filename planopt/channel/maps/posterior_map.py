@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, Prediction, combine, connection_probability
 from planopt.errors import InputError
+from planopt.parts import part_of
 from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m
 
@@ -196,10 +197,16 @@ def posterior_map(
     Raises
     ------
     InputError
-        The bounds are not ordered, the cell is not positive, there would be too many cells, or the
-        threshold is not finite.
+        The posterior is none, the bounds are not ordered, the cell is not positive, there would be
+        too many cells, or the threshold is not finite.
     """
+    remedy = "give a ChannelPosterior, such as run.belief.posterior"
+    part_of("posterior", posterior, ChannelPosterior, remedy)
+    bounds_m = _bounds(bounds_m)
     x_min, y_min, x_max, y_max = bounds_m
+    for key, value in (("cell_m", cell_m), ("threshold_dbm", threshold_dbm)):
+        if not isinstance(cast("object", value), int | float | np.number):
+            raise InputError(f"is {value!r}", key=key, remedy="give a number, e.g. 1.0 or -80.0")
     if not (np.isfinite(bounds_m).all() and x_min < x_max and y_min < y_max):
         raise InputError(f"{bounds_m} are not bounds", key="bounds", remedy="write x0,y0,x1,y1")
     if not (cell_m > 0.0 and math.isfinite(cell_m)):
@@ -230,6 +237,25 @@ def posterior_map(
         threshold_dbm,
         "exact" if exact else f"neighbours:{NEIGHBOURS}",
     )
+
+
+def _bounds(given: object) -> Bounds:
+    """Return bounds as four numbers.
+
+    Raises
+    ------
+    InputError
+        They are something else.
+    """
+    try:
+        x_min, y_min, x_max, y_max = np.asarray(given, dtype=np.float64).tolist()
+    except (TypeError, ValueError):
+        raise InputError(
+            f"is {given!r}",
+            key="bounds_m",
+            remedy="give (x_min, y_min, x_max, y_max), such as problem.workspace.bounds_m",
+        ) from None
+    return x_min, y_min, x_max, y_max
 
 
 def default_cell_m(bounds_m: Bounds) -> float:

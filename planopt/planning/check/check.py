@@ -22,7 +22,7 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError, path_of
 from planopt.planning.certificate import Certificate, dearest, worst_result
 from planopt.planning.check.agreement import disagreements, in_words, without_searched
-from planopt.planning.check.check_belief import given_again, learnt_again
+from planopt.planning.check.check_belief import given_again, has_no_truth, learnt_again
 from planopt.planning.check.check_plan import check_plan, no_way_faults, rebuilt_solution
 from planopt.planning.check.check_plan import length_faults as plan_length_faults
 from planopt.planning.check.check_run import check_run, length_faults, rebuilt_run
@@ -68,7 +68,17 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
     except InputError as error:
         return [f"{file}, key problem_file: cannot be compared with the library's: {error}"]
     said = _but_overrides(problem_to_dict(problem))
-    return in_words(
+    remarks: list[str] = []
+    if has_no_truth(problem) and "truth" in meant["channel"]:
+        remarks.append(
+            f"{file}, key problem_file.channel: has no ground truth and no first measurements, as "
+            f"where they are from Python; the library's {problem.name} has"
+        )
+        for tables in (said, meant):
+            channel = {key: value for key, value in tables["channel"].items() if key != "truth"}
+            measured = {k: v for k, v in channel["measurements"].items() if k != "count"}
+            tables["channel"] = {**channel, "measurements": measured}
+    return remarks + in_words(
         file,
         disagreements(said, meant, "problem_file"),
         f"in the library's {problem.name}",

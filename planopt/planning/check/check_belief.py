@@ -30,6 +30,7 @@ from planopt.planning.files.belief_file import (
 )
 from planopt.planning.given import Given, draw
 from planopt.planning.loop.learn import learn
+from planopt.problems.channel_setup import SampledMeasurements
 from planopt.problems.problem import Problem
 
 SITE_TOLERANCE = 1e-5
@@ -71,8 +72,22 @@ class Taken:
 NOTHING_TAKEN = Taken(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.int64))
 
 
+def has_no_truth(problem: Problem) -> bool:
+    """Return whether a saved problem says neither what the channel was nor what was measured."""
+    channel = problem.channel
+    measured = channel.measurements
+    is_none = isinstance(measured, SampledMeasurements) and measured.count == 0
+    known = channel.given is not None and channel.given.k_pl_db is not None
+    return channel.truth is None and is_none and not known
+
+
 def given_again(problem: Problem, seed: int) -> tuple[Given | None, list[str]]:
     """Return what problem and seed give; None, and a remark, if its files are not to be had."""
+    if has_no_truth(problem):
+        return None, [
+            "true powers and first measurements are taken as they stand: the file has no ground "
+            "truth, as where it is from Python, or measurements were given"
+        ]
     try:
         return draw(problem, seed), []
     except InputError as error:

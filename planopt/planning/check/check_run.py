@@ -425,7 +425,8 @@ def _ended(
 ) -> tuple[tuple[Outcome, str], list[str]]:
     """Return how the run ended, why in words, and what is wrong with where it did.
 
-    That a hard bound left no way at the start is taken as it stands: the search is not repeated.
+    That a hard bound leaves no way from where the robots are is taken as it stands: the search is
+    not repeated.
     """
     problem, steps = saved.problem, len(connected)
     now = problem
@@ -448,14 +449,30 @@ def _ended(
             return ended, [late] if step < steps else []
     no_plan = saved.data.get("outcome") == Outcome.NO_PLAN.value
     hard = problem.constraints.rule.slack_max_db is not None
-    refused = steps == 0 and hard and len(blocked) > 0
-    if no_plan and (refused or _is_cut_off(problem_at(now, steps), driven)):
+    if no_plan and (
+        (hard and _begins_at_end(problem, blocked, driven))
+        or _is_cut_off(problem_at(now, steps), driven)
+    ):
         return (Outcome.NO_PLAN, str(saved.data.get("message"))), []
     short = (
         f"{STEPS_FILE}: the run ends after step {steps}, planner.max_steps is "
         f"{problem.planner.max_steps}, and neither its task nor a standstill ended it"
     )
     return (Outcome.STEP_LIMIT, ""), [short]
+
+
+def _begins_at_end(
+    problem: Problem, blocked: Sequence[BlockedWay], driven: Sequence[_Driven]
+) -> bool:
+    """Return whether a forbidden way begins where its robot is at the end, and crosses a hole."""
+    ends = {
+        robot.name: one.states[-1][:2] for robot, one in zip(problem.robots, driven, strict=True)
+    }
+    return any(
+        min(len(way.holes), len(way.way_m)) > 0
+        and np.abs(way.way_m[0] - ends[way.robot]).max() <= EXACT
+        for way in blocked
+    )
 
 
 def _robots_and_plans(data: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -45,11 +45,30 @@ class Retreats:
         ``(m, k)`` expected information of a packet from there at every step, per m^2.
     longest_m
         Length of the longest step.
+    connected
+        So many of the places, the first ones, are known to be connected.
     """
 
     places_m: NDArray[np.float64]
     information: NDArray[np.float64]
     longest_m: float
+    connected: int
+
+    def nearest_connected(
+        self, stops_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the nearest other place known to be connected, and how many steps it is away.
+
+        ``(c, 2)`` and ``(c,)`` for stops (c, 2); the stop itself, infinitely far, if there is none.
+        """
+        if not self.connected:
+            return stops_m, np.full(len(stops_m), np.inf)
+        places = self.places_m[: self.connected]
+        away = np.linalg.norm(stops_m[:, None] - places, axis=2)
+        away[away <= SAME_PLACE_M] = np.inf
+        nearest = away.argmin(axis=1)
+        steps = np.ceil(away.min(axis=1) / self.longest_m - WHOLE_STEPS)
+        return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the largest information that can be had at every step, ``(c, k)``.
@@ -97,7 +116,9 @@ def retreats_of(
         kept = np.sort(np.argsort(-told.sum(axis=1), kind="stable")[:MOST_CONNECTED])
         connected_m, told = connected_m[kept], told[kept]
     beside = target_chance[:, None] * sensing_information(tracking.sensor, target[:, None], target)
-    return Retreats(np.vstack([connected_m, target]), np.vstack([told, beside]), longest_m)
+    return Retreats(
+        np.vstack([connected_m, target]), np.vstack([told, beside]), longest_m, len(connected_m)
+    )
 
 
 def recourse_costs(
@@ -124,20 +145,36 @@ def recourse_costs(
     settings
         The target and what is known of it, for k >= N steps.
     """
-    (count, steps), tracking = chance.shape, settings.tracking
-    stops = ways_m[:, -1]
-    moving = np.linalg.norm(ways_m - stops[:, None], axis=2) > SAME_PLACE_M
-    arrivals = steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
+    steps, tracking = chance.shape[1], settings.tracking
+    stops, arrivals = ways_m[:, -1], last_arrivals(ways_m)
     at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
     told = np.zeros(at_stop.shape)
     told[:, :steps] = chance * sensing_information(
         tracking.sensor, ways_m, tracking.target_m[:steps]
     )
-    elsewhere = retreats.best(stops, arrivals)
-    staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
+    staying, elsewhere = at_ends(stops, arrivals, retreats, settings)
     up = np.where(at_stop, np.maximum(staying, elsewhere), told)
     down = np.where(at_stop, elsewhere, told)
     # The filter of a coordinate is told half of the information of a packet.
     costs = left(0.5 * (np.stack([up, down]) + others), settings)
     tried = chance[:, -1]
     return tried * costs[0] + (1.0 - tried) * costs[1]
+
+
+def last_arrivals(ways_m: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the step, from 0 on, at whose end paths (c, N, 2) come to where they end; ``(c,)``."""
+    count, steps, _ = ways_m.shape
+    moving = np.linalg.norm(ways_m - ways_m[:, -1:], axis=2) > SAME_PLACE_M
+    return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
+
+
+def at_ends(
+    stops_m: NDArray[np.float64],
+    arrivals: NDArray[np.intp],
+    retreats: Retreats,
+    settings: FilteredTracking,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return 1 / g of every step at the ends of paths (c, 2), and e_k of equation 4.26; (c, k)."""
+    tracking = settings.tracking
+    staying = sensing_information(tracking.sensor, stops_m[:, None], tracking.target_m)
+    return staying, retreats.best(stops_m, arrivals)

@@ -24,7 +24,7 @@ SENSOR = Sensor(0.008, 0.08, 1.0)
 TARGET = np.array([10.0, 3.0]) + np.arange(1, STEPS + BEYOND + 1)[:, None] * (0.6, 0.1)
 MODEL = TargetModel(0.5, 0.01 * np.eye(2))
 SETTINGS = FilteredTracking(Tracking(-40.0, SENSOR, TARGET), MODEL, np.diag([4.0, 4.0, 10.0, 10.0]))
-NOWHERE = Retreats(np.zeros((0, 2)), np.zeros((0, STEPS + BEYOND)), LONGEST_M)
+NOWHERE = Retreats(np.zeros((0, 2)), np.zeros((0, STEPS + BEYOND)), LONGEST_M, 0)
 ALONE = np.zeros(STEPS + BEYOND)
 WAYS = np.array(
     [
@@ -82,7 +82,7 @@ def test_the_best_retreat_within_reach_is_taken_at_every_step():
     """Against a loop over places and steps."""
     generator = np.random.default_rng(3)
     places, told = generator.uniform(0.0, 12.0, (7, 2)), generator.uniform(0.0, 5.0, (7, 9))
-    retreats = Retreats(places, told, LONGEST_M)
+    retreats = Retreats(places, told, LONGEST_M, 0)
     stops, arrivals = WAYS[:, -1], np.array([2, 0, 3])
     expected = np.zeros((3, 9))
     for number, (stop, arrival) in enumerate(zip(stops, arrivals, strict=True)):

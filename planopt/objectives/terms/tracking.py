@@ -16,6 +16,11 @@ from planopt.objectives.filter_derivatives import (
     covariance_gain_derivatives,
     information_gain_derivatives,
 )
+from planopt.objectives.recourse_estimates import (
+    STEPS_OF_ESTIMATES,
+    discounted,
+    told_later_costs,
+)
 from planopt.objectives.terms.context import NearPath, Part, Paths, StepContext
 from planopt.objectives.terms.term import Structure, Term, TermSetting
 from planopt.objectives.tracking import (
@@ -60,7 +65,7 @@ beside the target."""
 TrackingForm = Literal["auto", "additive", "information", "covariance", "sampled", "recourse"]
 
 LONGEST_ADDITIVE_OF_ESTIMATES = 1
-"""The same where packets have estimates: only ``sampled`` knows that they tell of earlier steps."""
+"""The same where packets have estimates: ``additive`` takes them for measurements."""
 
 
 @dataclass(frozen=True)
@@ -344,7 +349,11 @@ class TrackingTerm(Term):
         """Return the values of the form ``recourse`` by chances as predicted."""
 
         def made() -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
-            own = self._longer(self._alone(at), RECOURSE_STEPS)
+            own = self._alone(at)
+            if own.held is None:
+                own = self._longer(own, RECOURSE_STEPS)
+            else:
+                own = discounted(self._longer(own, STEPS_OF_ESTIMATES))
             target_m = own.tracking.target_m
             places = np.vstack([target_m, *at.others_m])
             arrives = at.links.chances(places, _chance(at, places))
@@ -360,7 +369,8 @@ class TrackingTerm(Term):
 
         settings, retreats, others, idle = at.once((TrackingTerm, "tried", self), made)
         known = at.links.chances(ways_m, chance)
-        return idle - recourse_costs(ways_m, known, retreats, others, settings)
+        costs = recourse_costs if settings.held is None else told_later_costs
+        return idle - costs(ways_m, known, retreats, others, settings)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the same of many paths."""

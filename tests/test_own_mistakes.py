@@ -28,6 +28,7 @@ from planopt.extend import (
     unregister_planner,
 )
 from planopt.objectives import LearningTerm
+from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.terms import term as terms
 from planopt.problems import FunctionTruth, constraints
 from planopt.robots.drive import rolled_out
@@ -185,6 +186,31 @@ def test_wrong_methods_of_a_term(base, methods, words) -> None:
     problem = made(base, objective=own_class(Term, **whole)())
     with pytest.raises(InputError, match=rf"test_own_mistakes.*{words}"):
         solve(problem, planner="lattice", seed=0)
+
+
+def parts_of(value=0.0, gradient=None, hessian=None):
+    """Derivatives of two steps, some of them wrong."""
+    gradient = np.zeros(4) if gradient is None else gradient
+    return PathDerivatives(value, gradient, np.zeros((4, 4)) if hessian is None else hessian)
+
+
+@pytest.mark.parametrize("planner", ["nlp", "scp"])
+@pytest.mark.parametrize(
+    ("derivatives", "words"),
+    [
+        (lambda self, path: path.nothing, r"derivatives failed: AttributeError"),
+        (lambda self, path: None, r"derivatives returned a NoneType"),
+        (lambda self, path: parts_of(value="much"), r"derivatives.*value returned a str"),
+        (lambda self, path: parts_of(gradient=np.zeros(3)), r"gradient returned shape \(3,\)"),
+        (lambda self, path: parts_of(hessian=np.zeros(4)), r"should return shape \(4, 4\)"),
+    ],
+)
+def test_wrong_derivatives(base, capfd, derivatives, words, planner) -> None:
+    """Whatever the solver, one error names the method, and nothing is printed."""
+    term = own_class(Term, **ONES, derivatives=derivatives, can_be_polished=True)()
+    with pytest.raises(InputError, match=rf"test_own_mistakes.*{words}"):
+        solve(made(base, objective=term), planner=planner, seed=0)
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(

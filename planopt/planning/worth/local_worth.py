@@ -19,7 +19,7 @@ from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.terms.context import NearPath, NearStation, Part
 from planopt.objectives.terms.term import Structure, Term
 from planopt.objectives.tracking import connectivity_derivatives
-from planopt.parts import calling, class_name
+from planopt.parts import calling, class_name, is_own, returned
 from planopt.planning.programme.margin_source import (
     EvaluatePath,
     Evaluation,
@@ -90,7 +90,11 @@ def local_worth(
         parts = [_weighted(term.weight, _derivatives(term, near)) for term in problem.terms]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 
-    return remembering(evaluate)
+    evaluated = remembering(evaluate)
+    if any(is_own(term) for term in problem.terms):
+        # Before CasADi asks, in whose solvers errors of Python's are lost.
+        evaluated(path_m)
+    return evaluated
 
 
 def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
@@ -131,7 +135,24 @@ def _derivatives(term: Term, near: NearPath) -> Part:
             remedy="return PathDerivatives(value, gradient, hessian), or derive the class from "
             "planopt.extend.OwnTerm, which needs an expression alone",
         )
+    if is_own(term):
+        _require_shapes(term, part, len(near.places_m))
     return part
+
+
+def _require_shapes(term: Term, part: Part, stages: int) -> None:
+    """Raise an InputError for derivatives by a user's own term that fit no path of N stages."""
+    if isinstance(part, PathDerivatives):
+        shapes = {"value": (), "gradient": (2 * stages,), "hessian": (2 * stages, 2 * stages)}
+    else:
+        shapes = {"value": (stages,), "gradient": (stages, 2), "hessian": (stages, 3)}
+    for name, shape in shapes.items():
+        value = getattr(part, name)
+        if name == "gradient" and np.shape(value) == (stages, 2):
+            shape = (stages, 2)
+        words = f"{type(part).__name__} whose {name} has the shape {shape}, N = {stages} here"
+        key, method = "objective.terms", f"derivatives(...).{name}"
+        returned(term, method, value, shape, words=words, key=key, unbounded=True)
 
 
 def _weighted(weight: float, part: Part) -> Part:

@@ -6,7 +6,7 @@ Errors are raised; :func:`planopt.cli.main` prints them.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,9 @@ from planopt.files.result_folder import ResultFiles, added_results
 
 NO_PLAN = 4
 """Exit code where there is no plan, or a run did not arrive."""
+
+COLUMNS = 3
+"""So many metrics stand in a line."""
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
@@ -42,6 +45,32 @@ def say(text: str) -> None:
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
     """A number for people; a dash where there is none."""
     return "-" if value is None else f"{value:.{digits}g}{unit}"
+
+
+def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
+    """Return names with their values, `COLUMNS` of them a line, one below the other.
+
+    Examples
+    --------
+    >>> for line in in_columns([("path_m", "8"), ("steps", "12"), ("n", "-"), ("rms_db", "3.1")]):
+    ...     print(line)
+    path_m   8    steps 12    n -
+    rms_db 3.1
+    """
+    lines: list[str] = []
+    sizes = [
+        [max((len(cell[part]) for cell in cells[column::COLUMNS]), default=0) for part in (0, 1)]
+        for column in range(COLUMNS)
+    ]
+    for begin in range(0, len(cells), COLUMNS):
+        line = [
+            f"{name:<{wide}} {value:>{number}}"
+            for (name, value), (wide, number) in zip(
+                cells[begin : begin + COLUMNS], sizes, strict=False
+            )
+        ]
+        lines.append("    ".join(line))
+    return lines
 
 
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from planopt.commands.output import (
     NO_PLAN,
     drawing,
+    in_columns,
     progress,
     results_folder,
     say,
@@ -97,14 +98,13 @@ def _in_words(run: Run) -> str:
     )
     if steps == 0:
         return f"{head}\n  {robots}, no step was driven"
-    shown = ", ".join(
-        f"{name} {shown_number(None if isnan(value) else value)}"
-        for name, value in run.metrics.items()
-    )
+    metrics = [
+        (name, shown_number(None if isnan(value) else value)) for name, value in run.metrics.items()
+    ]
     lines = [
         f"{robots}, {run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
         f"{measured} of {steps} steps",
-        shown,
+        *in_columns(metrics),
         *_unverified_in_words(run),
     ]
     if problem.task == "reach":

@@ -198,6 +198,7 @@ class Planner:
         later = parts_of("obstacles", obstacles, Obstacle, remedy)
         for obstacle in later:
             check_obstacle(obstacle)
+        said = None if connected is None else _links(connected)
         now = [self._state(number, state) for number, state in enumerate(states)]
         measured = [
             () if each is None else measurements_by_station(self.problem, each)
@@ -208,8 +209,8 @@ class Planner:
         if self._is_placed:
             links = (
                 [self._was_connected(*both) for both in enumerate(measured)]
-                if connected is None
-                else _links(connected)
+                if said is None
+                else said
             )
             self._robots.observe(now, measured, links, seen)
         else:

@@ -156,6 +156,16 @@ class SampledMeasurements:
 
     count: int = 0
 
+    def __post_init__(self) -> None:
+        make_plain(self)
+        count = cast("object", self.count)
+        if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+            raise InputError(
+                f"is {count!r}, should be a whole number, at least 0",
+                key="channel.measurements.count",
+                remedy="give how many places are measured at first, such as 100",
+            )
+
 
 @dataclass(frozen=True)
 class LoggedMeasurements:

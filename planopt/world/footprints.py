@@ -88,9 +88,15 @@ def check_name(name: str) -> None:
     Raises
     ------
     InputError
-        It is longer than `LONGEST_NAME`, or has a character that cannot be printed, such as a
-        terminal code or half of a surrogate pair.
+        It is no text, is longer than `LONGEST_NAME`, or has a character that cannot be printed,
+        such as a terminal code or half of a surrogate pair.
     """
+    if not isinstance(cast("object", name), str):
+        raise InputError(
+            f"is {name!r}, should be text",
+            key="world.obstacles[].name",
+            remedy='give a name, such as "house"',
+        )
     if len(name) > LONGEST_NAME:
         raise InputError(
             f"the name {name[:20]!r}... has {len(name)} characters, more than {LONGEST_NAME}",

@@ -57,6 +57,33 @@ class OccupancyGrid:
 
     __repr__ = short_repr
 
+    def __post_init__(self) -> None:
+        for key in ("occupied", "unknown"):
+            cells = np.asarray(getattr(self, key))
+            if cells.dtype.kind != "b" or cells.ndim != 2:
+                raise InputError(
+                    f"has the shape {cells.shape} and the type {cells.dtype}",
+                    key=key,
+                    remedy="give an array of bool (ny, nx), such as probabilities > 0.65",
+                )
+            object.__setattr__(self, key, cells)
+        if self.unknown.shape != self.occupied.shape:
+            raise InputError(
+                f"has the shape {self.unknown.shape}, occupied has {self.occupied.shape}",
+                key="unknown",
+                remedy="give one for each cell; numpy.zeros_like(occupied) if all are known",
+            )
+        try:
+            numbers = np.array([self.resolution_m, *self.origin_m], dtype=np.float64)
+        except (TypeError, ValueError):
+            numbers = np.full(3, np.nan)
+        if numbers.shape != (3,) or not (np.isfinite(numbers).all() and numbers[0] > 0.0):
+            raise InputError(
+                f"resolution_m is {self.resolution_m!r}, origin_m is {self.origin_m!r}",
+                key="world.obstacles",
+                remedy="give metres: the side of a cell above 0, and the corner (x, y)",
+            )
+
 
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"

@@ -33,6 +33,7 @@ from planopt.problems import (
     DoubleIntegrator,
     FunctionTruth,
     ModelTruth,
+    OccupancyGrid,
     SampledMeasurements,
     term_tables,
 )
@@ -237,6 +238,46 @@ def test_a_grid_without_a_place() -> None:
     for shape in ((3, 2), (4, 5)):
         with pytest.raises(InputError, match=r"array of bool .*OccupancyGrid\("):
             obstacles_from(np.ones(shape, dtype=np.bool_))
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"occupied": [[1, 0], [0, 0]]}, r"key occupied: .* array of bool \(ny, nx\)"),
+        ({"unknown": np.zeros((3, 3), dtype=np.bool_)}, r"key unknown: .*zeros_like"),
+        ({"resolution_m": -1.0}, r"resolution_m is -1\.0"),
+        ({"origin_m": None}, r"origin_m is None.*give metres"),
+    ],
+)
+def test_no_grid(parts, words) -> None:
+    """Where it is made."""
+    none = np.zeros((2, 2), dtype=np.bool_)
+    given = {"occupied": none, "unknown": none, "resolution_m": 1.0, "origin_m": (0.0, 0.0)}
+    with pytest.raises(InputError, match=words):
+        OccupancyGrid(**{**given, **parts})
+
+
+@pytest.mark.parametrize("count", [-3, 2.5, "many", True])
+def test_no_number_of_measurements(count) -> None:
+    """Where it is given."""
+    with pytest.raises(InputError, match=r"channel\.measurements\.count: is .*such as 100"):
+        SampledMeasurements(count)
+
+
+def test_a_name_of_an_obstacle_is_text() -> None:
+    """As in a file."""
+    nameless = Obstacle(None, shapely.box(10, 10, 12, 12))
+    with pytest.raises(InputError, match=r"name: is None, should be text"):
+        small(workspace=Workspace((0.0, 0.0, 40.0, 30.0), (nameless,)))
+
+
+def test_a_connection_is_true_or_false() -> None:
+    """From the first call on, which takes none in."""
+    truth = FunctionTruth(power_dbm=power_dbm)
+    channel = ChannelSetup(truth=truth, measurements=SampledMeasurements(20))
+    planner = planopt.Planner(small(channel=channel), horizon=2)
+    with pytest.raises(InputError, match=r"connected\[0\]: is 'yes' \(give True or False"):
+        planner.step((4.0, 4.0), connected="yes")
 
 
 def test_ground_truth_of_arrays_and_functions() -> None:

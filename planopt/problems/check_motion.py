@@ -83,8 +83,8 @@ def check_own_map(problem: Problem, number: int) -> None:
                 f"{float(change.max()):.3g} m a step at least",
                 file=problem.file,
                 key=f"{key}.rest_input",
-                remedy="give the input with which it stays where it is; a function that is a derivative "
-                "needs continuous = True",
+                remedy="give the input with which it stays where it is; a function that is a "
+                "derivative needs continuous = True",
             )
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
+from planopt.planning.programme.clearance_lines import LINE_REACH_STEPS
 from planopt.planning.programme.motion_rows import MotionShape
-from planopt.planning.programme.offenders import LINE_REACH_STEPS
 from planopt.planning.programme.path_polish import MotionTask
 from planopt.planning.proof.motion import judge_apart, judge_motion, swept_motion
 from planopt.planning.scene import Ground

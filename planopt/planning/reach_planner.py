@@ -23,8 +23,8 @@ from planopt.planning.holes import (
 )
 from planopt.planning.judge import Candidate, Judge, with_effort
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
+from planopt.planning.programme.clearance_lines import MOVING_LINES
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.offenders import MOVING_LINES
 from planopt.planning.programme.path_nlp import ReachNlp, build_reach_nlp
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.proof.circumstances import circumstances_of

@@ -14,13 +14,13 @@ from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.budget import Budget
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Verdict
+from planopt.planning.programme.clearance_lines import REPAIRS, lines_about, lines_with_violated
 from planopt.planning.programme.margin_source import (
     MarginFunction,
     StageMargins,
     joined,
     margins_of,
 )
-from planopt.planning.programme.offenders import REPAIRS, lines_about, lines_with_offenders
 from planopt.planning.programme.path_nlp import ReachNlp
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.programme.polish import OutagePrice, Polished, ReachTask, polish
@@ -186,7 +186,7 @@ class Refiner:
             yield candidate
             begun, iterations = perf_counter(), 0
             if not candidate.sound:
-                lines = lines_with_offenders(
+                lines = lines_with_violated(
                     self._scene.pieces,
                     task.lines,
                     np.vstack([task.start_m, path_m]),

@@ -15,15 +15,15 @@ from planopt.planning.budget import Budget, solve_limit_s
 from planopt.planning.driven import motion_shape, motion_task, polished_drive, standstill_m
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Termination
-from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.offenders import (
+from planopt.planning.programme.clearance_lines import (
     LINE_REACH_STEPS,
     REPAIRS,
     lines_about,
-    lines_with_offenders,
+    lines_with_violated,
     moving_count,
     tail_count,
 )
+from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
@@ -121,7 +121,7 @@ def lines_repaired(
     """
     tail = tail_count(discs, len(path_m) - 1)
     first, last = split_lines(lines, int(lines.piece.shape[1]) - tail)
-    found = lines_with_offenders(
+    found = lines_with_violated(
         pieces,
         first,
         start_path_m,

@@ -22,8 +22,8 @@ from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.team.couriers import Couriers
-from planopt.planning.team.crew import TeamMoment, build_crew, plan_together
 from planopt.planning.team.reservations import has_separation
+from planopt.planning.team.team_step import TeamMoment, build_team, plan_together
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
@@ -260,5 +260,5 @@ def plan_step(
     if scenes is not None:
         couriers = Couriers(problem, scenes)
         return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])
-    crew = build_crew(problem, seeds, foreseen_m)
-    return lambda at: plan_together(problem, crew, at)
+    team = build_team(problem, seeds, foreseen_m)
+    return lambda at: plan_together(problem, team, at)

@@ -25,8 +25,8 @@ from scipy.optimize import least_squares
 
 from planopt.errors import InputError
 from planopt.plain_values import make_plain
-from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components, Disc
+from planopt.robots.pure_pursuit import PurePursuit
 from planopt.world.ways import PointWay, StepWay
 
 
@@ -253,7 +253,7 @@ class CasadiMap:
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
         """Return the inputs, each held for two steps, that lead nearest to the path ahead."""
-        carrot = Carrot(np.vstack([state[:2], path_m]))
+        pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         ranges = [
             np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), TRIED)
             if not (math.isfinite(low) and math.isfinite(high))
@@ -265,7 +265,7 @@ class CasadiMap:
         here = tuple(state)
         for k in range(len(path_m)):
             reach = HELD_STEPS * self.speed_max_m_s * step_s
-            target, _ = carrot.ahead_m(np.array(here[:2], dtype=float), reach)
+            target, _ = pursuit.ahead_m(np.array(here[:2], dtype=float), reach)
             after = tuple(np.full(len(tried), value) for value in here)
             for _ in range(HELD_STEPS):
                 after = self.step(after, tuple(tried.T), step_s)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components, Disc
+from planopt.robots.pure_pursuit import PurePursuit
 from planopt.world.ways import Parabola, PointWay, StepWay
 
 STOPPED_M_S = 1e-9
@@ -159,19 +159,19 @@ class DoubleIntegrator:
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
         """Head for a point a little ahead on the path; slow down for turns and for its end."""
-        carrot = Carrot(np.vstack([state[:2], path_m]))
+        pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         here = tuple(state)
         inputs = np.zeros((len(path_m), 2))
         for k in range(len(path_m)):
             place, velocity = np.array(here[:2]), np.array(here[2:])
-            target, left_m = carrot.ahead_m(place, self.speed_max_m_s * step_s)
+            target, left_m = pursuit.ahead_m(place, self.speed_max_m_s * step_s)
             offset = target - place
             length = float(np.hypot(*offset))
             lookahead = self.speed_max_m_s * step_s
             slowed = BRAKING_SHARE * self.acceleration_max_m_s2
             speed = min(
                 self.speed_max_m_s,
-                carrot.speed_m_s(slowed, SWING_SHARE * lookahead),
+                pursuit.speed_m_s(slowed, SWING_SHARE * lookahead),
                 left_m / step_s,
             )
             wanted = offset * (speed / length) if length > 0.0 else np.zeros(2)

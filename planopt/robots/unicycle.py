@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.robots.carrot import Carrot
 from planopt.robots.dynamics import Components, Disc
+from planopt.robots.pure_pursuit import PurePursuit
 from planopt.world.ways import Arc, StepWay
 
 HALVINGS = 3
@@ -199,12 +199,12 @@ class Unicycle:
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
         """Drive on the arc to a point a little ahead on the path; turn first if it is behind."""
-        carrot = Carrot(np.vstack([state[:2], path_m]))
+        pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         here = tuple(state)
         inputs = np.zeros((len(path_m), 2))
         for k in range(len(path_m)):
             place = np.array(here[:2])
-            target, left_m = carrot.ahead_m(place, self.speed_max_m_s * step_s)
+            target, left_m = pursuit.ahead_m(place, self.speed_max_m_s * step_s)
             inputs[k] = self._towards(target - place, float(here[2]), left_m, step_s)
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs

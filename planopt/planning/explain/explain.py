@@ -37,8 +37,8 @@ from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve, solve_on
-from planopt.planning.team.crew import build_crew
 from planopt.planning.team.reservations import beside, others_of, planned_motion
+from planopt.planning.team.team_step import build_team
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.road_map import RoadMap, shortest_ways, way_from
@@ -121,7 +121,7 @@ def _planned(problem: Problem, solution: Solution, number: int) -> Plan | None:
     seeds = team_seeds(problem, solution.seed)
     watch = watch_target(problem, seeds.target)
     watched = aim_of(watch, number, problem.planner.horizon)
-    member = build_crew(problem, seeds)[number]
+    member = build_team(problem, seeds)[number]
     moving = beside(problem, 0, {})
     return member.plan(solution.belief, member.start, watched, None, moving)[0]
 

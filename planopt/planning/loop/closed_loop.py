@@ -1,7 +1,7 @@
 """The closed loop: plan, move, measure, update the belief, plan again, until the task has ended.
 
 Robots plan one after the other, each on its own belief, and keep apart as
-:mod:`planopt.planning.team.crew` says. The seed fixes everything that happens: the ground
+:mod:`planopt.planning.team.team_step` says. The seed fixes everything that happens: the ground
 truth, the first measurements, the target's path and the sensors' noise.
 """
 

@@ -48,7 +48,7 @@ def wheels(x: float, y: float, heading: float = 0.0) -> dict:
     }
 
 
-def crew(*robots: dict, moving=(CART,), separation=3.0, learns=False, **planner) -> Problem:
+def team(*robots: dict, moving=(CART,), separation=3.0, learns=False, **planner) -> Problem:
     """Robots of the small scene that track, or learn."""
     tables = copy.deepcopy(TABLES)
     tables["problem"]["task"] = "learn" if learns else "track"
@@ -104,7 +104,7 @@ def random_scene(seed: int) -> Problem:
                 robots.append(wheels(x, y, float(generator.uniform(-3.0, 3.0))))
             else:
                 robots.append({"start_m": [x, y]})
-    return crew(
+    return team(
         *robots,
         moving=({**CART, "start_m": [2.0, 24.0]},) if seed % 3 else (),
         separation=separation,
@@ -144,7 +144,7 @@ def test_no_released_step_is_nearer_than_the_separation(seed: int) -> None:
 def test_they_would_meet_if_they_were_not_kept_apart() -> None:
     """Both go to the target, nearer than the separation would let them."""
     free = simulate(
-        crew(heavy(8, 15), wheels(12, 15), moving=(), separation=0.0, max_steps=8), seed=0
+        team(heavy(8, 15), wheels(12, 15), moving=(), separation=0.0, max_steps=8), seed=0
     )
     ways = [sampled_m(one.log.positions_m, one.drive, 8) for one in free.runs]
     assert least_apart_m(ways) < 2.0
@@ -154,7 +154,7 @@ def test_they_would_meet_if_they_were_not_kept_apart() -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Plans and a run of a heavy robot, one on wheels and one that turns at will."""
     folder = tmp_path_factory.mktemp("made")
-    problem = crew(
+    problem = team(
         heavy(8, 15, 0.5, 0.0),
         wheels(13, 15, 0.5),
         {"start_m": [10.0, 21.0]},

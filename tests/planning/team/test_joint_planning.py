@@ -15,8 +15,8 @@ from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
-from planopt.planning.team import crew as team_step
-from planopt.planning.team.crew import TeamMoment
+from planopt.planning.team import team_step
+from planopt.planning.team.team_step import TeamMoment
 
 MAPPING = {"kind": "mapping", "form": "information"}
 
@@ -75,15 +75,15 @@ def test_rounds_never_make_the_team_worse(terms):
 
 
 def _worth_together(solution):
-    """The plans' values, each given those before it, from a crew of its own."""
+    """The plans' values, each given those before it, from a team of its own."""
     from planopt.planning.given import team_seeds
     from planopt.planning.history import BEGINNING
-    from planopt.planning.team.crew import build_crew
+    from planopt.planning.team.team_step import build_team
     from planopt.planning.worth.situation import Pending
 
-    crew = build_crew(solution.problem, team_seeds(solution.problem, solution.seed))
+    members = build_team(solution.problem, team_seeds(solution.problem, solution.seed))
     total, made = 0.0, []
-    for member, plan, aim in zip(crew, solution.plans, solution.aims, strict=True):
+    for member, plan, aim in zip(members, solution.plans, solution.aims, strict=True):
         given = replace(aim, pending=Pending(tuple(made)))
         total += member.worth(plan, solution.belief, given, BEGINNING)
         made.append(plan.positions_m[1:])
@@ -177,6 +177,6 @@ def test_a_verified_plan_replaces_one_that_is_not():
             problem=problem, plan=lambda *_: (plan, None), worth=lambda made, *_: made.objective
         )
 
-    crew = [member(plan) for plan in plans]
-    found, _ = team_step._again_in_turn(problem, crew, moment, [bad, plans[1]], [None, None])
+    members = [member(plan) for plan in plans]
+    found, _ = team_step._again_in_turn(problem, members, moment, [bad, plans[1]], [None, None])
     assert [plan.verdict for plan in found] == [Verdict.VERIFIED] * 2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from apart_scene import apart_problem
 
-import planopt.planning.team.crew as team_step
+import planopt.planning.team.team_step as team_step
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve

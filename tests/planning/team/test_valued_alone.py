@@ -4,9 +4,9 @@ import pytest
 from terms_scene import TRACKING, situation_of, terms_problem
 
 import planopt.planning.proof.predictions as predictions
-import planopt.planning.team.crew as crew_module
+import planopt.planning.team.team_step as team_step
 from planopt.planning.given import team_seeds
-from planopt.planning.team.crew import build_crew
+from planopt.planning.team.team_step import build_team
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Aim
 
@@ -14,12 +14,12 @@ from planopt.planning.worth.situation import Aim
 @pytest.mark.parametrize("name", ["auto", "lattice", "one_step"])
 def test_the_objective_is_the_paths_own(name, monkeypatch):
     """With few neighbours a place, grouped with others than the path's in the search."""
-    for module in (predictions, crew_module):
+    for module in (predictions, team_step):
         monkeypatch.setattr(module, "SEARCH_EXACT_LIMIT", 10)
     monkeypatch.setattr(predictions, "SEARCH_NEIGHBOURS", 6)
     problem = terms_problem(TRACKING, name=name, p_min=0.6)
     situation, belief = situation_of(problem)
-    member = build_crew(problem, team_seeds(problem, 0))[0]
+    member = build_team(problem, team_seeds(problem, 0))[0]
     plan, _ = member.plan(belief, member.start, Aim(situation.target_m, None), None)
     alone, _ = situation_of(problem)
     assert plan.objective == pytest.approx(PathWorth(alone)(plan.positions_m[1:]), rel=1e-12)

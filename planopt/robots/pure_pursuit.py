@@ -1,4 +1,4 @@
-"""A point to head for, a little ahead on a path."""
+"""Pure pursuit: the look-ahead point of a path, which a robot heads for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Carrot:
+class PurePursuit:
     """Follows a robot along a path without turning back.
 
     Parameters

@@ -182,7 +182,7 @@ def _valued_alone(plan: Plan, situation: Situation) -> Plan:
     return replace(plan, objective=worth, lattice_objective=start)
 
 
-def build_crew(
+def build_team(
     problem: Problem, seeds: TeamSeeds, foreseen_m: Sequence[NDArray[np.float64]] | None = None
 ) -> tuple[Member, ...]:
     """Every robot of `problem`, in its order; planners that draw use the streams of `seeds`.
@@ -195,11 +195,11 @@ def build_crew(
         The problem names a planner that does not plan its terms.
     """
     region = workspace_region(problem)
-    crew: list[Member] = []
+    team: list[Member] = []
     for number, generator in enumerate(seeds.planners):
-        beside = crew[0].ground if crew else None
-        crew.append(_member(problem, number, region, generator, foreseen_m, beside))
-    return tuple(crew)
+        beside = team[0].ground if team else None
+        team.append(_member(problem, number, region, generator, foreseen_m, beside))
+    return tuple(team)
 
 
 def _member(
@@ -256,7 +256,7 @@ class TeamMoment:
 
 
 def plan_together(
-    problem: Problem, crew: Sequence[Member], moment: TeamMoment
+    problem: Problem, team: Sequence[Member], moment: TeamMoment
 ) -> tuple[list[Plan], list[Aim]]:
     """A plan for every robot, and what it was made for.
 
@@ -264,28 +264,28 @@ def plan_together(
     ----------
     problem
         With all robots.
-    crew
+    team
         All of them.
     moment
         Where they are, and what they know.
     """
-    order = list(range(len(crew)))
-    plans, aims = _in_order(problem, crew, moment, order, keep_reserved=True)
+    order = list(range(len(team)))
+    plans, aims = _in_order(problem, team, moment, order, keep_reserved=True)
     stuck = [number for number in order if plans[number].verdict is not Verdict.VERIFIED]
-    if stuck and len(crew) > 1 and problem.constraints.separation_m > 0.0:
+    if stuck and len(team) > 1 and problem.constraints.separation_m > 0.0:
         again = stuck + [number for number in order if number not in stuck]
-        tried, tried_aims = _in_order(problem, crew, moment, again, keep_reserved=False)
+        tried, tried_aims = _in_order(problem, team, moment, again, keep_reserved=False)
         if keep_apart(problem, tried) and _verified(tried) > _verified(plans):
             plans, aims = tried, tried_aims
-    if counts_others(problem) and len(crew) > 1:
+    if counts_others(problem) and len(team) > 1:
         for _ in range(problem.planner.rounds - 1):
-            plans, aims = _again_in_turn(problem, crew, moment, plans, aims)
+            plans, aims = _again_in_turn(problem, team, moment, plans, aims)
     return plans, aims
 
 
 def _in_order(
     problem: Problem,
-    crew: Sequence[Member],
+    team: Sequence[Member],
     moment: TeamMoment,
     order: Sequence[int],
     *,
@@ -300,10 +300,10 @@ def _in_order(
     for number in order:
         others = {
             other: planned_motion(problem, made[other][0]) if other in made else reserved[other]
-            for other in range(len(crew))
+            for other in range(len(team))
             if other != number and (keep_reserved or other in made)
         }
-        made[number] = crew[number].plan(
+        made[number] = team[number].plan(
             moment.beliefs[number],
             moment.states[number],
             moment.watched[number],
@@ -311,18 +311,18 @@ def _in_order(
             beside(problem, moment.driven, others),
             reserved[number].places_m[: problem.planner.horizon + 1],
             moment.histories[number],
-            _pending(crew, moment, number, {other: made[other][0] for other in made}),
+            _pending(team, moment, number, {other: made[other][0] for other in made}),
         )
-    plans = [made[number][0] for number in range(len(crew))]
-    aims = [made[number][1] for number in range(len(crew))]
+    plans = [made[number][0] for number in range(len(team))]
+    aims = [made[number][1] for number in range(len(team))]
     return beside_each_other(problem, moment.driven, plans), aims
 
 
 def _pending(
-    crew: Sequence[Member], moment: TeamMoment, number: int, made: Mapping[int, Plan]
+    team: Sequence[Member], moment: TeamMoment, number: int, made: Mapping[int, Plan]
 ) -> Pending:
     """Return where others measure, as robot `number` is told: by plans `made`, and before."""
-    if not counts_others(crew[number].problem):
+    if not counts_others(team[number].problem):
         return NOTHING_PENDING
     planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
     return Pending(planned, places_of_others(moment.driven_m, number))
@@ -330,7 +330,7 @@ def _pending(
 
 def _again_in_turn(
     problem: Problem,
-    crew: Sequence[Member],
+    team: Sequence[Member],
     moment: TeamMoment,
     plans: Sequence[Plan],
     aims: Sequence[Aim],
@@ -343,10 +343,10 @@ def _again_in_turn(
     common F: each then exchanges its plan for one that is better by its own weights.
     """
     plans, aims = list(plans), list(aims)
-    for number, member in enumerate(crew):
+    for number, member in enumerate(team):
         others = {n: planned_motion(problem, p) for n, p in enumerate(plans) if n != number}
         moving = beside(problem, moment.driven, others)
-        pending = _pending(crew, moment, number, dict(enumerate(plans)))
+        pending = _pending(team, moment, number, dict(enumerate(plans)))
         reserved = reserved_motion(problem, number, moment.states[number], moment.warm[number])
         plan, aim = member.plan(
             moment.beliefs[number],

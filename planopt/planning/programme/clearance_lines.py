@@ -65,7 +65,7 @@ def lines_about(
     return joined_lines(lines, moving)
 
 
-def lines_with_offenders(
+def lines_with_violated(
     pieces: PackedPieces,
     lines: SeparatingLines,
     start_path_m: NDArray[np.float64],
@@ -98,9 +98,9 @@ def lines_with_offenders(
     changed = False
     limit = clearance_m - CLEARANCE_TOLERANCE_M
     for k, j in zip(*np.nonzero(now.gaps < limit), strict=True):
-        offender = now.piece[k, j]
-        if offender >= 0 and offender not in chosen[k]:
-            chosen[k, -1] = offender
+        violated = now.piece[k, j]
+        if violated >= 0 and violated not in chosen[k]:
+            chosen[k, -1] = violated
             changed = True
     needed = _discs_met(discs, lines.piece[:, standing:], path_m)
     if not (changed or needed.any()):
